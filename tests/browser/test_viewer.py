@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Page, expect
 
-from cspace.bundle import open_bundle, write_bundle
+from cspace.bundle import write_bundle
+from cspace.bundle.files import read_files
 from cspace.errors import InputError
 from cspace.simulator import Split
 from cspace.worlds import examples, simulator_of
@@ -17,11 +18,12 @@ from services.planner.viewer import world_of
 from services.registry.mlflow_registry import MlflowRegistry
 from services.registry.mlflow_tracking import MlflowTracking
 from tests.browser.viewer import drop_file, open_viewer, plan_in_viewer, viewer_at
+from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
 from tests.inference_api.server import api_server
 from tests.space_bundle import SPEC, space_graphs
 from tests.training.data.test_recordings import BASE, only_file, usual
 
-pytestmark = [pytest.mark.browser, pytest.mark.e2e, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.browser, pytest.mark.e2e, pytest.mark.timeout(300), *MLFLOW_WARNINGS]
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +72,7 @@ def test_the_model_of_an_own_arm_is_chosen_and_shown(page: Page, server: str, tm
     own = replace(SPEC.world, body=replace(SPEC.world.body, name="bench-arm"))
     folder = write_bundle(tmp_path / "bundle", replace(SPEC, world=own), space_graphs())
     with MlflowTracking(server).start("own-arm", "training") as run:
-        digest, registry = open_bundle(folder).digest, MlflowRegistry(server)
+        digest, registry = read_files(folder).digest, MlflowRegistry(server)
         registry.register("bench-arm-sampler", folder, run.run_id, digest, {}, alias="champion")
     with api_server(tmp_path, {"MLFLOW_TRACKING_URI": server}) as api:
         with viewer_at(api) as address:
