@@ -386,6 +386,7 @@ ATTACKS: dict[str, Attack] = {
     "dearest requests, abandoned": abandoned,
     "many pictures": again(many_pictures),
     "names of no model": again(lambda turn: sample(png(48), model=f"nobody-{turn}", n="1")),
+    "the list of models": always(request("/models", b"", "a/b", method="GET")),
     "upgrades": always(
         request("/sample?a=\r\nforged".replace("\r\n", "%0d%0a"), b"", "a/b", *_UPGRADE, method="GET")
     ),

@@ -125,10 +125,12 @@ def main() -> int:
     parser.add_argument(
         "--only", action="append", choices=(CONTROL, *ATTACKS), help="these attacks; all when absent"
     )
+    parser.add_argument("--registry", metavar="URI", help="MLflow that the server follows; none when absent")
     parser.add_argument("--root", type=Path, default=ROOT, help="checkout whose server is attacked")
     options = parser.parse_args()
     table = [["attack", "memory, MiB", "health, ms", "usual p99, ms", "p99, ms", "ratio", "refused"]]
-    with served(core=None, root=options.root) as api:
+    settings = {"MLFLOW_TRACKING_URI": options.registry} if options.registry else {}
+    with served(settings, core=None, root=options.root) as api:
         stretch(api, WARM_UP_S)
         usual = p99(stretch(api, options.seconds)[0])
         for attack in options.only or (CONTROL, *ATTACKS):

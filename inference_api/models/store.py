@@ -104,6 +104,7 @@ class ModelStore:
         self._lookup_s, self._clock, self._wait_s = lookup_s, clock, wait_s
         self._known: MutableMapping[ModelReference, _Known] = LRUCache(REMEMBERED)
         self._unknown: MutableMapping[ModelReference, bool] = TTLCache(REMEMBERED, lookup_s, clock)
+        self._listed: MutableMapping[str, Sequence[ModelVersion]] = TTLCache(1, lookup_s, clock)
         self._away_until: float | None = None
         self._champion: ServedModel | None = None
         # Of the last champion; None where it is not known.
@@ -248,9 +249,14 @@ class ModelStore:
         """All versions of the default model, then those of others that an alias names, newest first.
 
         Of the first :data:`LISTED_MODELS` models by name; those of the cache while the registry is away.
+        Remembered as long as a lookup is trusted, for it asks about each of them.
         """
         if self._registry is None:
             return []
+        with self._lock:
+            remembered = self._listed.get(self.model_name)
+        if remembered is not None:
+            return remembered
         try:
             self._leave_alone_while_away()
             names = self._ask(self._registry.names)
@@ -258,7 +264,10 @@ class ModelStore:
             names = tuple(self._cache.disk.names())
         fitting = [name for name in names if is_model_name(name) and name != self.model_name]
         others = [version for name in fitting[:LISTED_MODELS] for version in self.versions(name)]
-        return [*self.versions(self.model_name), *(version for version in others if version.aliases)]
+        found = [*self.versions(self.model_name), *(version for version in others if version.aliases)]
+        with self._lock:
+            self._listed[self.model_name] = found
+        return found
 
     def loaded(self, version: ModelVersion) -> Bundle | None:
         """A version's bundle if it is in memory; looking at it is no use of it."""

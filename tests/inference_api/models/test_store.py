@@ -556,3 +556,19 @@ def test_a_successor_that_is_refused_is_fetched_once_and_told_to_the_request(
     assert registry.downloads == downloads + 1
     with pytest.raises(ModelNotReadyError, match="cspace-sampler/3 is refused"):
         challenged.resolve(CHALLENGER)
+
+
+def test_the_list_of_models_is_remembered_as_long_as_a_lookup(
+    store: ModelStore, registry: CountingRegistry, bundles: dict[str, Path], clock: Clock
+) -> None:
+    for number in range(20):
+        registry.add(bundles["plain"], "champion", name=f"arm-{number}")
+    before = registry.asked
+    listed = store.listed()
+    asked = registry.asked
+    assert asked - before > 20
+    assert store.listed() == listed
+    assert registry.asked == asked
+    registry.add(bundles["plain"], "champion", name="another")
+    clock.now += 2.1
+    assert {version.name for version in store.listed()} == {*(version.name for version in listed), "another"}
