@@ -46,9 +46,6 @@ class Sensor(Protocol):
     def to_network(self, images: Image) -> NDArray[np.float32]:
         """Pictures as a network takes them, their channels first: (..., H, W, C) to (..., C, H, W)."""
 
-    def from_network(self, pixels: NDArray[np.float32]) -> Image:
-        """The inverse of :meth:`to_network`."""
-
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
 

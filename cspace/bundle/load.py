@@ -181,9 +181,8 @@ class Bundle:
         size = (1, self.spec.latent_dim)
         found = self._encoder.run({"image": pixels}, {"mu": size, "sigma": size})
         encoding = Encoding(found["mu"][0], found["sigma"][0])
-        return Picture(
-            self.digest, pixels, encoding, self._novelty_of(image, pixels, found["mu"]), self._map_of(pixels)
-        )
+        novelty = self._novelty_of(image, pixels, found["mu"])
+        return Picture(self.digest, image, self.spec.world.sensor, encoding, novelty, self._map_of(pixels))
 
     def _map_of(self, pixels: NDArray[np.float32]) -> NDArray[np.float32] | None:
         if self._map is None:

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,6 +11,7 @@ from cspace.bundle.spec import BundleSpec
 from cspace.errors import BundleError, InputError, OtherRobotError
 from cspace.query import PlanQuery, SampleQuery
 from cspace.space import JointSpace
+from cspace.world import Sensor
 from cspace.worlds import robot_digest
 
 
@@ -26,28 +28,35 @@ class Encoding:
     sigma: NDArray[np.float32]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Picture:
     """A picture that a bundle has encoded; what it costs is paid once. Make one with :meth:`Bundle.prepare`.
 
     Args:
         digest: of the bundle.
-        pixels: float32 (1, 3, P, P), as the graphs take it.
+        image: uint8, decoded.
+        sensor: of the bundle's world.
         encoding: the encoder's view of it.
         novelty: how unlike the training scenarios it is, 0 to 1; None for a bundle that does not tell.
         map: float32, what the bundle's map graph makes of it; None for a bundle without.
     """
 
     digest: str
-    pixels: NDArray[np.float32]
+    image: NDArray[np.uint8]
+    sensor: Sensor
     encoding: Encoding
     novelty: float | None = None
     map: NDArray[np.float32] | None = None
 
+    @cached_property
+    def pixels(self) -> NDArray[np.float32]:
+        """float32 (1, C, ...), as the graphs take it: four times the image's bytes, made at the first use."""
+        return self.sensor.to_network(self.image[None])
+
     @property
     def size_bytes(self) -> int:
-        """Of what it holds, nearly."""
-        return self.pixels.nbytes + (0 if self.map is None else self.map.nbytes)
+        """Of what it holds, nearly, before the first use of its pixels."""
+        return self.image.nbytes + (0 if self.map is None else self.map.nbytes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -90,7 +90,7 @@ class Head:
         """A picture of the bundle's as the search for paths takes it."""
         return Seen(
             spec.world,
-            spec.world.sensor.from_network(picture.pixels)[0],
+            picture.image,
             lambda rows: self.predict(picture, rows, check_cancelled),
             spec.plan_doubt or (0.0, 1.0),
         )

@@ -16,7 +16,7 @@ from cspace.bundle import Bundle, Picture
 from cspace.world import CheckCancelled, Examined, Finding, World
 
 # A dozen arrays of space, or all the flat pictures that are kept.
-MOST_BYTES = 64 * 2**20
+MOST_BYTES = 20 * 2**20
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,7 @@ class PictureCache:
     """The pictures asked for last, by bundle and content; safe to share between threads.
 
     Args:
-        capacity: how many are kept, about 30 kB each, 40 with a map, arrays of space 5 MB; 0 keeps none.
+        capacity: how many are kept, about 10 kB each, 20 with a map, arrays of space 1.7 MB; 0 keeps none.
         most_bytes: of all that are kept.
     """
 
@@ -102,15 +102,18 @@ class PictureCache:
         with self._lock:
             known = self._known.get(key)
         if known is not None:
-            return known
+            # A copy: the pixels for the graphs go with the request.
+            return replace(known, picture=replace(known.picture))
         began = time.perf_counter()
         read = decode()
         decoded = time.perf_counter()
         prepared = Prepared(bundle.prepare(read.images[0]), 0.0, 0.0, read.findings, read.without_state)
         encoded = time.perf_counter()
+        # Without the pixels for the graphs, and without the request's body, of which the image may be a view.
+        kept = replace(prepared, picture=replace(prepared.picture, image=read.images[0].copy()))
         # One that alone is larger than all may be is not kept.
         with self._lock, suppress(ValueError):
-            self._known[key] = prepared
+            self._known[key] = kept
             while len(self._known) > self._capacity:
                 self._known.popitem()
         return replace(prepared, decode_ms=1e3 * (decoded - began), encode_ms=1e3 * (encoded - decoded))

@@ -136,7 +136,7 @@ def query_of(asked: PlanRequest) -> PlanQuery:
 def _warnings(spec: BundleSpec, prepared: Prepared, start: tuple[float, ...]) -> tuple[Finding, ...]:
     if not prepared.without_state:
         return prepared.findings
-    image = spec.world.sensor.from_network(prepared.picture.pixels)[0]
+    image = prepared.picture.image
     return prepared.findings_with(spec.world, image=image, start=start)
 
 

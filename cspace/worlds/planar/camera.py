@@ -53,12 +53,6 @@ def to_network(images: NDArray[np.uint8]) -> NDArray[np.float32]:
     return np.ascontiguousarray(np.moveaxis(scaled, -1, -3))
 
 
-def from_network(pixels: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """The inverse of :func:`to_network`."""
-    found = np.rint((np.moveaxis(pixels, -3, -1) + np.float32(1.0)) * np.float32(127.5))
-    return np.ascontiguousarray(found.astype(np.uint8))
-
-
 def _check_size(header: PngHeader) -> None:
     """By the header alone, so that no bomb is ever decoded."""
     size = f"{header.width} x {header.height}"
@@ -162,7 +156,3 @@ class Camera(Record):
     def to_network(self, images: NDArray[np.uint8]) -> NDArray[np.float32]:
         """See :func:`cspace.worlds.planar.camera.to_network`."""
         return to_network(images)
-
-    def from_network(self, pixels: NDArray[np.float32]) -> NDArray[np.uint8]:
-        """See :func:`cspace.worlds.planar.camera.from_network`."""
-        return from_network(pixels)

@@ -237,8 +237,3 @@ class DepthSensor(Record):
         scaled = np.moveaxis(images, -1, -4).astype(np.float32)
         scaled *= np.float32(1.0 / 255.0)
         return np.ascontiguousarray(scaled)
-
-    def from_network(self, pixels: NDArray[np.float32]) -> NDArray[np.uint8]:
-        """The inverse of :meth:`to_network`."""
-        found = np.rint(np.moveaxis(pixels, -4, -1) * np.float32(255.0)).astype(np.uint8)
-        return np.ascontiguousarray(found)
