@@ -5,12 +5,14 @@
 Server, attacker and two clients are processes of their own. One client asks for 300 samples with a pause of
 20 ms between two requests, the other asks every 20 ms whether the server is alive. Each attack runs between
 two quiet stretches of the same length, whose 99th percentiles are the usual ones. Resident memory is the
-server's with its children's, highest during the attack less what it was before.
+server's with its children's, highest during the attack less what it was before. Before the first attack the
+arm's model is asked once; by how much that raises the memory is printed.
 """
 
 import http.client
 import multiprocessing
 import os
+import socket
 import subprocess
 import sys
 import threading
@@ -21,7 +23,7 @@ import numpy as np
 
 from benchmarks.command import arguments
 from benchmarks.machine import ROOT, machine
-from benchmarks.serving.attack_requests import ATTACKS
+from benchmarks.serving.attack_requests import ATTACKS, depth_pictures
 from benchmarks.serving.served import Asker, Served, new_pictures, served
 from services.evaluator.tables import markdown
 
@@ -115,6 +117,15 @@ def stretch(api: Served, seconds: float, attack: str | None = None) -> tuple[lis
     return samples, health, watch.most - before
 
 
+def use_arm(api: Served) -> float:
+    """Ask for one sample of the arm; by how much the memory rose, MiB."""
+    before = resident_mib(api)
+    with socket.create_connection(("127.0.0.1", api.port), timeout=120) as link:
+        link.sendall(depth_pictures("/sample", n="1")(0))
+        link.recv(1 << 16)
+    return resident_mib(api) - before
+
+
 def p99(took: list[float]) -> float:
     return float(np.quantile(took, 0.99))
 
@@ -132,6 +143,7 @@ def main() -> int:
     settings = {"MLFLOW_TRACKING_URI": options.registry} if options.registry else {}
     with served(settings, core=None, root=options.root) as api:
         stretch(api, WARM_UP_S)
+        first_mib = use_arm(api)
         usual = p99(stretch(api, options.seconds)[0])
         for attack in options.only or (CONTROL, *ATTACKS):
             samples, health, grown = stretch(api, options.seconds, attack)
@@ -144,6 +156,7 @@ def main() -> int:
             )  # fmt: skip
             print(" | ".join(table[-1]), flush=True)
     print(f"\n{machine()}\n\n{markdown(table)}\n\nmemory: rise; health: longest answer of /health/live")
+    print(f"the arm's first request: {first_mib:+.0f} MiB")
     return 0
 
 
