@@ -8,6 +8,7 @@ seconds that change as well. Ratios are of the other checkout's, request by requ
 """
 
 import asyncio
+import http.client
 import os
 import sys
 import time
@@ -19,7 +20,9 @@ import numpy as np
 from benchmarks.command import arguments
 from benchmarks.machine import ROOT, machine
 from benchmarks.serving.load import Client, capacity
+from benchmarks.serving.memory import arm_plan
 from benchmarks.serving.served import CLIENT_CORE, Asker, new_pictures, served
+from cspace.query import DEFAULT_WAYS
 from services.evaluator.tables import markdown
 
 SAMPLES, WARM_UP, STRETCH_S, AT_ONCE = 300, 30, 2.0, 8
@@ -42,6 +45,25 @@ def requests(ports: list[int], count: int) -> dict[str, Took]:
                 askers[which](png, **options)
                 if turn >= WARM_UP:
                     took[kind][which].append(1e3 * (time.perf_counter() - began))
+    return took
+
+
+def plans(ports: list[int], count: int) -> Took:
+    """Milliseconds of plans of the arm from a new depth picture, by server."""
+    took: Took = [[], []]
+    for turn in range(count + 2):
+        path, headers, body = arm_plan(np.random.default_rng(turn), DEFAULT_WAYS, 2)
+        for which in in_order(turn):
+            connection = http.client.HTTPConnection("127.0.0.1", ports[which], timeout=60)
+            began = time.perf_counter()
+            connection.request("POST", path, body, headers)
+            answer = connection.getresponse()
+            content = answer.read()
+            if answer.status != 200:
+                raise RuntimeError(content)
+            if turn >= 2:
+                took[which].append(1e3 * (time.perf_counter() - began))
+            connection.close()
     return took
 
 
@@ -69,6 +91,7 @@ def main() -> int:
     parser = arguments(__doc__)
     parser.add_argument("--before", type=Path, required=True, help="the other checkout")
     parser.add_argument("--requests", type=int, default=500, help="of each kind (default: %(default)s)")
+    parser.add_argument("--plans", type=int, default=60, help="of the arm (default: %(default)s)")
     parser.add_argument("--stretches", type=int, default=15, help="of throughput (default: %(default)s)")
     options = parser.parse_args()
     os.sched_setaffinity(0, {CLIENT_CORE % os.cpu_count()})
@@ -78,6 +101,7 @@ def main() -> int:
         ports = [server.port for server in servers]
         for kind, (before, now) in requests(ports, options.requests).items():
             table.append(row(kind, "ms", before, now))
+        table.append(row("a plan of the arm", "ms", *plans(ports, options.plans)))
         table.append(row("throughput", "requests/s", *asyncio.run(throughput(ports, options.stretches))))
     print(f"{machine()}\n\n{markdown(table)}")
     return 0

@@ -114,7 +114,7 @@ def confidences(rng: np.random.Generator) -> Ask:
     return ("/validity", *form(files, [*fields, ("configurations", rows.getvalue())]))
 
 
-def arm_plan(rng: np.random.Generator) -> Ask:
+def arm_plan(rng: np.random.Generator, ways: int = 64, limit_s: float = 10) -> Ask:
     files, fields = seen(rng, 160, 1)
     goal = (np.array(REST) + rng.uniform(-0.9, 0.9, 7)).clip(-2.6, 2.6)
     goal[3] = min(goal[3], -0.2)
@@ -122,8 +122,8 @@ def arm_plan(rng: np.random.Generator) -> Ask:
     asked = [
         ("start", json.dumps(REST)),
         ("goal", json.dumps(goal.tolist())),
-        ("ways", 64),
-        ("time_limit_s", 10),
+        ("ways", ways),
+        ("time_limit_s", limit_s),
     ]
     return ("/plan", *form(files, [*fields, *asked, ("alternatives", "true"), ("next_view", "true")]))
 
