@@ -25,7 +25,7 @@ from starlette.requests import ClientDisconnect
 from cspace.bundle.sampling import BUDGET, BUDGET_AT_LEAST
 from cspace.bundle.spec import WAYS, BundleSpec
 from cspace.query import SampleQuery
-from inference_api.limits import MAX_CLIENTS, Shares, full_detail
+from inference_api.limits import MAX_CLIENTS, RETRY_AFTER_S, Shares, full_detail
 from inference_api.problem_types import OVERLOADED, NoKernelsError, RequestError
 
 Item = TypeVar("Item")
@@ -46,6 +46,8 @@ STINT_S = 0.01
 LONG_OF_CLIENT, LONG_AT_ONCE = 2, 16
 # Computing that has not come to the end of a stint for so long does not work as it should.
 STUCK_S = 20.0
+# A request that is not answered by then is refused, before a proxy in front gives up (60 s) without a reason.
+ANSWER_S = 50.0
 # Requests that wait for models at the same time.
 LOOKUPS = 16
 # So much takes as long as a row: JSON that is parsed, pixels that are decoded, values of an array.
@@ -147,6 +149,7 @@ class Job:
         self.is_long = False
         # Nobody wants the result any more.
         self.is_abandoned = False
+        self.is_late = False
         # When the present stint began, and what the thread had computed by then.
         self.since_s, self._computed_s = 0.0, 0.0
         self.called: asyncio.Future[bool] | None = None
@@ -257,6 +260,11 @@ class Job:
         self._resumed.set()
         return not at_it
 
+    def give_up(self) -> None:
+        """It takes too long; on the event loop."""
+        self.is_late = True
+        self._leave()
+
     def stop_listening(self) -> None:
         """The work has ended, or goes on for nobody; on the event loop."""
         if self._unwatch is not None:
@@ -298,10 +306,17 @@ class Scheduler:
         threads: how much work is done at the same time, at least 1.
         waiting: told how many wait for their turn.
         clock: how long the thread that asks has computed, s.
+        answer_s: how long a request may take, waiting included.
     """
 
-    def __init__(self, threads: int, waiting: Gauge, clock: Callable[[], float] = time.thread_time) -> None:
-        self.clock = clock
+    def __init__(
+        self,
+        threads: int,
+        waiting: Gauge,
+        clock: Callable[[], float] = time.thread_time,
+        answer_s: float = ANSWER_S,
+    ) -> None:
+        self.clock, self._answer_s = clock, answer_s
         self._places, self._long_places = threads, max(1, threads - 1)
         self._waiting = waiting
         self._queue: FairQueue[Job] = FairQueue()
@@ -335,10 +350,29 @@ class Scheduler:
 
         Raises:
             ClientDisconnect: the client has gone away.
+            RequestError: it takes too long, for others compute, too.
         """
         job = Job(self, client, watch)
+        late = asyncio.get_running_loop().call_later(self._answer_s, job.give_up)
+        try:
+            return await self._run(job, work)
+        except ClientDisconnect:
+            if not job.is_late:
+                raise
+            raise RequestError(
+                OVERLOADED,
+                "the server is too busy for this request",
+                expected=f"an answer within {self._answer_s:g} s",
+                got="other requests that compute at the same time",
+                remedy="ask for less at once, or again in some seconds",
+                headers={"Retry-After": str(RETRY_AFTER_S)},
+            ) from None
+        finally:
+            late.cancel()
+
+    async def _run(self, job: Job, work: Callable[[Job], Result]) -> Result:
         if len(self._running) < self._places and not self.anybody_waits:
-            self._queue.begin(client, USUAL_ROWS)
+            self._queue.begin(job.client, USUAL_ROWS)
             self._seat(job)
         else:
             await self._wait(job)

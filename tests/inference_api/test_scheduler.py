@@ -11,6 +11,7 @@ from prometheus_client import CollectorRegistry, Gauge
 from starlette.requests import ClientDisconnect
 
 from inference_api import scheduler as scheduler_module
+from inference_api.problem_types import RequestError
 from inference_api.scheduler import Job, Scheduler
 from tests.inference_api.job_work import PATIENCE_S, Gate, leaving, until, value
 
@@ -43,6 +44,30 @@ def test_one_more_than_the_threads_waits_and_is_counted_until_its_turn(waiting: 
             open_gate.set()
         assert found == [7, 7, 7]
         assert value(waiting) == 0
+
+    anyio.run(scenario)
+
+
+@pytest.mark.parametrize("begun", [True, False])
+def test_what_takes_too_long_is_refused_and_the_next_one_computed(waiting: Gauge, begun: bool) -> None:
+    gate = Gate()
+
+    def endless(job: Job) -> None:
+        while True:
+            job.check_cancelled()
+
+    async def scenario() -> None:
+        scheduler = Scheduler(1, waiting, answer_s=0.1)
+        async with anyio.create_task_group() as group:
+            if not begun:
+                group.start_soon(scheduler.run, gate)
+                await gate.is_at_work()
+            with pytest.raises(RequestError, match="too busy") as refused:
+                await scheduler.run(endless if begun else lambda job: 1)
+            gate.open.set()
+        assert refused.value.problem.status == 503
+        assert value(waiting) == 0
+        assert await scheduler.run(lambda job: "next") == "next"
 
     anyio.run(scenario)
 
