@@ -5,7 +5,7 @@
 Problems of MotionBenchMaker as `python -m services.evaluator planning --protocol plans` has them, one picture
 each, changed in one way at a time: noise, where the camera stands and how wide it looks, what is missing,
 where the camera is said to stand, whether the arm's state is told, and things that no family of scenes has
-(rods of 4 to 8 mm, boxes at any tilt). For each: share of the plans that collide in truth with its 95 %
+(rods of 4 to 8 mm, boxes at any tilt). For each: share of the plans that collide, with its 95 %
 bootstrap interval, their mean confidence, the difference of it to the share that is free, the median novelty,
 and the share of pictures with a novelty above 0.95.
 """

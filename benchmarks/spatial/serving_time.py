@@ -5,7 +5,7 @@
 Each scene is shown by one noisy picture of 128 x 128. First 300 samples are asked for it, then the same with
 another seed, then the validity of 1000 uniform configurations in one .npy. Medians and quartiles of the
 client's wall time over scenes after a few that do not count, the stages as the server tells them, which share
-of the samples is free in truth (mean over scenes), and the server's memory where its process is named.
+of the samples is collision-free (mean over scenes), and the server's memory where its process is named.
 """
 
 import io
@@ -80,7 +80,7 @@ def main() -> int:
         for scene, body in zip(asked[WARM:], samples, strict=True)
         if body["samples"]
     ]
-    print(f"free in truth {mean_interval(free, np.random.default_rng(0)):.4f}")
+    print(f"collision-free {mean_interval(free, np.random.default_rng(0)):.4f}")
     print(f"acceptance {np.mean([one['acceptance'] for one in samples]):.3f}")
     print(f"shortfall {np.mean([one['shortfall'] for one in samples]) / COUNT:.4f} of what was asked")
     if options.pid is not None:

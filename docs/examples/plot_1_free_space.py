@@ -25,7 +25,7 @@ picture = render(problem.scenario)
 bundle = Bundle.load(PRETRAINED_FOLDER)
 found = bundle.sample(picture, 600, seed=7)
 free = CollisionChecker(problem.scenario).valid_batch(found.samples)
-print(f"{free.mean():.4f} of {len(free)} samples are free in truth")
+print(f"{free.mean():.4f} of {len(free)} samples are collision-free")
 
 # %%
 # The checker's truth in grey: where the arm would touch a disc.

@@ -153,9 +153,9 @@ def _why(found: Plan, query: PlanQuery) -> str:
     least = found.least
     if least is None:
         return "no path was found through what the picture shows"
-    unseen = "" if least.unseen is None else f", where {least.unseen:.0%} of the robot is in unseen space"
+    unseen = "" if least.unseen is None else f", where {least.unseen:.0%} of the robot is in unknown space"
     return (
-        f"the surest of {found.found} paths has a confidence of {found.confidence:.3f}, asked for is "
-        f"{query.min_confidence:g}; it is least sure at {least.along:.0%} of its length, with "
-        f"{least.confidence:.3f}{unseen}"
+        f"the best of {found.found} paths has a confidence of {found.confidence:.3f}, below the requested "
+        f"{query.min_confidence:g}; its lowest confidence is {least.confidence:.3f} at {least.along:.0%} of its "
+        f"length{unseen}"
     )

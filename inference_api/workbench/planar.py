@@ -154,10 +154,10 @@ def telling(field: str | None = None) -> Iterator[None]:
         raise InputError(error.what, expected=error.expected, got=error.got, remedy=error.remedy) from error
     except ImportError as error:
         raise NoKernelsError(
-            "this server knows no truth",
+            "this server has no ground truth",
             expected="the packages of the extra workbench",
             got=f"no {error.name or 'compiler'}",
-            remedy="install them, or do without the truth",
+            remedy="install them, or do without the ground truth",
         ) from error
 
 
@@ -265,7 +265,7 @@ def _given(asked: SearchRequest, world: World) -> NDArray[np.float64] | None:
     if not asked.ways:
         return rows_of("samples", asked.samples, world) if asked.samples else None
     if sum(map(len, asked.ways)) > MAX_SHOWN or not all(asked.ways):
-        raise wrong_field("ways", asked.expected("ways"), f"{len(asked.ways)} ways")
+        raise wrong_field("ways", asked.expected("ways"), f"{len(asked.ways)} paths")
     ways = [rows_of("ways", way, world) for way in asked.ways]
     along = AlongPaths(ways, world.space, np.random.default_rng(asked.seed))
     return along.take(min(asked.max_iterations, len(NOISE_RAD) * along.turn_rows))[0]
@@ -293,7 +293,7 @@ def _searched(
 def _told(asked: SearchRequest, checker: Checker, found: Grown, learned_drawn: int) -> SearchAnswer:
     body = SearchAnswer(
         status="timeout" if found.timed_out else "exhausted",
-        reason=f"no way was found within {asked.max_iterations} iterations",
+        reason=f"no path was found within {asked.max_iterations} iterations",
         iterations=found.iterations,
         edge_checks=found.edge_checks,
         state_checks=found.state_checks,
@@ -306,7 +306,7 @@ def _told(asked: SearchRequest, checker: Checker, found: Grown, learned_drawn: i
         body.status, body.reason, body.path = "solved", None, found.path.tolist()
         body.length_rad, body.way = length_rad(found.path, checker.space), way_truth(checker, found.path)
     elif found.timed_out:
-        body.reason = f"no way was found within {asked.time_limit_s:g} s"
+        body.reason = f"no path was found within {asked.time_limit_s:g} s"
     return body
 
 

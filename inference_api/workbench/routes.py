@@ -80,7 +80,7 @@ def add_workbench(app: FastAPI, *, truth: bool, mlflow_pages: str | None) -> Non
     missing = [name for name in _PACKAGES if truth and not _is_installed(name)]
     if missing:
         raise ConfigError(
-            "the workbench cannot tell the truth",
+            "the workbench cannot compute the ground truth",
             expected="the packages of the extra workbench",
             got=f"no {', '.join(missing)}",
             remedy="pip install .[workbench], or leave CSPACE_API_WORKBENCH and --workbench out",

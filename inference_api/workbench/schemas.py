@@ -95,7 +95,7 @@ class WayTruth(BaseModel):
 
 
 class TruthAnswer(BaseModel):
-    """What holds in truth.
+    """The ground truth of a scene.
 
     Args:
         cells: how many there are along each of the first two joints.
@@ -172,7 +172,7 @@ class SearchAnswer(BaseModel):
         search_ms: wall time of the search alone.
         nodes: of the trees, rad.
         parents: of each node the one from which it was reached, -1 for roots.
-        way: of the path, in truth; None without one.
+        way: of the path, by the ground truth; None without one.
     """
 
     status: Literal["solved", "refused", "exhausted", "timeout"]

@@ -147,7 +147,7 @@ def _number(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-# Paths are judged at a tenth of the distance at which planners look.
+# Paths are checked at a tenth of the resolution of the planners.
 _FINER = 0.1
 
 
@@ -190,7 +190,7 @@ class WholePlan:
 def ask_for_plan(
     problem: Problem, client: SamplingClient, query: PlanQuery, model: str | None = None
 ) -> WholePlan:
-    """Ask, and judge the path by exact checks.
+    """Requests a plan and checks its path against the true scene.
 
     Args:
         problem: start and goal in a scene.
@@ -211,7 +211,7 @@ def ask_for_plan(
 
 
 def told(whole: WholePlan) -> str:
-    """The outcome in words; the last line says what the model could not know."""
+    """The outcome in words; the last line is the ground truth."""
     found, plan, model = whole.found, whole.found.plan, whole.found.model
     times = f"{1e3 * found.round_trip_s:.0f} ms: search {plan.search_ms:.0f}, scoring {plan.score_ms:.0f}"
     lines = [
@@ -222,13 +222,13 @@ def told(whole: WholePlan) -> str:
         lines.append(f"reason   {found.reason}")
     lines.extend(warning_lines(model.warnings))
     if len(plan.path):
-        unseen = "" if plan.unseen is None else f", up to {plan.unseen.max():.0%} of the robot unseen"
+        unseen = "" if plan.unseen is None else f", up to {plan.unseen.max():.0%} of the robot in unknown space"
         lines.append(
-            f"way      {plan.length_rad:.2f} rad over {len(plan.edges)} edges, the surest of {plan.found}: "
-            f"confidence {plan.confidence:.3f}, least {plan.edges.min():.3f}{unseen}"
+            f"path     {plan.length_rad:.2f} rad over {len(plan.edges)} edges, the best of {plan.found}: "
+            f"confidence {plan.confidence:.3f}, lowest {plan.edges.min():.3f}{unseen}"
         )
-        outcome = "free" if whole.free else "collides"
-        lines.append(f"in truth {outcome}, least clearance {1e3 * whole.clearance_m:.0f} mm")
+        outcome = "collision-free" if whole.free else "collides"
+        lines.append(f"truth    {outcome}, minimum clearance {1e3 * whole.clearance_m:.0f} mm")
     return "\n".join(lines)
 
 

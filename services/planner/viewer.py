@@ -42,7 +42,7 @@ ASIDE_RAD = (0.0, 1.3, -1.3)
 CHECK_RAD, FRAMES, POINTS_AT_MOST = 0.005, 200, 8000
 SAMPLES_AT_MOST = 200
 SOURCE = "MotionBenchMaker"
-# By the shipped model: a plan that is free in truth, and one that is refused.
+# By the shipped model: a collision-free plan, and a refused one.
 EXAMPLES = {"table-top": ("table", 4), "hard bin": ("bin", 4)}
 RECORDINGS = (".mcap", ".db3")
 IMPORT_S, LOAD_S = 120, 60.0
@@ -198,15 +198,15 @@ class SceneState:
         """What the doctor says of the pictures, as Markdown."""
         found = self.api.doctor(self.pictures(), self.model)
         lines = [
-            f"- **{one.code}**: {one.seen}; {one.effect}. To do: {one.remedy}." for one in found.verdicts
+            f"- **{one.code}**: {one.seen}; {one.effect}. Remedy: {one.remedy}." for one in found.verdicts
         ]
         lines += [
             f"- picture {pose.picture}: a pose {100 * pose.offset_m:.1f} cm and {pose.turn_deg:.1f} degrees "
-            "away fits"
+            "away fits better"
             for pose in found.poses
         ]
         notes = [f"- {note}" for note in found.notes]
-        return "\n".join([*(lines or ["Nothing wrong was found."]), "", *notes])
+        return "\n".join([*(lines or ["No problems found."]), "", *notes])
 
     def sample(self, count: int, seed: int = 0) -> Samples:
         """Unfiltered samples with their confidence and the scene's own verdict."""
@@ -338,7 +338,7 @@ class Viewer:
             self.count = gui.add_slider("samples", 1, SAMPLES_AT_MOST, 1, 60)
             self.told = gui.add_markdown("")
             gui.add_markdown("Click an obstacle or a camera to move it.")
-            self.unseen: Any = gui.add_checkbox("show what no camera sees", initial_value=False)
+            self.unseen: Any = gui.add_checkbox("show unknown space", initial_value=False)
         with gui.add_folder("Your own pictures"):
             gui.add_html(DROP_ZONE)
             upload = gui.add_upload_button("Open a file")

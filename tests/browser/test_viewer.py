@@ -56,7 +56,7 @@ def test_a_view_file_or_a_recording_is_dropped_on_the_page(page: Page, address: 
     world = examples()["panda"]
     view = simulator_of(world).problem("table", Split.DEMO, 0).scenario.view()
     drop_file(page, "one.view", write_view(view))
-    expect(page.get_by_text("Nothing wrong was found.")).to_be_visible()
+    expect(page.get_by_text("No problems found.")).to_be_visible()
     expect(free).to_have_count(0)
     # viser's label names no field.
     page.get_by_text("base frame").locator("xpath=../../..").get_by_role("textbox").fill(BASE)

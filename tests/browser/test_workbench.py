@@ -67,7 +67,7 @@ def test_a_planned_way_is_free_by_an_independent_check_and_is_drawn_in_both_view
     assert told["status"] == "solved", told["reason"]
     path = np.array(told["path"])
     assert checker(SCENE).edge_batch(path[:-1], path[1:], 0.005).all()
-    expect(page.locator("#plan-told")).to_contain_text("Checked against the discs: it is free.")
+    expect(page.locator("#plan-told")).to_contain_text("Checked against the discs: collision-free.")
     drawn = page.locator("#torus .way").get_attribute("d") or ""
     assert drawn.count("M") >= len(path) - 1
     assert (page.locator("#scene .arm.ghost").get_attribute("d") or "").count("M") == 14
@@ -106,9 +106,9 @@ def test_a_broken_png_gets_a_useful_message_and_a_good_one_takes_it_away(page: P
         page.locator("#open").set_input_files({"name": "own.png", "mimeType": "image/png", "buffer": picture})
     assert workbench.sent_picture(request.value.post_data) == picture
     expect(problem).to_be_hidden()
-    expect(page.locator("#disc-told")).to_have_text("a picture, not discs")
+    expect(page.locator("#disc-told")).to_have_text("uploaded picture, no discs")
     page.get_by_role("button", name="Back to discs").click()
-    expect(page.locator("#disc-told")).to_have_text("no disc chosen")
+    expect(page.locator("#disc-told")).to_have_text("no disc selected")
 
 
 def test_an_api_that_is_away_is_told_and_what_was_changed_meanwhile_is_shown_when_it_is_back(
@@ -118,7 +118,7 @@ def test_an_api_that_is_away_is_told_and_what_was_changed_meanwhile_is_shown_whe
     cut = "**/{sample,health/live,workbench/*,models}"
     page.route(cut, lambda route: route.abort("connectionrefused"))
     drag(page, (0.5, -3.2), (1.5, -1.8))
-    expect(page.locator("#connection")).to_have_text("The API is away; trying again")
+    expect(page.locator("#connection")).to_have_text("The API is not reachable; retrying")
     with page.expect_response(is_page("truth")):
         page.unroute(cut)
     expect(page.locator("#connection")).to_contain_text("300 samples")
@@ -176,7 +176,7 @@ def test_a_family_draws_its_scene_and_its_problem_by_a_seed(page: Page, address:
     page.locator("#family").select_option("narrow")
     page.locator("#family-seed").fill("24")
     with page.expect_response(is_page("scene")) as answer:
-        page.get_by_role("button", name="Draw a scene").click()
+        page.get_by_role("button", name="Generate a scene").click()
     page.wait_for_url(re.compile(f"discs={answer.value.json()['discs'][0][0]:.3f}"))
     expect(page.get_by_role("button", name=re.compile("^Start: joint 1"))).to_be_visible()
 
@@ -187,9 +187,9 @@ def test_a_server_without_the_truth_still_shows_pictures_samples_and_plans(
     with api_server(tmp_path, {}) as plain:
         open_bench(page, plain, hash_of(SCENE))
         assert len(shown_samples(page)) == 300
-        expect(page.get_by_role("button", name="Draw a scene")).to_be_hidden()
+        expect(page.get_by_role("button", name="Generate a scene")).to_be_hidden()
         expect(page.locator("#numbers")).not_to_contain_text("precision")
-        page.get_by_label("ground").select_option("prediction")
+        page.get_by_label("background").select_option("prediction")
         expect(page.locator(".ground-3").first).to_have_attribute("d", re.compile("^M"))
         page.get_by_role("button", name="Plan a path").click()
         expect(page.locator("#plan-told")).to_contain_text("Solved")

@@ -63,7 +63,7 @@ def test_a_version_of_the_registry_is_chosen_beside_the_one_that_ships_and_asked
             asked.append(request.post_data_json)
 
     page.on("request", keep)
-    page.get_by_role("combobox", name="beside it").select_option(VERSION)
+    page.get_by_role("combobox", name="compare with").select_option(VERSION)
     expect(page.get_by_role("table")).to_contain_text(VERSION)
     page.wait_for_url(re.compile("beside=cspace-sampler/1"))
     settle(page)
@@ -74,7 +74,7 @@ def test_a_version_of_the_registry_is_chosen_beside_the_one_that_ships_and_asked
     both = [shown_samples(page, one) for one in ("#torus", "#torus-beside")]
     assert [len(one) for one in both] == [300, 300]
     assert not np.allclose(both[0], both[1])
-    page.get_by_role("combobox", name="beside it").select_option("")
+    page.get_by_role("combobox", name="compare with").select_option("")
     expect(page.locator("#torus-beside")).to_be_hidden()
     expect(page.locator("#numbers")).to_be_visible()
 
@@ -125,8 +125,8 @@ def test_a_plan_asks_both_and_the_table_tells_each_way_and_whether_it_is_free(
     assert answers.keys() == {"pretrained", VERSION}
     told = rows(page)
     assert told["plan"] == [answers[one]["status"] for one in ("pretrained", VERSION)]
-    assert told["its confidence"][0] == f"{answers['pretrained']['confidence']:.3f}"
-    assert told["free in truth"][0] == "yes"
+    assert told["confidence"][0] == f"{answers['pretrained']['confidence']:.3f}"
+    assert told["collision-free (ground truth)"][0] == "yes"
     for drawing, one in (("#torus", "pretrained"), ("#torus-beside", VERSION)):
         path = answers[one]["path"]
         drawn = page.locator(f"{drawing} .way").get_attribute("d") or ""
@@ -134,16 +134,16 @@ def test_a_plan_asks_both_and_the_table_tells_each_way_and_whether_it_is_free(
     # What changes the problem takes both ways away.
     page.get_by_role("button", name="Add a disc").click()
     expect(page.locator("#torus .way")).to_have_attribute("d", "")
-    expect(page.locator("#compared")).not_to_contain_text("free in truth")
+    expect(page.locator("#compared")).not_to_contain_text("collision-free (ground truth)")
 
 
 def test_the_same_model_twice_and_one_of_another_robot_are_no_comparison(page: Page, address: str) -> None:
     for beside in ("pretrained", "pretrained-panda"):
         open_bench(page, address, hash_of(SCENE, model="pretrained", beside=beside))
         expect(page.get_by_role("table")).to_be_hidden()
-        expect(page.get_by_role("combobox", name="beside it")).to_have_value("")
-    names = page.get_by_role("combobox", name="beside it").locator("option").all_inner_texts()
-    assert names == ["nothing", f"{VERSION} (challenger)"]
+        expect(page.get_by_role("combobox", name="compare with")).to_have_value("")
+    names = page.get_by_role("combobox", name="compare with").locator("option").all_inner_texts()
+    assert names == ["none", f"{VERSION} (challenger)"]
     open_bench(page, address, hash_of(SCENE, model="pretrained", beside="nobody"))
     expect(page.get_by_role("alert")).to_contain_text("nobody")
 

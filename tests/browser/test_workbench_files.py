@@ -81,7 +81,7 @@ def test_what_does_not_fit_is_told_with_its_line_and_changes_nothing(page: Page,
         "the file:3: the file: obstacles.0.radius_m does not fit"
     )
     page.evaluate(DROP, ["a.yaml", TEXT.replace("[2.0, 2.0]", "[2.0, 1.5]")])
-    expect(page.get_by_role("alert")).to_contain_text("No model knows the file")
+    expect(page.get_by_role("alert")).to_contain_text("No model for the file")
     expect(page.get_by_role("alert")).to_contain_text("1.5")
     assert discs_in_address(page) == [(3.0, 3.0, 0.5)]
     page.evaluate(DROP, ["a.yaml", TEXT])
@@ -93,7 +93,7 @@ def test_without_the_truth_the_page_reads_json_itself_and_says_so_of_yaml(page: 
         open_bench(page, bare, hash_of([]))
         for text in (TEXT, json.dumps({**VALUES, "obstacles": [{"x_m": "1"}]}), json.dumps([])):
             page.evaluate(DROP, ["a.json", text])
-            expect(page.get_by_role("alert")).to_contain_text("The file is no scene")
+            expect(page.get_by_role("alert")).to_contain_text("Not a scene file")
             page.get_by_role("button", name="Dismiss").click()
         page.locator("#open").set_input_files(file_of("a.json", json.dumps(VALUES)))
         expect_shown(page)

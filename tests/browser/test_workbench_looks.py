@@ -55,7 +55,7 @@ def test_everything_can_be_done_by_keyboard_alone(page: Page, address: str) -> N
     plan = page.get_by_role("button", name="Plan a path")
     tab_to(page, plan)
     page.keyboard.press("Enter")
-    expect(page.locator("#plan-told")).to_contain_text("Checked against the discs: it is free.")
+    expect(page.locator("#plan-told")).to_contain_text("Checked against the discs: collision-free.")
     page.keyboard.press("Shift+Tab")
     tab_to(page, page.get_by_role("button", name="Copy the link"))
     page.keyboard.press("Enter")

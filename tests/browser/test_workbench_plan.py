@@ -46,7 +46,7 @@ def test_seed_time_and_number_of_ways_are_asked_for_and_stand_in_the_address(
     # Another question: the way that was there is none of its answers.
     expect(page.locator("#plan-told")).to_be_empty()
     fields.get_by_label("seed").fill("18446744073709551615")
-    fields.get_by_label("at most, s").fill("1.5")
+    fields.get_by_label("time limit, s").fill("1.5")
     page.wait_for_url(re.compile("plan=18446744073709551615,1.5,2"))
     asked, found = plan(page)
     assert (asked["seed"], asked["time_limit_s"], asked["ways"]) == ("18446744073709551615", 1.5, 2)
@@ -54,7 +54,7 @@ def test_seed_time_and_number_of_ways_are_asked_for_and_stand_in_the_address(
     again = page.url.partition("/#")[2]
     open_bench(page, address, f"#{again}")
     expect(fields.get_by_label("paths")).to_have_value("2")
-    expect(fields.get_by_label("at most, s")).to_have_value("1.5")
+    expect(fields.get_by_label("time limit, s")).to_have_value("1.5")
 
 
 @pytest.mark.parametrize("wrong", ["plan=x,0,99", "plan=", "plan=1,2,3,4;", "plan=-1,99,0.2"])

@@ -52,7 +52,7 @@ def test_trees_are_fed_with_the_samples_that_are_shown_and_drawn_with_their_way(
     path = np.array(found["path"])
     assert checker(SCENE).edge_batch(path[:-1], path[1:], 0.002).all()
     expect(page.locator("#plan-told")).to_contain_text(f"{found['iterations']} iterations.")
-    expect(page.locator("#plan-told")).to_contain_text("Checked against the discs: it is free.")
+    expect(page.locator("#plan-told")).to_contain_text("Checked against the discs: collision-free.")
     expect(page.locator("#plan-doubt")).to_contain_text(f"{found['state_checks']} states checked")
     drawn = page.locator("#torus .tree").get_attribute("d") or ""
     # A branch that crosses a seam is drawn at both sides of it.
@@ -81,7 +81,7 @@ def test_trees_about_the_model_s_plan_ask_for_it_first_and_the_address_keeps_the
 def test_a_budget_that_is_used_up_and_an_end_that_collides_are_told(page: Page, address: str) -> None:
     open_bench(page, address, f"{hash_of(SCENE, **ENDS)}&search=RRT,uniform,1")
     grow(page)
-    expect(page.locator("#plan-told")).to_have_text("Not solved: no way was found within 1 iterations.")
+    expect(page.locator("#plan-told")).to_have_text("Not solved: no path was found within 1 iterations.")
     expect(page.locator("#plan-told")).to_have_class("bad")
     open_bench(page, address, f"{hash_of([(2.5, 0.0, 1.0)], start='0,0', goal='2,0')}&search=RRT,uniform,1")
     grow(page)
@@ -92,14 +92,14 @@ def test_what_a_plan_has_to_score_is_chosen_kept_in_the_address_and_a_refusal_te
     page: Page, address: str
 ) -> None:
     open_bench(page, address, hash_of([(2.5, 0.0, 1.0)], start="2.4,0.3", goal="0.45,0"))
-    page.get_by_label("at least as sure as").first.select_option("0.99")
+    page.get_by_label("Plan", exact=True).get_by_label("minimum confidence").select_option("0.99")
     page.wait_for_url(re.compile("plan=7,5,4,0.99"))
     with page.expect_response(is_page("plan"), timeout=90_000) as answer:
         page.get_by_role("button", name="Plan a path").click()
     assert json.loads(answer.value.request.post_data or "")["min_confidence"] == 0.99
     told = answer.value.json()
     assert told["status"] == "refused"
-    assert "asked for is 0.99" in told["reason"]
+    assert "below the requested 0.99" in told["reason"]
     expect(page.locator("#plan-told")).to_have_text(f"Refused: {told['reason']}.")
     again = page.url.partition("/#")[2]
     open_bench(page, address, f"#{again}")

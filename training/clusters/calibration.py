@@ -253,7 +253,7 @@ class Planned:
 
     Args:
         cost: (n,) of each, see :mod:`cspace.planning.cost`.
-        free: (n,) whether it is, in truth.
+        free: (n,) whether it is collision-free, by the ground truth.
     """
 
     cost: NDArray[np.float64]

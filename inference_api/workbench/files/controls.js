@@ -113,22 +113,22 @@ export class Controls {
   /** @param {{models: Listed[]}} listed */
   listModels(listed) {
     const planar = listed.models.filter((model) => model.world?.kind === "planar");
-    offer(this.select, "the default", planar, this.bench.state.model);
+    offer(this.select, "default", planar, this.bench.state.model);
   }
 
   /** Models of the same robot, to look at beside the one that is chosen. @param {Listed[]} models @param {string} chosen */
   listOthers(models, chosen) {
     this.others.disabled = !models.length && !chosen;
-    offer(this.others, this.others.disabled ? "no other model of this robot" : "nothing", models, chosen);
+    offer(this.others, this.others.disabled ? "no other model of this robot" : "none", models, chosen);
   }
 
   /** The server has told what it can do. */
   ready() {
     const { about } = this.bench;
-    buttonOf("plan").title = about.plans ? "" : "this server does not plan";
+    buttonOf("plan").title = about.plans ? "" : "this server cannot plan";
     const truth = selectOf("ground").options[0];
     truth.disabled = !about.truth;
-    truth.textContent = about.truth ? "collisions in truth" : "collisions in truth (off on this server)";
+    truth.textContent = `collisions (ground truth${about.truth ? "" : ": off on this server"})`;
     byId("family-form", HTMLFormElement).hidden = !about.truth;
     byId("planner-label").hidden = !about.truth;
   }
@@ -147,7 +147,7 @@ export class Controls {
     const disc = state.picture ? undefined : state.discs[chosen];
     byId("disc-told", HTMLOutputElement).textContent = disc
       ? `disc ${chosen + 1}: x ${disc.x.toFixed(2)}, y ${disc.y.toFixed(2)}, r ${disc.r.toFixed(2)} m`
-      : state.picture ? "a picture, not discs" : "no disc chosen";
+      : state.picture ? "uploaded picture, no discs" : "no disc selected";
     buttonOf("remove-disc").disabled = !disc;
     buttonOf("add-disc").disabled = Boolean(state.picture) || state.discs.length >= MAX_DISCS;
     this.radius.disabled = !disc;
@@ -266,7 +266,7 @@ function offer(select, none, models, chosen) {
 /** @param {HTMLSelectElement} select @param {string} text  Empty for none. */
 function offerConfidence(select, text) {
   if ([...select.options].some((option) => option.value === text)) return;
-  select.append(new Option(text === "0" ? "any" : text || "the model’s own", text));
+  select.append(new Option(text === "0" ? "any" : text || "model default", text));
 }
 
 /** Leave a field alone in which somebody is writing. @param {string} id @param {string} text */

@@ -70,12 +70,12 @@ export class Messages {
   async wait() {
     if (this.away) return;
     this.away = true;
-    this.tell("away", "The API is away; trying again");
+    this.tell("away", "The API is not reachable; retrying");
     while (this.away) {
       await new Promise((done) => setTimeout(done, LOOK_MS));
       this.away = await ask("health/live").then(() => false, () => true);
     }
-    this.tell("here", "The API is back");
+    this.tell("here", "The API is reachable again");
     this.again();
   }
 }

@@ -11,9 +11,9 @@ import { byId } from "./svg.js";
  */
 
 const REGISTRY = {
-  none: "This server has no model registry; it serves what ships with it.",
+  none: "This server has no model registry; it serves the shipped models.",
   reachable: "The model registry answers.",
-  unreachable: "The model registry does not answer, or was not started; what ships and what is known of it is served.",
+  unreachable: "The model registry is not reachable; the server uses the shipped and the cached models.",
 };
 
 /**
@@ -24,7 +24,7 @@ const REGISTRY = {
  */
 export function showModels(models, told, registry, use) {
   byId("registry").textContent = REGISTRY[registry];
-  const champions = told.champions.length ? [folded("Champions so far", told.champions, true)] : [];
+  const champions = told.champions.length ? [folded("Champion history", told.champions, true)] : [];
   byId("model-list").replaceChildren(
     ...champions,
     ...models.map((model) => card(model, told.models.find(({ reference }) => reference === model.reference), use)),
@@ -42,7 +42,7 @@ function card(model, story, use) {
   const names = [...model.aliases, ...(model.default ? ["default"] : [])];
   title.append(model.reference, ...names.map((name) => entry("span", name, "alias")));
   article.append(title, table([...(story?.rows ?? []), ...rowsOf(model)]));
-  if (story?.further.length) article.append(folded(`${story.further.length} further figures`, story.further));
+  if (story?.further.length) article.append(folded(`${story.further.length} more metrics`, story.further));
   const bar = entry("div", "", "bar");
   if (model.world?.kind === "planar") {
     const button = entry("button", "Use it");
@@ -59,7 +59,7 @@ function card(model, story, use) {
 /** What the model's place in the list tells. @param {Listed} model @returns {Rows} */
 function rowsOf({ joint_space: space, world, run_id: run, digest, loaded }) {
   const kind = space ? `${space.kind}, ${space.dim} joints` : "";
-  const told = { "joint space": kind, world: world?.kind, run, digest, "in memory": loaded ? "yes" : "no" };
+  const told = { "joint space": kind, world: world?.kind, run, digest, loaded: loaded ? "yes" : "no" };
   return Object.entries(told).filter(([, text]) => text);
 }
 

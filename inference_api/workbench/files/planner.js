@@ -12,7 +12,7 @@ const PLAY_MS = 4000;
 // As many paths as the server grows trees about.
 const MOST_WAYS = 8;
 export const LOOKING = "Searching for a path. The first one after an installation takes up to a minute.";
-const STATUS = { refused: "Refused", timeout: "Out of time", exhausted: "Not solved" };
+const STATUS = { refused: "Refused", timeout: "Timed out", exhausted: "Not solved" };
 
 /**
  * @typedef {{free: boolean, edges: boolean[]}} Way  What is true of a path.
@@ -51,7 +51,7 @@ export class Planner {
     this.forget();
     const asking = this.asking;
     const sides = bench.sides();
-    say(this.told, bench.about.plans ? LOOKING : "Asking.");
+    say(this.told, bench.about.plans ? LOOKING : "Planning.");
     this.button.disabled = true;
     try {
       for (const side of sides) {
@@ -118,13 +118,13 @@ export class Planner {
     const told = [];
     if (least) {
       const angles = least.configuration.map(degrees).join(", ");
-      told.push(`Lowest confidence ${least.confidence.toFixed(3)} after ${Math.round(100 * least.along)} % of it: ${angles}.`);
+      told.push(`Lowest confidence ${least.confidence.toFixed(3)} after ${Math.round(100 * least.along)} % of the path: ${angles}.`);
     }
     if (edges.length) told.push(`Per edge: ${edges.map((one) => one.toFixed(3)).join(", ")}.`);
     if (answer?.iterations) {
       told.push(
         `${answer.edge_checks} edges and ${answer.state_checks} states checked; ${answer.learned_drawn} of ` +
-          `${answer.iterations} draws were not uniform; ${answer.nodes.length} nodes.`,
+          `${answer.iterations} samples were not uniform; ${answer.nodes.length} nodes.`,
       );
     }
     byId("plan-doubt").textContent = told.join(" ");
@@ -150,7 +150,7 @@ export function say(place, words, bad = false) {
 
 /** @param {Way} way */
 export function verdictOf({ free, edges }) {
-  return free ? "it is free" : `it collides on ${edges.filter((one) => !one).length} of ${edges.length} pieces`;
+  return free ? "collision-free" : `collides on ${edges.filter((one) => !one).length} of ${edges.length} edges`;
 }
 
 /** @param {any} answer  Of POST /plan, or of trees, which take less. */

@@ -77,7 +77,7 @@ export class Readout {
     const told = confident
       ? [["dots dots-1", "M7 7h0", "confidence from 0.5"], ["dots dots-2", "M7 7h0", "0.9"], ["dots dots-3", "M7 7h0", "0.99"]]
       : [["dots dots-3", "M7 7h0", "samples"]];
-    if (truth) told.push(["crosses", "M3 3l8 8m-8 0l8-8", "collides in truth"]);
+    if (truth) told.push(["crosses", "M3 3l8 8m-8 0l8-8", "collides (ground truth)"]);
     if (state.ground === "prediction") told.push(["ground ground-3", "M1 1h12v12h-12z", "predicted to collide"]);
     else if (state.ground === "truth" && truth) told.push(["ground", "M1 1h12v12h-12z", "collision region"]);
     const key = JSON.stringify(told);
@@ -107,13 +107,13 @@ function planFigures(planned, grown) {
   /** @type {[string, string][]} */
   const own = grown
     ? [["iterations", `${answer?.iterations ?? "–"}`], ["edges checked", `${answer?.edge_checks ?? "–"}`], ["states checked", `${answer?.state_checks ?? "–"}`]]
-    : [["its confidence", answer?.confidence?.toFixed(3) ?? "–"], ["lowest confidence", answer?.least_sure?.confidence.toFixed(3) ?? "–"], ["ways found", `${answer?.ways ?? "–"}`]];
+    : [["confidence", answer?.confidence?.toFixed(3) ?? "–"], ["lowest confidence", answer?.least_sure?.confidence.toFixed(3) ?? "–"], ["paths found", `${answer?.ways ?? "–"}`]];
   return [
     ["plan", answer?.status ?? "–"],
     ...own,
     ["length", found ? `${answer.length_rad.toFixed(2)} rad` : "–"],
     ["planned in", answer ? `${searchedMs(answer)} ms` : "–"],
-    ["free in truth", way ? (way.free ? "yes" : "no") : "–"],
+    ["collision-free (ground truth)", way ? (way.free ? "yes" : "no") : "–"],
   ];
 }
 

@@ -37,14 +37,14 @@ function showScene(bench, values) {
     discs.every((/** @type {any} */ { x, y, r }) => [x, y, r].every(Number.isFinite) && r > 0) &&
     ends.every((end) => Array.isArray(end) && end.every(Number.isFinite));
   if (!good || !values.robot || !robot) {
-    const expected = `robot, at most ${MAX_DISCS} obstacles, start and goal in JSON; YAML where the server tells the truth`;
-    return messages.refuse("The file is no scene", "The page cannot read it", expected);
+    const expected = `robot, at most ${MAX_DISCS} obstacles, start and goal in JSON; YAML where the server has the ground truth`;
+    return messages.refuse("Not a scene file", "The page cannot read it", expected);
   }
   const planar = models.filter((model) => model.world?.kind === "planar");
   const fitting = [bench.listed, ...planar].find((model) => model && isRobot(model.world.robot, values.robot));
   if (!fitting) {
     const own = JSON.stringify(values.robot);
-    return messages.refuse("No model knows the file’s robot", own, `a robot as ${JSON.stringify(bench.listed?.world.robot)}, or a model of the file’s on this server`);
+    return messages.refuse("No model for the file’s robot", own, `a robot as ${JSON.stringify(bench.listed?.world.robot)}, or a model of the file’s robot on this server`);
   }
   const model = fitting === bench.listed ? bench.state.model : fitting.reference;
   const { start = bench.state.start, goal = bench.state.goal } = values;

@@ -53,7 +53,7 @@ export class Side {
   /** What it is called on the page. */
   get title() {
     const { name, version } = this.answer?.model ?? {};
-    return name ? `${name}${version ? `/${version}` : ""}` : this.bench.state[this.part] || "the default";
+    return name ? `${name}${version ? `/${version}` : ""}` : this.bench.state[this.part] || "default";
   }
 
   /** Its path; empty where there is none. */

@@ -28,10 +28,10 @@ async function copy(bench, form) {
     copied.textContent = "Copied.";
   } catch {
     area.select();
-    copied.textContent = "The browser does not let the page copy; here it is.";
+    copied.textContent = "The browser blocks copying; copy the text below.";
   }
   if (form === "link" && bench.state.picture && !text.includes("picture=")) {
-    copied.textContent += " The picture is too large for a link: send it beside it.";
+    copied.textContent += " The picture is too large for a link; send it separately.";
   }
 }
 

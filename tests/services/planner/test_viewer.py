@@ -109,7 +109,7 @@ def test_a_view_file_takes_the_scenes_place_until_the_next_is_drawn(api: FakeApi
         state.open(b"no view")
     state.open(write_view(view))
     assert state.sample(3).free is None
-    assert state.findings() == "- **holes**: few readings; little is known. To do: mend.\n\n- a table"
+    assert state.findings() == "- **holes**: few readings; little is known. Remedy: mend.\n\n- a table"
     for shown in api.shown:
         np.testing.assert_array_equal(shown.pictures[0], view.pictures[0])
         np.testing.assert_array_equal(shown.state, view.state)
