@@ -64,13 +64,13 @@ class Seen:
         world: the robot and how it is seen.
         picture: of the scene.
         predict: what the model says of configurations in it.
-        plan_doubt: (a, b), see :mod:`cspace.planning.cost`.
+        plan_calibration: (a, b), see :mod:`cspace.planning.cost`.
     """
 
     world: World
     picture: Image
     predict: Predict
-    plan_doubt: tuple[float, float] = (0.0, 1.0)
+    plan_calibration: tuple[float, float] = (0.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,12 +152,12 @@ def search_paths(
     until_s = time.thread_time() + time_limit_s
     found = find_paths(checkers, ends[0], ends[1], count, seed, until_s, check_cancelled=check_cancelled)
     searched = time.monotonic()
-    scored = score(found.ways, seen.world.space, STEP_RAD, seen.predict, seen.plan_doubt)
+    scored = score(found.ways, seen.world.space, STEP_RAD, seen.predict, seen.plan_calibration)
     ranked = sorted(scored, key=_by_cost)
     if found.checker is not None:
         check_cancelled = paused(until_s, check_cancelled)
         refiner = PathRefiner(
-            found.checker, seen.predict, seen.plan_doubt, Effort(step_rad=STEP_RAD), check_cancelled
+            found.checker, seen.predict, seen.plan_calibration, Effort(step_rad=STEP_RAD), check_cancelled
         )
         ranked = _refined(ranked, refiner, seed)
     return Searched(ranked, found.late, 1e3 * (searched - began), 1e3 * (time.monotonic() - searched))

@@ -43,23 +43,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
         problem = draw_problem(Family.UNIFORM, Split.DEMO, SEED, robot=bundle.spec.world.body)
         picture = render(problem.scenario)
         found = bundle.sample(picture, SAMPLES, SEED, min_confidence=0.0)
-        doubted = _doubted(found, bundle.spec.confidence_threshold)
+        rejected = _rejected(found, bundle.spec.confidence_threshold)
         samples = found.samples
-        result = solve(problem, PlannerSettings(seed=SEED), samples[~doubted][:PLANNED_WITH])
+        result = solve(problem, PlannerSettings(seed=SEED), samples[~rejected][:PLANNED_WITH])
     except CspaceError as error:
         sys.stderr.write(f"error: {error}\n")
         return 1
     (options.folder / "scenario.png").write_bytes(encode_png(picture))
-    draw_overview(problem, picture, samples, doubted, result).savefig(options.folder / "overview.png")
+    draw_overview(problem, picture, samples, rejected, result).savefig(options.folder / "overview.png")
     free = CollisionChecker(problem.scenario).valid_batch(samples)
     sys.stdout.write(
         f"{result.reason}, {result.iterations} iterations; {free.mean():.3f} of the samples are free, "
-        f"{free[~doubted].mean():.3f} of the {np.sum(~doubted)} that are not doubted\n"
+        f"{free[~rejected].mean():.3f} of the {np.sum(~rejected)} that are accepted\n"
     )
     return 0
 
 
-def _doubted(found: SampleSet, threshold: float | None) -> NDArray[np.bool_]:
+def _rejected(found: SampleSet, threshold: float | None) -> NDArray[np.bool_]:
     """Which samples the model's own validity head would drop; none without a head."""
     if found.confidence is None or threshold is None:
         return np.zeros(len(found.samples), dtype=np.bool_)
@@ -70,7 +70,7 @@ def draw_overview(
     problem: Problem,
     picture: NDArray[np.uint8],
     samples: NDArray[np.float32],
-    doubted: NDArray[np.bool_],
+    rejected: NDArray[np.bool_],
     result: PlanResult,
 ) -> Figure:
     """Three panels: what the model sees, what it generates, what the planner makes of it."""
@@ -79,12 +79,12 @@ def draw_overview(
     camera = problem.scenario.camera
     seen.imshow(picture, extent=(camera.x_min_m, camera.x_max_m, camera.y_min_m, camera.y_max_m))
     seen.set(xlabel="x (m)", ylabel="y (m)")
-    plot_configurations(generated, problem, result, samples[~doubted], (0, 1))
-    generated.scatter(*samples[doubted].T, s=14, marker="x", color=GOAL, linewidths=0.8, zorder=2)
+    plot_configurations(generated, problem, result, samples[~rejected], (0, 1))
+    generated.scatter(*samples[rejected].T, s=14, marker="x", color=GOAL, linewidths=0.8, zorder=2)
     plot_workspace(planned, problem, result.path)
     for axes, title in (
         (seen, "the picture"),
-        (generated, f"{len(samples)} generated; the model doubts the crosses; grey is in collision"),
+        (generated, f"{len(samples)} generated; crosses are below the confidence threshold; grey is in collision"),
         (planned, f"RRT with {PLANNED_WITH} of the dots: {result.iterations} iterations"),
     ):
         axes.set_title(title, fontsize=10)

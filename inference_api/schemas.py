@@ -628,7 +628,7 @@ class PlanAnswer(SceneAnswer):
     path: list[list[float]] = Field(description="From start to goal, straight in between, rad; or empty.")
     confidence: float = Field(
         description="Of the whole path, an estimate: exp(-exp(a + b log D)) with D the integral of "
-        "-log P(free) along it in rad and its largest value, and (a, b) the bundle's `plan_doubt`; exp(-D) "
+        "-log P(free) along it in rad and its largest value, and (a, b) the bundle's `plan_calibration`; exp(-D) "
         "without one. Of the best path where it is refused; 0 without one."
     )
     edges: list[float] = Field(description="The lowest confidence on each edge of the path.")

@@ -1,6 +1,6 @@
 """``python -m training.plan_confidence BUNDLE FOLDER``: how sure a bundle's plans are, fitted again.
 
-Plans come of a search that the project changes now and then, and of the same doubt more or fewer are free
+Plans come of a search that the project changes now and then, and of the same cost more or fewer are free
 then. This plans in validation scenes with the search as it is, as training does with
 ``validity.plan_problems``, and writes the bundle with what was fitted. Its networks stay as they are, and so
 does its golden case; what it tells of its making gets a note of the bundle that it comes from.
@@ -17,7 +17,7 @@ from cspace.bundle import Bundle
 from cspace.bundle.verification import load_verified
 from cspace.errors import BundleError, ConfigError, CspaceError, InputError
 from services.command_errors import tell_error
-from training.clusters.calibration import PlanDoubt, fit_plan_doubt, planned, require_head, write_fitted
+from training.clusters.calibration import PlanCalibration, fit_plan_calibration, planned, require_head, write_fitted
 
 # Fewer say nothing of what a third of them measures.
 _LEAST = 6
@@ -34,7 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except CspaceError as error:
         return tell_error(error, InputError)
     told = ", ".join(f"{name.removeprefix('plans/')} {value:.3g}" for name, value in found.metrics().items())
-    sys.stdout.write(f"{folder}\n  plan_doubt {found.parameters}\n  {told}\n")
+    sys.stdout.write(f"{folder}\n  plan_calibration {found.parameters}\n  {told}\n")
     return 0
 
 
@@ -51,11 +51,11 @@ def parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _fitted(source: Bundle, problems: int) -> PlanDoubt:
+def _fitted(source: Bundle, problems: int) -> PlanCalibration:
     if problems < _LEAST:
         raise ConfigError("too few problems to fit anything", expected=f"{_LEAST} or more", got=str(problems))
     require_head(source)
-    found = fit_plan_doubt(planned(source, source.spec.world, problems))
+    found = fit_plan_calibration(planned(source, source.spec.world, problems))
     if found is None:
         raise BundleError(
             "too few plans were found to fit anything",

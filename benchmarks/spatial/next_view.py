@@ -3,10 +3,10 @@
     python -m benchmarks.spatial.next_view BUNDLE [--aim scene] [--each 10]
 
 Problems and first pictures are those of `python -m services.evaluator planning --protocol plans`. The second
-camera is the one that the first plan names, of a hemisphere about its doubt, or one of the same hemisphere by
+camera is the one that the first plan names, of a hemisphere about its most uncertain place, or one of the same hemisphere by
 chance. Both pictures are noisy, the arm is in them; the plan from both is judged as there. Share of the ways
 that collide, with 95 % bootstrap intervals over the problems that all three solve, and the median of their
-doubt, -log of the confidence.
+cost, -log of the confidence.
 """
 
 import sys
@@ -41,7 +41,7 @@ ARMS = ("first picture", "and where to look next", "and anywhere")
 def judged(
     bundle: Bundle, world: SpatialWorld, problem: BenchProblem, aim: str
 ) -> list[tuple[float, float]] | None:
-    """Doubt and clearance of each arm's way; None where one solves nothing or the ends collide."""
+    """Cost and clearance of each arm's path; None where one solves nothing or the ends collide."""
     truth = CollisionChecker(world.body, problem.obstacles)
     ends = np.array([problem.start, problem.goal])
     if not truth.valid_batch(ends).all():
@@ -84,13 +84,13 @@ def main() -> int:
     told = np.array([row for row in rows if row is not None])
     rng = np.random.default_rng(0)
     print(machine())
-    print(f"{len(told)} of {len(rows)} problems solved from all, {options.split}; collide, median doubt")
+    print(f"{len(told)} of {len(rows)} problems solved from all, {options.split}; collide, median cost")
     for number, arm in enumerate(ARMS):
         hits = [float(one) for one in told[:, number, 1] <= 0.0]
         print(f"{arm:<24}{mean_interval(hits, rng):.3f}, {np.median(told[:, number, 0]):.3f}")
     fewer = difference_interval(told[:, 2, 1] <= 0.0, told[:, 1, 1] <= 0.0, rng)
-    surer = difference_interval(told[:, 2, 0], told[:, 1, 0], rng)
-    print(f"less where one looks next than anywhere: collide {fewer:.3f}, doubt {surer:.3f}")
+    lower_cost = difference_interval(told[:, 2, 0], told[:, 1, 0], rng)
+    print(f"less where one looks next than anywhere: collide {fewer:.3f}, cost {lower_cost:.3f}")
     return 0
 
 

@@ -90,7 +90,7 @@ class SampleSet:
         generate_ms: time from the latents to the samples, the validity head included.
         unseen: float32 (n',), share of the robot where no picture shows what is there; None where that is not
             told.
-        ways: int64 (n',), the way that each sample lies along, 0 for the one that is doubted least; None for
+        ways: int64 (n',), the path that each sample lies along, 0 for the one with the lowest cost; None for
             samples that were not drawn along ways.
     """
 

@@ -92,7 +92,7 @@ class Head:
             spec.world,
             picture.image,
             lambda rows: self.predict(picture, rows, check_cancelled),
-            spec.plan_doubt or (0.0, 1.0),
+            spec.plan_calibration or (0.0, 1.0),
         )
 
 

@@ -22,13 +22,12 @@ PICTURE, MAP = "image", "map"
 # The numbers that a request draws for one latent, and those that it gets for one.
 MAX_PER_LATENT = 4096
 MAX_JOINTS, MIN_PIXELS, MAX_PIXELS = 64, 16, 2048
-MAX_DOUBT = 100.0
-# Of a plan that is asked for without saying how sure it has to be, where plans are calibrated: on validation
-# problems it leaves 95 % of all solved.
+_MAX_CALIBRATION = 100.0
+# Default minimum confidence of calibrated plans; at it 95 % of the validation problems stay solved.
 PLAN_CONFIDENCE = 0.2
 _RESERVED = frozenset({"latent", PICTURE, MAP, *ENDPOINTS})
-_Doubt = tuple[
-    Annotated[float, Field(ge=-MAX_DOUBT, le=MAX_DOUBT)], Annotated[float, Field(gt=0.0, le=MAX_DOUBT)]
+_Calibration = tuple[
+    Annotated[float, Field(ge=-_MAX_CALIBRATION, le=_MAX_CALIBRATION)], Annotated[float, Field(gt=0.0, le=_MAX_CALIBRATION)]
 ]
 _Quantiles = Annotated[
     tuple[Annotated[tuple[float, ...], Field(min_length=2, max_length=1001)], ...],
@@ -115,7 +114,7 @@ class BundleSpec:
             1; None where nobody measured it.
         novelty_quantiles: for each score of the novelty graph its rising quantiles over known pictures; None
             without one.
-        plan_doubt: (a, b), by which a path of cost D is free with exp(-exp(a + b log D)), b above 0; see
+        plan_calibration: (a, b), by which a path of cost D is free with exp(-exp(a + b log D)), b above 0; see
             :mod:`cspace.planning`. None for (0, 1).
         provenance: how the bundle was made.
 
@@ -136,7 +135,7 @@ class BundleSpec:
     uniform_share: Share = 0.0
     passing_share: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
     novelty_quantiles: _Quantiles | None = None
-    plan_doubt: _Doubt | None = None
+    plan_calibration: _Calibration | None = None
     provenance: Provenance = field(default_factory=Provenance)
 
     def __post_init__(self) -> None:
@@ -181,8 +180,8 @@ class BundleSpec:
 
     @property
     def plan_confidence(self) -> float:
-        """How sure a path has to be where nobody says so: what is not calibrated rules nothing out."""
-        return 0.0 if self.plan_doubt is None else PLAN_CONFIDENCE
+        """Default minimum confidence of a path: 0 where plans are not calibrated."""
+        return 0.0 if self.plan_calibration is None else PLAN_CONFIDENCE
 
     @property
     def joint_space(self) -> dict[str, Any]:

@@ -30,7 +30,7 @@ class ScoredPath:
         confidence: (n,) of each state.
         unseen: (n,) share of the robot that no picture shows, or None.
         length_rad: Euclidean.
-        plan_doubt: (a, b), see this module.
+        plan_calibration: (a, b), see this module.
     """
 
     path: NDArray[np.float64]
@@ -39,7 +39,7 @@ class ScoredPath:
     confidence: NDArray[np.float32]
     unseen: NDArray[np.float32] | None
     length_rad: float
-    plan_doubt: tuple[float, float] = (0.0, 1.0)
+    plan_calibration: tuple[float, float] = (0.0, 1.0)
 
     @property
     def costs(self) -> NDArray[np.float64]:
@@ -54,7 +54,7 @@ class ScoredPath:
     @property
     def whole(self) -> float:
         """Confidence of the whole path."""
-        return float(confidence_of_cost(np.array(self.cost), self.plan_doubt))
+        return float(confidence_of_cost(np.array(self.cost), self.plan_calibration))
 
     def alternative(self) -> AlternativePath:
         """The path with the confidence of it and its pieces."""
@@ -84,9 +84,9 @@ def costs_of(confidence: NDArray[np.float32]) -> NDArray[np.float64]:
     return np.asarray(-np.log(np.clip(confidence, _LEAST, 1.0)), dtype=np.float64)
 
 
-def confidence_of_cost(cost: NDArray[np.float64], plan_doubt: tuple[float, float]) -> NDArray[np.float64]:
+def confidence_of_cost(cost: NDArray[np.float64], plan_calibration: tuple[float, float]) -> NDArray[np.float64]:
     """How likely paths of a cost (n,) are free, (n,); 1 without cost."""
-    offset, slope = plan_doubt
+    offset, slope = plan_calibration
     with np.errstate(divide="ignore"):
         return np.asarray(np.exp(-np.exp(np.minimum(offset + slope * np.log(cost), _MOST))))
 
@@ -102,7 +102,7 @@ def score(
     space: JointSpace,
     step_rad: float,
     predict: Predict,
-    plan_doubt: tuple[float, float] = (0.0, 1.0),
+    plan_calibration: tuple[float, float] = (0.0, 1.0),
 ) -> list[ScoredPath]:
     """What is predicted for paths, in one call; states are at most ``step_rad`` apart."""
     if not ways:
@@ -113,7 +113,7 @@ def score(
     sure = np.split(confidence, ends)
     hidden = [None] * len(ways) if unseen is None else np.split(unseen, ends)
     return [
-        ScoredPath(path, states, numbers, one, other, length_rad(path, space), plan_doubt)
+        ScoredPath(path, states, numbers, one, other, length_rad(path, space), plan_calibration)
         for path, states, numbers, one, other in zip(ways, rows, pieces, sure, hidden, strict=True)
     ]
 

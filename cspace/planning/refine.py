@@ -75,7 +75,7 @@ class PathRefiner:
     Args:
         checker: of what the picture shows.
         predict: what the model says of configurations.
-        plan_doubt: see :mod:`cspace.planning.cost`.
+        plan_calibration: see :mod:`cspace.planning.cost`.
         effort: how much is done.
         check_cancelled: called now and then; may raise to stop, which passes through.
     """
@@ -84,12 +84,12 @@ class PathRefiner:
         self,
         checker: Checker,
         predict: Predict,
-        plan_doubt: tuple[float, float],
+        plan_calibration: tuple[float, float],
         effort: Effort,
         check_cancelled: CheckCancelled,
     ) -> None:
         self._checker, self._space, self._predict = checker, checker.space, predict
-        self._plan_doubt, self._check_cancelled, self.effort = plan_doubt, check_cancelled, effort
+        self._plan_calibration, self._check_cancelled, self.effort = plan_calibration, check_cancelled, effort
 
     def refine(self, path: ScoredPath, rng: np.random.Generator) -> ScoredPath:
         """A path with the same ends of no higher cost; as far as it came where the time is over."""
@@ -111,7 +111,7 @@ class PathRefiner:
     def _better(self, path: ScoredPath, other: NDArray[np.float64] | None) -> ScoredPath:
         if other is None:
             return path
-        (scored,) = score([other], self._space, self.effort.step_rad, self._predict, self._plan_doubt)
+        (scored,) = score([other], self._space, self.effort.step_rad, self._predict, self._plan_calibration)
         return min(path, scored, key=lambda one: one.cost)
 
     def _graph(self, path: ScoredPath, rng: np.random.Generator) -> _Graph:

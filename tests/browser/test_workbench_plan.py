@@ -74,7 +74,7 @@ def test_the_least_sure_place_and_each_piece_of_a_way_are_told_and_drawn(page: P
     _, found = plan(page)
     assert found["status"] == "solved"
     least, edges = found["least_sure"], found["edges"]
-    told = page.locator("#plan-doubt")
+    told = page.locator("#plan-confidence")
     expect(told).to_contain_text(f"Lowest confidence {least['confidence']:.3f} after")
     pieces = re.search(r"Per edge: ([\d., ]+)\.$", told.inner_text())
     assert pieces is not None
@@ -82,9 +82,9 @@ def test_the_least_sure_place_and_each_piece_of_a_way_are_told_and_drawn(page: P
     # As sure as this it needs no mark.
     assert least["confidence"] > 0.99
     expect(page.locator("#torus .least")).to_be_hidden()
-    uncertain = (page.locator("#torus .doubted").get_attribute("d") or "").count("M")
+    uncertain = (page.locator("#torus .uncertain").get_attribute("d") or "").count("M")
     assert (uncertain > 0) == any(edge < 0.9 for edge in edges)
-    # With the way its doubt goes.
+    # The confidence goes with the path.
     page.get_by_role("button", name="Add a disc").click()
     expect(told).to_be_empty()
 
@@ -97,8 +97,8 @@ def test_pieces_of_little_confidence_are_drawn_as_such(page: Page, tmp_path: Pat
         open_bench(page, own, hash_of([], start="0,0.3", goal="2.6,1.5"))
         _, found = plan(page)
         assert all(edge < 0.9 for edge in found["edges"])
-        expect(page.locator("#plan-doubt")).to_contain_text("Per edge")
-        drawn = [page.locator(f"#torus .{kind}").get_attribute("d") for kind in ("way", "doubted")]
+        expect(page.locator("#plan-confidence")).to_contain_text("Per edge")
+        drawn = [page.locator(f"#torus .{kind}").get_attribute("d") for kind in ("way", "uncertain")]
         assert drawn[0]
         assert drawn[0] == drawn[1]
         mark = page.locator("#torus .least")
@@ -116,11 +116,11 @@ def test_a_refusal_tells_its_reason(page: Page, address: str) -> None:
     assert (found["status"], found["least_sure"]) == ("refused", None)
     expect(page.locator("#plan-told")).to_have_text(f"Refused: {found['reason']}.")
     expect(page.locator("#plan-told")).to_have_class("bad")
-    expect(page.locator("#plan-doubt")).to_be_empty()
+    expect(page.locator("#plan-confidence")).to_be_empty()
     expect(page.get_by_role("button", name="Play")).to_be_disabled()
 
 
-def test_a_way_that_is_refused_for_its_doubt_shows_where_it_is_least_sure(page: Page, address: str) -> None:
+def test_a_refused_path_shows_where_its_confidence_is_lowest(page: Page, address: str) -> None:
     open_bench(page, address, hash_of([(2.5, 0.0, 1.0)], start="2.4,0.3", goal="0.45,0"))
     # As models whose plans are calibrated have it without being asked.
     page.route(
@@ -133,7 +133,7 @@ def test_a_way_that_is_refused_for_its_doubt_shows_where_it_is_least_sure(page: 
     page.unroute("**/plan")
     assert found["status"] == "refused"
     expect(page.locator("#plan-told")).to_have_text(f"Refused: {found['reason']}.")
-    expect(page.locator("#plan-doubt")).to_contain_text(
+    expect(page.locator("#plan-confidence")).to_contain_text(
         f"Lowest confidence {found['least_sure']['confidence']:.3f}"
     )
     expect(page.locator("#torus .least")).to_be_visible()

@@ -53,7 +53,7 @@ def test_trees_are_fed_with_the_samples_that_are_shown_and_drawn_with_their_way(
     assert checker(SCENE).edge_batch(path[:-1], path[1:], 0.002).all()
     expect(page.locator("#plan-told")).to_contain_text(f"{found['iterations']} iterations.")
     expect(page.locator("#plan-told")).to_contain_text("Checked against the discs: collision-free.")
-    expect(page.locator("#plan-doubt")).to_contain_text(f"{found['state_checks']} states checked")
+    expect(page.locator("#plan-confidence")).to_contain_text(f"{found['state_checks']} states checked")
     drawn = page.locator("#torus .tree").get_attribute("d") or ""
     # A branch that crosses a seam is drawn at both sides of it.
     assert drawn.count("M") >= sum(parent >= 0 for parent in found["parents"]) > 0

@@ -22,7 +22,7 @@ def full_spec() -> BundleSpec:
         standardisation=Standardisation((0.0, 0.1, 0.2), (1.0, 2.0, 3.0)),
         confidence_threshold=0.8,
         novelty_quantiles=((0.0, 0.5, 1.0), (0.0, 0.0, 2.0)),
-        plan_doubt=(0.3, 0.8),
+        plan_calibration=(0.3, 0.8),
         provenance=Provenance(
             git_commit="abc",
             git_dirty=True,
@@ -46,7 +46,7 @@ def test_the_json_has_exactly_the_fields_of_the_schema() -> None:
     assert set(values) == {
         "schema_version", "kind", "world", "joint_space", "image", "latent_dim", "model_kind",
         "samples_per_latent", "random_inputs", "standardisation", "conditions", "confidence_threshold",
-        "uniform_share", "passing_share", "novelty_quantiles", "plan_doubt", "provenance",
+        "uniform_share", "passing_share", "novelty_quantiles", "plan_calibration", "provenance",
     }  # fmt: skip
     assert values["schema_version"] == 5
     assert values["joint_space"] == {"kind": "torus", "dim": 3, "unit": "rad"}
@@ -60,9 +60,9 @@ CHANGES: list[dict[str, Any]] = [
     {"schema_version": 6},
     {"schema_version": 4},
     {"schema_version": 5.0},
-    {"plan_doubt": [0.0, 0.0]},
-    {"plan_doubt": [0.0, -1.0]},
-    {"plan_doubt": [1e9, 1.0]},
+    {"plan_calibration": [0.0, 0.0]},
+    {"plan_calibration": [0.0, -1.0]},
+    {"plan_calibration": [1e9, 1.0]},
     {"kind": "paths"},
     {"model_kind": "flow"},
     {"world": WORLD | {"robot": {"kind": "humanoid"}}},

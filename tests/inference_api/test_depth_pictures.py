@@ -211,7 +211,7 @@ def test_the_search_for_a_view_knows_from_where_the_pictures_are():
     assert query_of(PlanRequest.read(Body(body).values(PlanRequest))).seen_by == tuple(CAMERAS)
 
 
-def test_a_plan_names_the_view_that_would_see_most_of_its_doubt(api):
+def test_a_plan_names_the_view_that_would_see_most_of_its_uncertain_space(api):
     goal = list(STATE)
     goal[0] += 1.2
     fields = {"start": json.dumps(STATE), "goal": json.dumps(goal), "state": json.dumps(STATE), "seed": "1"}

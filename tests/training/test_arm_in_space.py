@@ -50,8 +50,8 @@ def test_the_model_is_the_arms_own_and_states_what_was_measured_of_it(trained):
         assert 0.0 <= one["measured"] <= 1.0
     assert (told["plans/fitted"], told["plans/measured"]) == (5.0, 2.0)
     assert 0.0 <= told["plans/measured_collide"] <= 1.0
-    assert spec.plan_doubt is not None
-    assert spec.plan_doubt[1] > 0.0
+    assert spec.plan_calibration is not None
+    assert spec.plan_calibration[1] > 0.0
 
 
 def test_its_data_are_labelled_configurations_of_arrays_of_space(trained):

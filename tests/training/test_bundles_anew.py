@@ -75,8 +75,8 @@ def test_plans_are_judged_again(source, tmp_path, capsys):
     command = [str(source), str(tmp_path / "new"), "--problems", "9"]
     assert plan_confidence.main(command) == 0
     before, after = (one.spec for one in both(source, tmp_path / "new"))
-    assert before.plan_doubt is None
-    assert f"plan_doubt {after.plan_doubt}" in capsys.readouterr().out
+    assert before.plan_calibration is None
+    assert f"plan_calibration {after.plan_calibration}" in capsys.readouterr().out
     assert after.provenance.metrics["plans/fitted"] + after.provenance.metrics["plans/measured"] <= 9
     assert after.confidence_threshold == before.confidence_threshold
     assert plan_confidence.main(command) == 1

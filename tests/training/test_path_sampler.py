@@ -151,7 +151,7 @@ def test_with_three_joints_ways_are_searched_for(tmp_path: Path) -> None:
 def test_samples_along_ways_of_the_arm_in_space_lead_to_a_path(tmp_path: Path) -> None:
     source = Bundle.load(PRETRAINED_FOLDER.with_name("pretrained_panda"))
     made = make_path_bundle(source, tmp_path / "paths")
-    assert made.spec.plan_doubt == source.spec.plan_doubt
+    assert made.spec.plan_calibration == source.spec.plan_calibration
     sampler = LocalSampler(made.folder)
     for index in range(3):
         problem = simulator_of(made.spec.world).problem("uniform", Split.DEMO, 21, index)

@@ -15,7 +15,7 @@ from training.clusters.calibration import (
     CANDIDATES,
     choose_promised,
     choose_threshold,
-    fit_plan_doubt,
+    fit_plan_calibration,
     known_quantiles,
     make_promise,
     planned,
@@ -137,17 +137,17 @@ def with_choices(
     discard(folder)
     try:
         draft = Bundle.load(write_bundle(folder, spec, graphs))
-        return _with_plan_doubt(draft, config, _with_threshold(draft, config, spec))
+        return _with_plan_calibration(draft, config, _with_threshold(draft, config, spec))
     finally:
         discard(folder)
 
 
-def _with_plan_doubt(draft: Bundle, config: HeadConfig, spec: BundleSpec) -> BundleSpec:
+def _with_plan_calibration(draft: Bundle, config: HeadConfig, spec: BundleSpec) -> BundleSpec:
     """By :mod:`training.clusters.calibration`, where that is wanted."""
     if not config.plan_problems:
         return spec
     _LOG.info("plans: %d problems", config.plan_problems)
-    found = fit_plan_doubt(planned(draft, spec.world, config.plan_problems))
+    found = fit_plan_calibration(planned(draft, spec.world, config.plan_problems))
     return spec if found is None else found.stated_in(spec)
 
 

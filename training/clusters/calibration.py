@@ -261,7 +261,7 @@ class Planned:
 
 
 @dataclass(frozen=True, slots=True)
-class PlanDoubt:
+class PlanCalibration:
     """What was fitted, and how it did with plans that had no part in it.
 
     Args:
@@ -294,7 +294,7 @@ class PlanDoubt:
     def stated_in(self, spec: BundleSpec) -> BundleSpec:
         """A bundle's description with what was fitted."""
         provenance = replace(spec.provenance, metrics={**spec.provenance.metrics, **self.metrics()})
-        return replace(spec, plan_doubt=self.parameters, provenance=provenance)
+        return replace(spec, plan_calibration=self.parameters, provenance=provenance)
 
 
 def planned(bundle: Bundle, world: World, problems: int) -> Planned:
@@ -319,7 +319,7 @@ def planned(bundle: Bundle, world: World, problems: int) -> Planned:
     return Planned(np.array(costs, dtype=np.float64), np.array(free, dtype=np.bool_))
 
 
-def fit_plan_doubt(plans: Planned) -> PlanDoubt | None:
+def fit_plan_calibration(plans: Planned) -> PlanCalibration | None:
     """Fit, and measure; None where there are too few plans to say anything."""
     fits = np.arange(len(plans.cost)) % 3 < 2
     if not fits.any() or fits.all():
@@ -335,7 +335,7 @@ def fit_plan_doubt(plans: Planned) -> PlanDoubt | None:
     found = minimize(loss, np.array([0.0, 1.0]), method="L-BFGS-B", bounds=[(-10.0, 10.0), (0.05, 10.0)])
     parameters = (float(found.x[0]), float(found.x[1]))
     others, in_truth = cost[~fits], free[~fits]
-    return PlanDoubt(
+    return PlanCalibration(
         parameters=parameters,
         fitted=int(fits.sum()),
         measured=len(others),

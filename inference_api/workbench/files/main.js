@@ -204,12 +204,12 @@ class Workbench {
     );
     this.scene.show({
       discs: state.discs, chosen: this.chosen, start: state.start, goal: state.goal, ghosts, moving, other,
-      least: this.first.doubt.least,
+      least: this.first.uncertainty.least,
       peek: this.peek, picture: state.picture ? this.pictureAddress : null,
     });
     const { start, goal } = state;
-    this.first.torus?.showEnds({ start, goal, way, moving, ...this.first.doubt });
-    this.beside.torus?.showEnds({ start, goal, way: this.beside.way, moving: other, ...this.beside.doubt });
+    this.first.torus?.showEnds({ start, goal, way, moving, ...this.first.uncertainty });
+    this.beside.torus?.showEnds({ start, goal, way: this.beside.way, moving: other, ...this.beside.uncertainty });
     for (const side of this.sides()) side.torus?.showTree(side.planned?.answer ?? null);
     this.controls.show();
   }

@@ -42,7 +42,7 @@ export class Planner {
     this.player.load(false);
     this.bench.readout.show();
     say(this.told, "");
-    this.tellDoubt();
+    this.showConfidence();
   }
 
   /** Ask one model after the other, so that none waits for another's search. */
@@ -104,15 +104,15 @@ export class Planner {
     const two = sides.length > 1;
     const words = planned.map((side) => (two ? `${side.title}: ` : "") + wordsOf(/** @type {Planned} */ (side.planned), two));
     say(this.told, words.join(" "), planned.some(({ planned }) => planned?.answer.status !== "solved" || planned.way?.free === false));
-    this.tellDoubt();
+    this.showConfidence();
     this.bench.readout.show();
     this.bench.draw();
   }
 
   /** Confidence of the first model’s path, edge by edge, and where lowest; or what its trees have cost. */
-  tellDoubt() {
+  showConfidence() {
     const { first } = this.bench;
-    const { edges } = first.doubt;
+    const { edges } = first.uncertainty;
     const answer = first.planned?.answer;
     const least = answer?.least_sure;
     const told = [];
@@ -127,7 +127,7 @@ export class Planner {
           `${answer.iterations} samples were not uniform; ${answer.nodes.length} nodes.`,
       );
     }
-    byId("plan-doubt").textContent = told.join(" ");
+    byId("plan-confidence").textContent = told.join(" ");
   }
 }
 

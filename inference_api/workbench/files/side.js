@@ -64,7 +64,7 @@ export class Side {
   }
 
   /** Confidence of its path: on each edge, and where lowest if below 0.99. */
-  get doubt() {
+  get uncertainty() {
     const answer = this.planned?.answer;
     /** @type {number[]} */
     const edges = answer?.edges ?? [];

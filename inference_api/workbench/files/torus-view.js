@@ -56,12 +56,12 @@ export class TorusView {
     /** Whose tree that is. @type {Planted | null} */
     this.planted = null;
     this.way = draw("path", { class: "way" });
-    this.doubted = draw("path", { class: "doubted" });
+    this.uncertain = draw("path", { class: "uncertain" });
     this.least = draw("circle", { class: "least", r: 8 });
     this.now = draw("circle", { class: "now", r: 5 });
     const plot = draw("rect", { class: "plot", width: SIDE, height: SIDE });
     const inside = draw("g", { "clip-path": `url(#${drawing.id}-clip)`, "aria-hidden": "true" });
-    inside.append(...this.grounds, ...this.dots, this.crosses, this.tree, this.way, this.doubted, this.least, this.now);
+    inside.append(...this.grounds, ...this.dots, this.crosses, this.tree, this.way, this.uncertain, this.least, this.now);
     this.marks = ENDS.map((end) => this.makeMark(end));
     const marks = draw("g");
     marks.append(...this.marks.flatMap(({ mark, letter }) => [mark, letter]));
@@ -158,7 +158,7 @@ export class TorusView {
       set(this.marks[row].letter, { x, y });
     });
     this.way.setAttribute("d", this.line(ends.way));
-    this.doubted.setAttribute("d", this.line(ends.way, (at) => ends.edges[at] < CLASSES[1]));
+    this.uncertain.setAttribute("d", this.line(ends.way, (at) => ends.edges[at] < CLASSES[1]));
     this.place(this.now, ends.moving);
     this.place(this.least, ends.least);
   }

@@ -1,4 +1,4 @@
-"""Plans by bundles: whose doubts decide, what is refused, what is told."""
+"""Plans by bundles: which confidence decides, what is refused, what is reported."""
 
 import time
 from dataclasses import replace
@@ -62,7 +62,7 @@ def test_a_plan_is_at_least_as_sure_as_the_surest_way_that_was_found(bundle, sce
     assert bundle.plan(picture, asked(problem, ways=ways)).confidence >= max(one.whole for one in scored)
 
 
-def test_a_way_that_is_not_sure_enough_is_refused_with_its_doubt(bundle, scene):
+def test_a_path_below_the_minimum_confidence_is_refused_with_its_confidence(bundle, scene):
     image, problem = scene
     picture = bundle.prepare(image)
     sure = bundle.plan(picture, asked(problem)).confidence
@@ -80,7 +80,7 @@ def test_what_does_not_fit_the_robot_is_refused(bundle, scene):
         bundle.plan(picture, PlanQuery((0.0, 0.0), (0.0, 0.0, 0.0)))
 
 
-def test_the_doubt_of_a_way_does_not_depend_on_how_finely_one_looks():
+def test_the_cost_of_a_path_does_not_depend_on_the_step():
     path = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 2.0]])
 
     def predict(rows):
@@ -109,7 +109,7 @@ def test_where_nobody_says_how_sure_a_plan_has_to_be_calibrated_bundles_ask_for_
     image, problem = scene
     query = asked(problem)
     assert fitted_plan(bundle.spec, query).min_confidence == 0.0
-    calibrated = replace(bundle.spec, plan_doubt=(0.0, 1.0))
+    calibrated = replace(bundle.spec, plan_calibration=(0.0, 1.0))
     assert fitted_plan(calibrated, query).min_confidence == 0.2
     for least in (0.0, 0.9):
         assert fitted_plan(calibrated, replace(query, min_confidence=least)).min_confidence == least

@@ -1,4 +1,4 @@
-"""Where to look next: at what a way is doubted for, past what is known to stand before it."""
+"""Where to look next: at the most uncertain part of a path, past known obstacles."""
 
 import tracemalloc
 
@@ -51,7 +51,7 @@ def test_what_lies_behind_a_surface_that_was_seen_is_seen_from_the_other_side(pi
     assert seen_shares(WORLD, picture, aside, BEHIND)[0] == 0.0
 
 
-def test_the_camera_that_sees_the_doubted_space_is_named(picture, reaching):
+def test_the_camera_that_sees_the_uncertain_space_is_named(picture, reaching):
     costs = np.ones(len(reaching))
     given = [FRONT.to_dict(), BACK.to_dict()]
     found = best_view(WORLD, picture, reaching, costs, given)
@@ -63,7 +63,7 @@ def test_the_camera_that_sees_the_doubted_space_is_named(picture, reaching):
     assert 0.0 < around.sees <= 1.0
 
 
-def test_doubt_of_states_that_are_seen_whole_is_seen_by_nobody(picture, reaching):
+def test_no_camera_sees_more_of_states_that_are_seen_whole(picture, reaching):
     assert best_view(WORLD, picture, reaching, np.zeros(len(reaching))) is None
     one = best_view(WORLD, picture, reaching, np.ones(len(reaching)), [BACK.to_dict()])
     more = np.concatenate([np.ones(len(reaching)), np.zeros(5)])

@@ -1,4 +1,4 @@
-"""How likely plans are free that a bundle doubts so much."""
+"""The calibration of plans: from cost to confidence."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from cspace.bundle import Bundle
 from cspace.planning.cost import confidence_of_cost
 from cspace.worlds import examples
 from tests.bundles import write_tiny_bundle
-from training.clusters.calibration import Planned, fit_plan_doubt, planned
+from training.clusters.calibration import Planned, fit_plan_calibration, planned
 
 
 def drawn(parameters, count, seed=0):
@@ -18,7 +18,7 @@ def drawn(parameters, count, seed=0):
 
 @pytest.mark.parametrize("parameters", [(0.0, 1.0), (0.8, 0.5), (-1.0, 1.3)])
 def test_the_fit_finds_what_the_plans_were_drawn_by(parameters):
-    found = fit_plan_doubt(drawn(parameters, 9000))
+    found = fit_plan_calibration(drawn(parameters, 9000))
     assert found.parameters == pytest.approx(parameters, abs=0.12)
     assert (found.fitted, found.measured) == (6000, 3000)
     assert found.error < 0.04
@@ -27,15 +27,15 @@ def test_the_fit_finds_what_the_plans_were_drawn_by(parameters):
 
 
 def test_few_plans_change_little_and_none_nothing():
-    few = fit_plan_doubt(drawn((3.0, 0.3), 6))
-    many = fit_plan_doubt(drawn((3.0, 0.3), 6000))
+    few = fit_plan_calibration(drawn((3.0, 0.3), 6))
+    many = fit_plan_calibration(drawn((3.0, 0.3), 6000))
     assert np.abs(np.subtract(few.parameters, (0.0, 1.0))).max() < 1.0
     assert many.parameters[0] > few.parameters[0]
-    assert fit_plan_doubt(Planned(np.empty(0), np.empty(0, dtype=bool))) is None
-    assert fit_plan_doubt(Planned(np.ones(2), np.ones(2, dtype=bool))) is None
+    assert fit_plan_calibration(Planned(np.empty(0), np.empty(0, dtype=bool))) is None
+    assert fit_plan_calibration(Planned(np.ones(2), np.ones(2, dtype=bool))) is None
 
 
-def test_ways_without_doubt_are_free_and_more_doubt_is_never_surer():
+def test_a_path_without_cost_is_certain_and_a_higher_cost_never_is_more_confident():
     costs = np.array([0.0, 1e-3, 0.1, 1.0, 10.0, 1e9])
     for parameters in ((0.0, 1.0), (0.8, 0.5), (-5.0, 5.0)):
         sure = confidence_of_cost(costs, parameters)
@@ -45,7 +45,7 @@ def test_ways_without_doubt_are_free_and_more_doubt_is_never_surer():
     np.testing.assert_allclose(confidence_of_cost(costs, (0.0, 1.0)), np.exp(-costs), atol=1e-12)
 
 
-def test_plans_of_validation_problems_are_judged_in_truth(tmp_path):
+def test_plans_of_validation_problems_are_checked_against_the_ground_truth(tmp_path):
     bundle = Bundle.load(write_tiny_bundle(tmp_path / "bundle", validity=True))
     world = examples()["two-link"]
     first = planned(bundle, world, 4)

@@ -1,4 +1,4 @@
-"""Ways changed for less doubt: round what a model doubts, through what the picture leaves free."""
+"""Refined paths: round places of low confidence, through what the picture leaves free."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from cspace.planning.search import OutOfTimeError
 from cspace.worlds import examples
 
 SPACE = examples()["two-link"].space
-WAY = np.array([[-1.5, 0.0], [1.5, 0.0]])
+PATH = np.array([[-1.5, 0.0], [1.5, 0.0]])
 PLAIN = (0.0, 1.0)
 
 
@@ -32,7 +32,7 @@ class Open:
 
 
 def hill(rows):
-    """Doubtful about the middle of the straight way, sure half a rad away from it."""
+    """Low confidence in the middle of the straight path, high half a rad away from it."""
     away = np.linalg.norm(rows / [1.0, 0.5], axis=1)
     return (1.0 - 0.9 * np.exp(-((away / 0.5) ** 2))).astype(np.float32), None
 
@@ -46,10 +46,10 @@ def refiner(checker=None, predict=hill, check_cancelled=lambda: None, **effort):
     return PathRefiner(checker or Open(), predict, PLAIN, limits, check_cancelled)
 
 
-def test_a_way_is_led_round_what_the_model_doubts():
-    before = scored(WAY)
+def test_a_path_is_led_round_places_of_low_confidence():
+    before = scored(PATH)
     after = refiner().refine(before, np.random.default_rng(0))
-    assert np.array_equal(after.path[[0, -1]], WAY)
+    assert np.array_equal(after.path[[0, -1]], PATH)
     assert after.cost < 0.3 * before.cost
     assert after.length_rad < 1.6 * before.length_rad
     again = refiner().refine(before, np.random.default_rng(0))
@@ -59,39 +59,39 @@ def test_a_way_is_led_round_what_the_model_doubts():
 def test_what_the_picture_shows_is_kept_to():
     # The model would like to pass above, where the picture has a wall.
     wall = Open(lambda rows: (np.abs(rows[:, 0]) < 0.2) & (rows[:, 1] > 0.15))
-    after = refiner(wall).refine(scored(WAY), np.random.default_rng(1))
+    after = refiner(wall).refine(scored(PATH), np.random.default_rng(1))
     assert wall.edge_batch(after.path[:-1], after.path[1:], 0.01).all()
     assert after.states[np.abs(after.states[:, 0]) < 0.2, 1].max() <= 0.15
-    assert after.cost < scored(WAY).cost
+    assert after.cost < scored(PATH).cost
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_a_way_is_never_doubted_more_than_before(seed):
+def test_a_path_never_costs_more_than_before(seed):
     def noisy(rows):
         return (0.6 + 0.4 * np.sin(37.0 * rows.sum(axis=1)) ** 2).astype(np.float32), None
 
-    before = scored(WAY, noisy)
+    before = scored(PATH, noisy)
     after = refiner(predict=noisy).refine(before, np.random.default_rng(seed))
     assert after.cost <= before.cost
 
 
-def test_a_ridge_between_two_states_is_seen_before_a_way_crosses_it():
+def test_a_ridge_between_two_states_is_seen_before_a_path_crosses_it():
     def ridge(rows):
         return np.where(np.abs(rows[:, 0]) < 0.05, 0.05, 1.0).astype(np.float32), None
 
-    # Neighbours 0.3 rad apart at either side of it look sure.
-    before = score([WAY], SPACE, 0.3, ridge)[0]
+    # Neighbours 0.3 rad apart at either side of it look safe.
+    before = score([PATH], SPACE, 0.3, ridge)[0]
     shut = Open(lambda rows: np.abs(rows[:, 1]) > 0.6)
     one = PathRefiner(shut, ridge, PLAIN, Effort(step_rad=0.05), lambda: None)
     after = one.refine(scored(before.path, ridge), np.random.default_rng(0))
     assert after.confidence.min() == np.float32(0.05)
 
 
-def test_what_is_sure_enough_is_left_alone_and_asks_nothing():
+def test_a_confident_path_is_left_alone_without_a_prediction():
     def never(rows):
         raise AssertionError
 
-    sure = scored(WAY, lambda rows: (np.ones(len(rows), np.float32), None))
+    sure = scored(PATH, lambda rows: (np.ones(len(rows), np.float32), None))
     assert refiner(predict=never).refine(sure, np.random.default_rng(0)) is sure
 
 
@@ -102,7 +102,7 @@ def test_the_time_ends_it_with_the_best_so_far():
         if next(turns) == 2:
             raise OutOfTimeError
 
-    before = scored(WAY)
+    before = scored(PATH)
     after = refiner(check_cancelled=late, enough=0.0).refine(before, np.random.default_rng(0))
     assert next(turns) == 3
     assert after.cost < before.cost
