@@ -21,7 +21,7 @@ from cspace.worlds import FIRST, WorldField
 
 _BLOCK = 1_000_000
 # Of each configuration, free or in collision: how far it is from contact, and how it was drawn.
-TOLD: dict[str, type] = {
+ATTRIBUTES: dict[str, type] = {
     f"{name}_{what}": dtype
     for name in ("free", "collision")
     for what, dtype in (("clearance", np.float32), ("origin", np.uint8))
@@ -58,8 +58,8 @@ def check_arrays(
     _must_own("free", arrays, world.space, scenarios)
     if "collision" in arrays or "collision_offsets" in arrays:
         _must_own("collision", arrays, world.space, scenarios)
-    for name in set(TOLD) & set(arrays):
-        _must_tell(name, arrays)
+    for name in set(ATTRIBUTES) & set(arrays):
+        _check_attribute(name, arrays)
     if {"paths", "path_offsets", "path_scenario"} & set(arrays):
         _must_hold_paths(arrays, world.space, scenarios)
 
@@ -84,11 +84,11 @@ def _must_own(name: str, arrays: Mapping[str, NDArray[Any]], space: JointSpace, 
     _must_be_offsets(f"{name}_offsets.npy", arrays[f"{name}_offsets"], scenarios, len(arrays[name]))
 
 
-def _must_tell(name: str, arrays: Mapping[str, NDArray[Any]]) -> None:
+def _check_attribute(name: str, arrays: Mapping[str, NDArray[Any]]) -> None:
     rows, what = name.split("_")
     if rows not in arrays:
         raise DatasetError(f"{name}.npy belongs to {rows}.npy", got="the first alone")
-    _must(f"{name}.npy", arrays[name], TOLD[name], (len(arrays[rows]),))
+    _must(f"{name}.npy", arrays[name], ATTRIBUTES[name], (len(arrays[rows]),))
     values = arrays[name]
     fits = values < len(ORIGINS) if what == "origin" else (values > 0.0 if rows == "free" else values <= 0.0)
     if not fits.all():
@@ -199,8 +199,10 @@ class Manifest:
 
     def _world(self) -> dict[str, Any]:
         # A world of the first kind without its name, so that the digests of older data sets stay.
-        told = self.world.to_dict()
-        return {key: value for key, value in told.items() if key != "kind"} if told["kind"] == FIRST else told
+        world = self.world.to_dict()
+        return (
+            {key: value for key, value in world.items() if key != "kind"} if world["kind"] == FIRST else world
+        )
 
 
 def _read_members(path: Path) -> dict[str, Any]:
@@ -232,7 +234,7 @@ def file_digest(path: Path) -> str:
 REQUIRED = ("images", "free", "free_offsets")
 OPTIONAL = (
     *("collision", "collision_offsets", "paths", "path_offsets", "path_scenario", "extra_images"),
-    *TOLD,
+    *ATTRIBUTES,
 )
 # Room that stays free on the disk after a data set has been written.
 RESERVE_BYTES = 256 * 2**20
@@ -325,12 +327,12 @@ class Dataset:
         return self.collision[self.collision_offsets[scenario] : self.collision_offsets[scenario + 1]]
 
     @property
-    def told(self) -> tuple[str, ...]:
+    def attributes(self) -> tuple[str, ...]:
         """Names of the arrays that tell more of each configuration."""
-        return tuple(name for name in TOLD if name in self.arrays)
+        return tuple(name for name in ATTRIBUTES if name in self.arrays)
 
-    def told_of(self, name: str, scenario: int) -> NDArray[Any]:
-        """One of :attr:`told` for one scenario's configurations, (n,)."""
+    def attribute_of(self, name: str, scenario: int) -> NDArray[Any]:
+        """One of :attr:`attributes` for one scenario's configurations, (n,)."""
         offsets = self.arrays[f"{name.partition('_')[0]}_offsets"]
         return self.arrays[name][offsets[scenario] : offsets[scenario + 1]]
 
@@ -368,7 +370,7 @@ def write_dataset(
     images: NDArray[np.uint8],
     free: Sequence[NDArray[Any]],
     collision: Sequence[NDArray[Any]] | None = None,
-    told: Mapping[str, Sequence[NDArray[Any]]] | None = None,
+    attributes: Mapping[str, Sequence[NDArray[Any]]] | None = None,
     paths: Sequence[tuple[int, NDArray[Any]]] | None = None,
     scenes: Arrays | None = None,
     extra_images: NDArray[np.uint8] | None = None,
@@ -382,7 +384,7 @@ def write_dataset(
         images: (S, P, P, 3).
         free: one (n_i, d) rad array a scenario.
         collision: the same for configurations in collision.
-        told: what is told of each configuration, one (n_i,) array a scenario, by the file's name.
+        attributes: what is told of each configuration, one (n_i,) array a scenario, by the file's name.
         paths: (scenario, waypoints (t, d) rad) each.
         scenes: the geometry of all scenarios, where it is known, as the world's arrays.
         extra_images: (E, P, P, 3).
@@ -395,7 +397,9 @@ def write_dataset(
     arrays: dict[str, NDArray[Any]] = {"images": images, **_rows("free", free, world.space)}
     if collision is not None:
         arrays |= _rows("collision", collision, world.space)
-    arrays |= {name: np.concatenate(parts).astype(TOLD[name]) for name, parts in (told or {}).items()}
+    arrays |= {
+        name: np.concatenate(parts).astype(ATTRIBUTES[name]) for name, parts in (attributes or {}).items()
+    }
     if paths is not None:
         waypoints = _rows("paths", [path for _, path in paths], world.space)
         arrays |= {"paths": waypoints["paths"], "path_offsets": waypoints["paths_offsets"]}
@@ -403,7 +407,7 @@ def write_dataset(
     arrays |= {name: np.asarray(array, dtype=np.float64) for name, array in (scenes or {}).items()}
     arrays |= {} if extra_images is None else {"extra_images": extra_images}
     check_arrays(arrays, world, REQUIRED, OPTIONAL)
-    counted = (name for name in arrays if not name.endswith("_offsets") and name not in TOLD)
+    counted = (name for name in arrays if not name.endswith("_offsets") and name not in ATTRIBUTES)
     counts = {name: len(arrays[name]) for name in counted}
     _write(Path(folder), arrays, Manifest(world, counts, generator, {}))
     return open_dataset(folder, verify=False)

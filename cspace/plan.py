@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cspace.planning.cost import Predict, ScoredPath, score
 from cspace.planning.refine import Effort, PathRefiner, route_search
 from cspace.planning.rrt_connect import CheckCancelled, connect_trees
-from cspace.planning.search import find_paths, paused
+from cspace.planning.search import find_paths, with_deadline
 from cspace.query import Plan, PlanQuery
 from cspace.simulator import Checker
 from cspace.world import Image, World
@@ -78,13 +78,13 @@ class Searched:
     """Paths through what a picture shows.
 
     Args:
-        ways: lowest cost first.
+        paths: lowest cost first.
         late: whether the time was over before there were as many as were wanted.
         search_ms: looking for them.
         score_ms: asking the model about them, and changing them until their cost is lower.
     """
 
-    ways: list[ScoredPath]
+    paths: list[ScoredPath]
     late: bool
     search_ms: float
     score_ms: float
@@ -98,7 +98,7 @@ def plan(
     Args:
         seen: the scene.
         ends: (2, d) rad, the query's start and goal as the model takes them.
-        query: the problem; without ``min_confidence`` every path is sure enough.
+        query: the problem; without ``min_confidence`` any confidence is enough.
         check_cancelled: called now and then; may raise to stop, which passes through.
 
     Raises:
@@ -106,13 +106,13 @@ def plan(
         ImportError: the compiler of the checks is not installed.
     """
     least = query.min_confidence or 0.0
-    ways = search_paths(seen, ends, query.ways, query.seed, query.time_limit_s, check_cancelled)
-    if ways.ways:
-        best = ways.ways[0]
-        found = _answer(best, len(ways.ways), least)
+    searched = search_paths(seen, ends, query.ways, query.seed, query.time_limit_s, check_cancelled)
+    if searched.paths:
+        best = searched.paths[0]
+        found = _answer(best, len(searched.paths), least)
         if query.alternatives:
-            sure = tuple(one.alternative() for one in ways.ways if one.whole >= least)
-            found = replace(found, alternatives=sure)
+            alternatives = tuple(one.alternative() for one in searched.paths if one.whole >= least)
+            found = replace(found, alternatives=alternatives)
         if query.next_view:
             check_cancelled = check_cancelled or (lambda: None)
             view = best_view(
@@ -120,8 +120,8 @@ def plan(
             )
             found = replace(found, next_view=view)
     else:
-        found = Plan("timeout" if ways.late else "refused", np.empty((0, seen.world.dim)))
-    return replace(found, search_ms=ways.search_ms, score_ms=ways.score_ms)
+        found = Plan("timeout" if searched.late else "refused", np.empty((0, seen.world.dim)))
+    return replace(found, search_ms=searched.search_ms, score_ms=searched.score_ms)
 
 
 def search_paths(
@@ -152,10 +152,10 @@ def search_paths(
     until_s = time.thread_time() + time_limit_s
     found = find_paths(checkers, ends[0], ends[1], count, seed, until_s, check_cancelled=check_cancelled)
     searched = time.monotonic()
-    scored = score(found.ways, seen.world.space, STEP_RAD, seen.predict, seen.plan_calibration)
+    scored = score(found.paths, seen.world.space, STEP_RAD, seen.predict, seen.plan_calibration)
     ranked = sorted(scored, key=_by_cost)
     if found.checker is not None:
-        check_cancelled = paused(until_s, check_cancelled)
+        check_cancelled = with_deadline(until_s, check_cancelled)
         refiner = PathRefiner(
             found.checker, seen.predict, seen.plan_calibration, Effort(step_rad=STEP_RAD), check_cancelled
         )
@@ -165,7 +165,7 @@ def search_paths(
 
 def _refined(ranked: list[ScoredPath], refiner: PathRefiner, seed: int) -> list[ScoredPath]:
     """The paths, the first of them changed."""
-    changed = ranked[: refiner.effort.ways]
+    changed = ranked[: refiner.effort.paths]
     found = [
         refiner.refine(path, np.random.default_rng([seed, number, 1])) for number, path in enumerate(changed)
     ]
@@ -177,14 +177,14 @@ def _by_cost(path: ScoredPath) -> float:
 
 
 def _answer(best: ScoredPath, found: int, min_confidence: float) -> Plan:
-    least, sure = best.least(), best.whole
-    if sure < min_confidence:
+    least, confidence = best.least(), best.whole
+    if confidence < min_confidence:
         nothing = np.empty((0, best.path.shape[1]))
-        return Plan("refused", nothing, confidence=sure, cost=best.cost, found=found, least=least)
+        return Plan("refused", nothing, confidence=confidence, cost=best.cost, found=found, least=least)
     return Plan(
         "solved",
         best.path,
-        confidence=sure,
+        confidence=confidence,
         cost=best.cost,
         edges=best.of_pieces(best.confidence, np.minimum),
         unseen=None if best.unseen is None else best.of_pieces(best.unseen, np.maximum),

@@ -72,7 +72,7 @@ class SampleQuery:
         min_confidence: float | None = None,
         robot: str | None = None,
     ) -> "SampleQuery":
-        """The query of values that nobody has judged yet.
+        """The query of unchecked values.
 
         Raises:
             InputError: one is of another type or out of its range.
@@ -99,7 +99,7 @@ def is_digest(value: object) -> bool:
     return isinstance(value, str) and re.fullmatch(DIGEST_PATTERN, value, re.ASCII) is not None
 
 
-def drawn_seed(seed: int | None = None) -> int:
+def random_seed(seed: int | None = None) -> int:
     """The seed, or one that is drawn here, so that a request that is sent again is the same request."""
     return secrets.randbits(64) if seed is None else seed
 
@@ -134,7 +134,7 @@ def _within(name: str, value: object, high: float) -> None:
 
 
 Status = Literal["solved", "refused", "timeout"]
-DEFAULT_WAYS = 4
+DEFAULT_PATHS = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,10 +148,10 @@ class PlanQuery:
         min_confidence: below which no path is returned, 0 to 1; None for what fits the bundle, see
             :attr:`cspace.bundle.BundleSpec.plan_confidence`.
         time_limit_s: for the search, above 0.
-        ways: that are looked for, 1 or more.
+        ways: number of paths to look for, 1 or more.
         next_view: whether the camera is wanted that would see most of what makes the path uncertain.
         views: cameras to choose it from, as plain values; none for some about the uncertain places.
-        alternatives: whether all paths are wanted that are sure enough, for those who can check them.
+        alternatives: whether all paths of sufficient confidence are wanted, for those who can check them.
         seen_by: cameras that the picture is from, where they are known: the next view is one from elsewhere.
     """
 
@@ -160,7 +160,7 @@ class PlanQuery:
     seed: int = 0
     min_confidence: float | None = None
     time_limit_s: float = 1.0
-    ways: int = DEFAULT_WAYS
+    ways: int = DEFAULT_PATHS
     next_view: bool = False
     views: tuple[Mapping[str, Any], ...] = ()
     alternatives: bool = False
@@ -169,7 +169,7 @@ class PlanQuery:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LeastConfidence:
-    """Where a path is least sure.
+    """Where the confidence of a path is lowest.
 
     Args:
         configuration: (d,) rad.
@@ -186,7 +186,7 @@ class LeastConfidence:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AlternativePath:
-    """A path and how sure a model is of it.
+    """A path and a model's confidence in it.
 
     Args:
         path: (k, d) rad from start to goal.
@@ -204,20 +204,20 @@ class Plan:
     """An answer.
 
     Args:
-        status: ``solved``; ``refused`` where no path is sure enough or none was found; ``timeout`` where none
-            was found in time.
+        status: ``solved``; ``refused`` where no path is confident enough or none was found; ``timeout`` where
+            none was found in time.
         path: (k, d) rad from start to goal, (0, d) unless it is solved.
-        confidence: that the whole path touches nothing; of the surest one where it is refused, 0 without one.
+        confidence: that the whole path touches nothing; of the best one where it is refused, 0 without one.
         edges: (k - 1,) the least confidence of a state on each of its pieces.
         unseen: (k - 1,) the largest share of the robot on each piece that no picture shows; None in worlds
             that are seen whole.
         cost: that its confidence is of, see :mod:`cspace.planning.cost`; 0 without a path.
         length_rad: Euclidean.
         found: paths that the best was chosen from.
-        least: where the surest path is least sure; None without one.
+        least: where the confidence of the best path is lowest; None without one.
         next_view: the camera that would see most of what makes that path uncertain; None where none was asked
             for, or none would see more.
-        alternatives: all paths that are sure enough, the surest first, which is the plan's; none where they
+        alternatives: all paths of sufficient confidence, the best first, which is the plan's; none where they
             were not asked for.
         search_ms: looking for paths.
         score_ms: asking the model about them.

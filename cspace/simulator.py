@@ -236,16 +236,16 @@ class Families:
     Args:
         names: all, that of training first.
         solvable: those whose problems have a solution.
-        telling: the one of them that tells samplers apart.
+        decisive: the one of them by which samplers are compared.
         note: for readers, what scenes have that are not of the uniform family.
-        drawn: for readers, what stands in scenes of the uniform family.
+        uniform_obstacles: for readers, what stands in scenes of the uniform family.
     """
 
     names: tuple[str, ...]
     solvable: tuple[str, ...]
-    telling: str
+    decisive: str
     note: str
-    drawn: str
+    uniform_obstacles: str
 
     @property
     def unsolvable(self) -> tuple[str, ...]:
@@ -281,9 +281,9 @@ class Measures:
     free_share: float
 
 
-# What a proposal is: anywhere; near contact; about a start or a goal; along a way between the two; along one
+# What a proposal is: anywhere; near contact; about a start or a goal; along a path between the two; along one
 # that is free of some obstacles alone.
-ORIGINS = ("uniform", "near contact", "about ends", "along ways", "along mistaken ways")
+ORIGINS = ("uniform", "near contact", "about ends", "along paths", "along mistaken paths")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -428,8 +428,8 @@ class Taken(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
-    """Which problems are asked for, and how they are seen.
+class ProblemRequest:
+    """Which problems are requested, and how they are seen.
 
     Args:
         split: of the problems.
@@ -444,8 +444,8 @@ class Asked:
     folder: Path | None = None
 
 
-class Judge(Protocol):
-    """Verdicts beside those of a checker."""
+class ValidityChecker(Protocol):
+    """Checks states exactly, beside a checker."""
 
     def valid_batch(self, configurations: ArrayLike) -> NDArray[np.bool_]:
         """Which of (N, d) rad are free, (N,)."""
@@ -465,7 +465,7 @@ class PartlySeen(Protocol):
     def count(self, family: str, split: Split) -> int | None:
         """How many problems a family has; None where they are drawn without end."""
 
-    def problem(self, asked: Asked, family: str, index: int, pictures: int) -> Problem | None:
+    def problem(self, request: ProblemRequest, family: str, index: int, pictures: int) -> Problem | None:
         """A problem, seen in so many pictures; None where an end collides or nothing in reach is seen.
 
         Raises:
@@ -479,5 +479,5 @@ class PartlySeen(Protocol):
     def unseen(self, image: Image, configurations: ArrayLike) -> NDArray[np.float64]:
         """Share of the robot that a picture does not show to be free, at (N, d) rad, (N,)."""
 
-    def judge(self, problem: Problem) -> Judge | None:
-        """Verdicts by the robot's meshes; None where they or what judges by them are not installed."""
+    def mesh_checker(self, problem: Problem) -> ValidityChecker | None:
+        """The mesh checker of a problem; None where meshes or checker are not installed."""

@@ -4,7 +4,7 @@ A view file is a line and the pictures' files behind it, one after the other. Th
 ``cspace-view``, the version 1, and an object in JSON with ``pictures`` (their sizes in bytes), ``cameras``
 (each in a form of :func:`cspace.worlds.spatial.camera_info.read_pinhole`), ``state`` (rad, or null where the
 robot is in no picture) and, where the unit of the pictures is another, ``depth_scale_m`` (metres per unit).
-Here it is only packed and unpacked; what it holds is judged by the world that takes such pictures.
+Here it is only packed and unpacked; what it holds is checked by the world that takes such pictures.
 """
 
 import json
@@ -25,7 +25,7 @@ _MAX_LINE_BYTES = 16_384
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewFile:
-    """What a view file holds; nothing but the counts is judged.
+    """What a view file holds; nothing but the counts is checked.
 
     Args:
         pictures: one to four files.
@@ -60,10 +60,10 @@ def pack_view(
         ImageError: the counts do not fit.
     """
     check_counts(len(pictures), len(cameras))
-    told = {"pictures": [len(one) for one in pictures], "cameras": list(cameras), "state": state}
+    header = {"pictures": [len(one) for one in pictures], "cameras": list(cameras), "state": state}
     # Readers of files in mm need not know the key.
-    told |= {} if depth_scale_m is None else {"depth_scale_m": depth_scale_m}
-    line = json.dumps(told, separators=(",", ":")).encode()
+    header |= {} if depth_scale_m is None else {"depth_scale_m": depth_scale_m}
+    line = json.dumps(header, separators=(",", ":")).encode()
     if len(line) > _MAX_LINE_BYTES:
         raise ImageError(
             "the cameras are too long", expected=f"at most {_MAX_LINE_BYTES} bytes", got=f"{len(line)} bytes"
@@ -84,13 +84,13 @@ def unpack_view(data: bytes) -> ViewFile:
             got="a picture alone",
             remedy="send a camera beside each picture, in the same order",
         )
-    told, rest = _line_of(data)
-    check_counts(len(told.pictures), len(told.cameras))
-    if sum(told.pictures) != len(rest):
-        raise no_view(f"pictures of {told.pictures!r} bytes"[:200], f"{len(rest)} bytes")
-    ends = accumulate(told.pictures, initial=0)
+    header, rest = _line_of(data)
+    check_counts(len(header.pictures), len(header.cameras))
+    if sum(header.pictures) != len(rest):
+        raise no_view(f"pictures of {header.pictures!r} bytes"[:200], f"{len(rest)} bytes")
+    ends = accumulate(header.pictures, initial=0)
     files = [rest[begin:end] for begin, end in pairwise(ends)]
-    return ViewFile(files, told.cameras, told.state, told.depth_scale_m)
+    return ViewFile(files, header.cameras, header.state, header.depth_scale_m)
 
 
 def check_counts(pictures: int, cameras: int) -> None:

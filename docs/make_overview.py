@@ -84,7 +84,7 @@ def draw_overview(
     plot_workspace(planned, problem, result.path)
     for axes, title in (
         (seen, "the picture"),
-        (generated, f"{len(samples)} generated; crosses are below the confidence threshold; grey is in collision"),
+        (generated, f"{len(samples)} generated; crosses: below the threshold; grey: in collision"),
         (planned, f"RRT with {PLANNED_WITH} of the dots: {result.iterations} iterations"),
     ):
         axes.set_title(title, fontsize=10)

@@ -71,15 +71,15 @@ def draw(
     problem: Problem,
     view: DepthView,
     seen: NDArray[np.uint8],
-    told: tuple[NDArray[np.float32], NDArray[np.floating], NDArray[np.bool_]],
+    predictions: tuple[NDArray[np.float32], NDArray[np.floating], NDArray[np.bool_]],
     threshold: float,
 ) -> Figure:
     """Three panels: a picture, the space that it shows, and prediction against ground truth."""
     figure = Figure(figsize=(15.0, 4.8), dpi=110, layout="constrained")
     taken, shown, predicted = figure.subplots(1, 3)
     depth_m = np.where(view.pictures[0] > 0, view.pictures[0] * 1e-3, np.nan)
-    drawn = taken.imshow(depth_m, cmap="viridis")
-    figure.colorbar(drawn, ax=taken, label="depth (m)", shrink=0.8)
+    image = taken.imshow(depth_m, cmap="viridis")
+    figure.colorbar(image, ax=taken, label="depth (m)", shrink=0.8)
     taken.set(xlabel="column (pixels)", ylabel="row (pixels)")
     scene: Any = problem.scenario
     draw_seen(shown, seen, scene.world.sensor.grid)
@@ -88,7 +88,7 @@ def draw(
         draw_arm(shown, scene.world.body, configuration, colour, 3)
     low, high = (np.asarray(one) for one in (scene.world.sensor.grid.low_m, scene.world.sensor.grid.high_m))
     shown.set(xlim=(low[0], high[0]), ylim=(low[2], high[2]))
-    _predicted(predicted, *told, threshold)
+    _predicted(predicted, *predictions, threshold)
     count = len(view.pictures)
     for axes, title in (
         (taken, f"one of {count} depth pictures; white has no reading" if count > 1 else "the depth picture"),

@@ -67,12 +67,12 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--allow-unauthenticated",
         action="store_true",
-        help="listen on other addresses than loopback although no key is asked for",
+        help="listen on other addresses than loopback although no key is required",
     )
     parser.add_argument(
         "--workbench",
         action="store_true",
-        help="let the page at / ask for the truth of scenes: collision regions, families, checks of ways",
+        help="ground truth for the page at /: collision regions, families, checks of paths",
     )
     options = parser.parse_args(arguments)
     if options.workbench:

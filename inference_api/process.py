@@ -90,43 +90,43 @@ def end_in_time(grace_s: float, first: Callable[[], None] | None = None) -> None
     """
     if threading.current_thread() is not threading.main_thread():
         return
-    heard, told = os.pipe()
-    os.set_blocking(told, False)
-    watch = threading.Thread(target=_watch, args=(heard, grace_s, first), name="ending", daemon=True)
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+    watch = threading.Thread(target=_watch, args=(reader, grace_s, first), name="ending", daemon=True)
     watch.start()
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _telling(told, signal.getsignal(number)))
+        signal.signal(number, _notifying(writer, signal.getsignal(number)))
 
 
 Handler = Callable[[int, FrameType | None], object] | int | signal.Handlers | None
 
 
-def _telling(told: int, before: Handler) -> Callable[[int, FrameType | None], None]:
+def _notifying(writer: int, before: Handler) -> Callable[[int, FrameType | None], None]:
     def handle(number: int, frame: FrameType | None) -> None:
         # No lock and no new thread here: what was interrupted may hold any.
         with suppress(BlockingIOError):
-            os.write(told, b"!")
+            os.write(writer, b"!")
         if callable(before):
             before(number, frame)
 
     return handle
 
 
-def _watch(heard: int, grace_s: float, first: Callable[[], None] | None) -> None:
+def _watch(reader: int, grace_s: float, first: Callable[[], None] | None) -> None:
     # A thread that hangs may hold the log, so another one writes the line. It is started here, as Python 3.12
     # starts none once the interpreter waits for the last threads.
     late = threading.Event()
-    telling = threading.Thread(target=_tell, args=(grace_s, late), name="ending-log", daemon=True)
-    telling.start()
-    os.read(heard, 1)
+    log_writer = threading.Thread(target=_log_late_end, args=(grace_s, late), name="ending-log", daemon=True)
+    log_writer.start()
+    os.read(reader, 1)
     time.sleep(grace_s + MARGIN_S)
     late.set()
-    telling.join(LOG_PATIENCE_S)
+    log_writer.join(LOG_PATIENCE_S)
     if first is not None:
         first()
     os._exit(FORCED)
 
 
-def _tell(grace_s: float, late: threading.Event) -> None:
+def _log_late_end(grace_s: float, late: threading.Event) -> None:
     late.wait()
     _LOG.error("the process did not end within %g s of being told to, and is ended", grace_s + MARGIN_S)

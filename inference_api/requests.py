@@ -112,9 +112,9 @@ class Service:
             job.spend(rows_of(json_bytes=body.json_bytes))
             values = body.values(kind)
             job.check_cancelled()
-            asked = kind.read(values)
+            fields = kind.read(values)
             job.check_cancelled()
-            return asked.reference(self.store.model_name), partial(work, asked)
+            return fields.reference(self.store.model_name), partial(work, fields)
 
         return await self.respond(request, parse)
 
@@ -391,14 +391,14 @@ def both_bodies(kind: type[BaseModel]) -> dict[str, Any]:
 def _in_form(name: str, schema: dict[str, Any]) -> dict[str, Any]:
     """Of a field's JSON schema that of a form: files are binary, and what is a list is repeated."""
     file = {"type": "string", "format": "binary"}
-    told = {"description": schema["description"]}
+    description = {"description": schema["description"]}
     if name == "configurations":
-        return file | told
+        return file | description
     if name == "image":
         many = schema["anyOf"][1] | {"items": file}
-        return {"anyOf": [file, many]} | told
+        return {"anyOf": [file, many]} | description
     if name == "epsilon_sigma":
-        return {**schema["anyOf"][1], **told}
+        return {**schema["anyOf"][1], **description}
     return schema
 
 

@@ -55,18 +55,18 @@ _JSON_BYTES, _PIXELS, _VALUES = 600, 400, 100
 
 
 def rows_of(
-    *, drawn: float = 0, json_bytes: int = 0, pixels: int = 0, values: int = 0, searches: bool = False
+    *, rows: float = 0, json_bytes: int = 0, pixels: int = 0, values: int = 0, searches: bool = False
 ) -> float:
     """What a request, or a part of one, may cost at most.
 
     Args:
-        drawn: samples, or configurations that are scored.
+        rows: samples, or configurations that are scored.
         json_bytes: to be parsed.
         pixels: of pictures that are not known yet.
         values: of the arrays that these become.
         searches: a search lasts as long as its client wants: it is long.
     """
-    parts = drawn + json_bytes / _JSON_BYTES + pixels / _PIXELS + values / _VALUES
+    parts = rows + json_bytes / _JSON_BYTES + pixels / _PIXELS + values / _VALUES
     return parts + (LONG_ROWS + 1.0 if searches else 0.0)
 
 
@@ -221,8 +221,8 @@ class Job:
         if spec.model_kind == WAYS:
             return self.searching()
         threshold = spec.confidence_threshold if query.min_confidence is None else query.min_confidence
-        drawn = max(BUDGET * query.n, BUDGET_AT_LEAST) if threshold else query.n
-        self.spend(rows_of(drawn=pictures * drawn))
+        rows = max(BUDGET * query.n, BUDGET_AT_LEAST) if threshold else query.n
+        self.spend(rows_of(rows=pictures * rows))
         return nullcontext(self.check_cancelled)
 
     def compute(self, work: Callable[["Job"], Result]) -> Result:

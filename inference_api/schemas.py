@@ -14,14 +14,14 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict, Vali
 
 from cspace.errors import InputError
 from cspace.query import (
-    DEFAULT_WAYS,
+    DEFAULT_PATHS,
     DIGEST_PATTERN,
     MAX_EPSILON,
     MAX_SAMPLES,
     MAX_SEED,
     PLAIN,
     SampleQuery,
-    drawn_seed,
+    random_seed,
 )
 from cspace.view_file import MAX_PICTURES, pack_view
 from cspace.world import Finding
@@ -31,7 +31,7 @@ from services.registry.ports import ModelReference
 
 MAX_JOINTS, MAX_EPSILONS, MAX_VIEWS = 64, 1000, 64
 MIN_SCALE_M, MAX_SCALE_M = 1e-6, 1.0
-LEAST_TIME_S, MAX_TIME_S, MAX_WAYS = 0.01, 10.0, 64
+LEAST_TIME_S, MAX_TIME_S, MAX_PATHS = 0.01, 10.0, 64
 # Wrong fields that one answer reports.
 MAX_REPORTED = 8
 # More than a world takes, so that too many are refused by the world, in its words.
@@ -151,7 +151,7 @@ _Images = Annotated[
     ),
     _one_or_many({"type": "string", "contentEncoding": "base64"}, MAX_PICTURES, 1),
 ]
-# What is in a camera is judged by the world that has cameras.
+# What is in a camera is checked by the world that has cameras.
 _Cameras = Annotated[
     Annotated[tuple[dict[str, Any], ...], Field(max_length=_MOST_PICTURES)],
     BeforeValidator(_as_tuple),
@@ -308,7 +308,7 @@ class QueryFields(RequestFields):
     seed: Seed = Field(
         None,
         description="Unsigned 64 bit as number or decimal string; drawn and returned when absent. "
-        "The samples for a smaller n are not promised to be a prefix.",
+        "The samples for a smaller n are not guaranteed to be a prefix.",
     )
     epsilon_sigma: _Schedule = Field(
         PLAIN,
@@ -330,8 +330,8 @@ class QueryFields(RequestFields):
 
     def query(self) -> SampleQuery:
         """The fields as the value that travels on; draws a seed that is absent."""
-        asked = {item.name: getattr(self, item.name) for item in fields(SampleQuery)}
-        return SampleQuery(**asked | {"seed": drawn_seed(self.seed)})
+        values = {item.name: getattr(self, item.name) for item in fields(SampleQuery)}
+        return SampleQuery(**values | {"seed": random_seed(self.seed)})
 
 
 class SampleRequest(QueryFields, SceneFields):
@@ -373,10 +373,10 @@ class PlanRequest(SceneFields):
             description="Of the search; what is found by then is what is chosen from.",
         )
     )
-    ways: Annotated[int, Expected(f"a whole number from 1 to {MAX_WAYS}")] = Field(
-        DEFAULT_WAYS,
+    ways: Annotated[int, Expected(f"a whole number from 1 to {MAX_PATHS}")] = Field(
+        DEFAULT_PATHS,
         ge=1,
-        le=MAX_WAYS,
+        le=MAX_PATHS,
         description="Number of paths to search for; the one of highest confidence is chosen.",
     )
     alternatives: Annotated[bool, Expected("true or false")] = Field(
@@ -458,7 +458,7 @@ class ScenarioInfo(BaseModel):
 
     novelty: float | None = Field(
         description="How unlike the training scenarios it is: the share of known pictures that are less "
-        "unusual, 0 to 1; null for a model that does not tell."
+        "unusual, 0 to 1; null for a model that does not estimate it."
     )
 
 
@@ -536,7 +536,9 @@ class SampleAnswer(SceneAnswer):
         "confidence; samples come in the order of their paths. Null for models that do not search for paths.",
     )
     shortfall: int = Field(description="n minus what was returned.")
-    acceptance: float = Field(description="Share of what was drawn that reached the confidence asked for.")
+    acceptance: float = Field(
+        description="Share of the generated samples that reached the requested confidence."
+    )
     seed: str = Field(description="The seed that was used, in decimal.", pattern="^[0-9]{1,20}$")
     timing_ms: TimingMs
 
@@ -628,7 +630,8 @@ class PlanAnswer(SceneAnswer):
     path: list[list[float]] = Field(description="From start to goal, straight in between, rad; or empty.")
     confidence: float = Field(
         description="Of the whole path, an estimate: exp(-exp(a + b log D)) with D the integral of "
-        "-log P(free) along it in rad and its largest value, and (a, b) the bundle's `plan_calibration`; exp(-D) "
+        "-log P(free) along it in rad and its largest value, and (a, b) the bundle's `plan_calibration`; "
+        "exp(-D) "
         "without one. Of the best path where it is refused; 0 without one."
     )
     edges: list[float] = Field(description="The lowest confidence on each edge of the path.")
@@ -640,10 +643,10 @@ class PlanAnswer(SceneAnswer):
     ways: int = Field(description="Paths that were found.")
     least_sure: LeastSure | None
     alternatives: list[Alternative] | None = Field(
-        description="All paths that reach the confidence, the best first; null where they were not asked for."
+        description="All paths that reach the confidence, the best first; null where they were not requested."
     )
     next_view: NextViewInfo | None = Field(
-        description="Of the best path; null where it was not asked for, none would see more, or the world "
+        description="Of the best path; null where it was not requested, none would see more, or the world "
         "is seen whole."
     )
     seed: str = Field(description="The seed that was used, in decimal.", pattern="^[0-9]{1,20}$")

@@ -319,8 +319,8 @@ def require_fitting(one: TensorInput, array: NDArray[Any], sizes: dict[str, int]
     fits = array.dtype == np.dtype(one.dtype).newbyteorder("<") and array.ndim == len(one.shape)
     fits = fits and (not isinstance(one.shape[0], str) or 1 <= array.shape[0] <= one.most)
     if not fits or not all(
-        size == (sizes.setdefault(told, size) if isinstance(told, str) else told)
-        for told, size in zip(one.shape, array.shape, strict=True)
+        size == (sizes.setdefault(axis, size) if isinstance(axis, str) else axis)
+        for axis, size in zip(one.shape, array.shape, strict=True)
     ):
         expected = f"{_datatype(np.dtype(one.dtype))} of shape [{', '.join(map(str, one.shape))}]"
         if isinstance(one.shape[0], str):
@@ -356,8 +356,8 @@ def write_answer(
     Raises:
         InputError: an output is asked for that is not there, or twice.
     """
-    asked = _asked(request.outputs, arrays, binary)
-    blobs = {name: _little_endian(arrays[name]).tobytes() for name, as_bytes in asked.items() if as_bytes}
+    outputs = _requested_outputs(request.outputs, arrays, binary)
+    blobs = {name: _little_endian(arrays[name]).tobytes() for name, as_bytes in outputs.items() if as_bytes}
     warnings = [one.model_dump() for one in warnings_of(findings)]
     head = {
         "model_name": served.name,
@@ -371,21 +371,25 @@ def write_answer(
             # Parameters of the protocol are no lists.
             **({"warnings": json.dumps(warnings)} if warnings else {}),
         },
-        "outputs": [_described(name, arrays[name], blobs.get(name)) for name in asked],
+        "outputs": [_described(name, arrays[name], blobs.get(name)) for name in outputs],
     }
     # ASCII, for an id may hold what UTF-8 does not have.
     written = json.dumps(head, allow_nan=False).encode("ascii")
     return b"".join([written, *blobs.values()]), len(written) if blobs else None
 
 
-def _asked(requested: Sequence[RequestedOutput] | None, arrays: Arrays, binary: bool) -> dict[str, bool]:
+def _requested_outputs(
+    requested: Sequence[RequestedOutput] | None, arrays: Arrays, binary: bool
+) -> dict[str, bool]:
     """Names of the outputs in their order, each with whether it comes as bytes."""
     if not requested:
         return dict.fromkeys(arrays, binary)
-    asked: dict[str, bool] = {}
+    outputs: dict[str, bool] = {}
     for output in requested:
         as_bytes = output.parameters.get(_BINARY, binary)
-        known = output.name in arrays and output.name not in asked and not set(output.parameters) - {_BINARY}
+        known = (
+            output.name in arrays and output.name not in outputs and not set(output.parameters) - {_BINARY}
+        )
         if not known or not isinstance(as_bytes, bool):
             raise InputError(
                 f"the output {output.name} cannot be had",
@@ -394,8 +398,8 @@ def _asked(requested: Sequence[RequestedOutput] | None, arrays: Arrays, binary: 
                 got=f"parameters {brief_members(output.parameters)}"[:200],
                 remedy="confidence is there for models with a validity head, novelty for those that tell it",
             )
-        asked[output.name] = as_bytes
-    return asked
+        outputs[output.name] = as_bytes
+    return outputs
 
 
 def _described(name: str, array: NDArray[Any], blob: bytes | None) -> dict[str, Any]:

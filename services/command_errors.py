@@ -7,7 +7,7 @@ import sys
 from cspace.errors import CspaceError
 
 
-def tell_error(error: CspaceError, *wrong: type[CspaceError], program: str = "error") -> int:
+def report_error(error: CspaceError, *wrong: type[CspaceError], program: str = "error") -> int:
     """Print an error; returns the exit code, 2 for a wrong request and 1 for whatever else failed.
 
     Args:

@@ -26,7 +26,7 @@ from cspace.worlds.spatial.simulator import draw_arm
 from cspace.worlds.spatial.view import DepthView, read_view
 from cspace.worlds.spatial.visibility import arm_depth_m, reduced
 from cspace.worlds.spatial.world import SpatialWorld, described
-from services.command_errors import tell_error
+from services.command_errors import report_error
 
 FOUND = 3
 _MAX_BYTES = 64 * 2**20
@@ -42,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.picture is not None:
             draw(world, view, found, options.picture)
     except CspaceError as error:
-        return tell_error(error, ConfigError, InputError, ScenarioError)
+        return report_error(error, ConfigError, InputError, ScenarioError)
     sys.stdout.write(f"{json.dumps(asdict(found)) if options.json else lines_of(found)}\n")
     return FOUND if found.findings else 0
 
@@ -88,7 +88,7 @@ def lines_of(found: Diagnosis) -> str:
     for pose in found.poses:
         lines.append(
             f"picture {pose.picture}: a pose {100 * pose.offset_m:.1f} cm and {pose.turn_deg:.1f} degrees "
-            "from the told one fits:"
+            "from the given one fits:"
         )
         lines.append(f"    {json.dumps([[round(value, 5) for value in row] for row in pose.pose])}")
     lines += [f"note: {note}" for note in found.notes]
@@ -117,7 +117,7 @@ def draw(world: SpatialWorld, view: DepthView, found: Diagnosis, path: Path) -> 
         if number in suggested:
             better = replace(camera, pose=pose_of(suggested[number].pose))
             _outline(axes[0], world, view, better, "magenta")
-            axes[0].set_title(f"picture {number}: arm as told (red), as it fits (magenta)")
+            axes[0].set_title(f"picture {number}: arm at the given pose (red), at the fitted pose (magenta)")
         points = camera.points_m(depth_m)[np.isfinite(depth_m)]
         for panel, (x, y) in zip(axes[1:], ((0, 2), (0, 1)), strict=True):
             panel.plot(points[:, x], points[:, y], ",", color="tab:blue")
@@ -125,8 +125,8 @@ def draw(world: SpatialWorld, view: DepthView, found: Diagnosis, path: Path) -> 
                 draw_arm(panel, world.body, view.state, "red", 2, (x, y))
             panel.set(aspect="equal", xlabel="x, m", ylabel=f"{'xyz'[y]}, m", title="points and arm")
             panel.set(xlim=(-1.6, 1.6), ylim=(-1.0, 1.6) if y == 2 else (-1.6, 1.6))
-    told = "\n".join(f"{one.code}: {one.seen}" for one in found.findings) or "nothing wrong was found"
-    figure.suptitle(told, fontsize=9, wrap=True)
+    title = "\n".join(f"{one.code}: {one.seen}" for one in found.findings) or "nothing wrong was found"
+    figure.suptitle(title, fontsize=9, wrap=True)
     try:
         figure.savefig(path, dpi=110)
     except (OSError, ValueError) as error:

@@ -19,7 +19,7 @@ ALIAS_CHALLENGER = "challenger"
 ALIAS_CHAMPION = "champion"
 
 TAG_DIGEST = "digest"
-# On a run: what it is of, the job's name, its preset, the version that it made or judged, and MLflow's note.
+# On a run: what it is of, the job's name, its preset, the version made or evaluated, and MLflow's note.
 TAG_STAGE, TAG_JOB, TAG_PRESET, TAG_MODEL = "stage", "job", "preset", "model_version"
 NOTE = "mlflow.note.content"
 # On a run: what :meth:`services.registry.ports.Tracking.start` finds it by.
@@ -115,8 +115,8 @@ def is_kept(model: str) -> bool:
 
 def world_tags(world: World) -> dict[str, str]:
     """What a version's tags tell of its world: the robot's digest, and all of it where it is short."""
-    told = json.dumps(world.to_dict(), sort_keys=True)
-    return {TAG_ROBOT: robot_digest(world), **({TAG_WORLD: told} if len(told) <= MAX_WORLD else {})}
+    text = json.dumps(world.to_dict(), sort_keys=True)
+    return {TAG_ROBOT: robot_digest(world), **({TAG_WORLD: text} if len(text) <= MAX_WORLD else {})}
 
 
 def recorded_name(config: Mapping[str, Any]) -> str | None:

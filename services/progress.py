@@ -59,7 +59,7 @@ class Progress:
 
     def __init__(self, what: str, total: int, show: Callable[[str], None], unit: str = "run") -> None:
         self._what, self._total, self._done, self._show = what, total, 0, show
-        self._estimate, self._told = Estimate(total), time.monotonic()
+        self._estimate, self._shown_at = Estimate(total), time.monotonic()
         shape = f"{{desc}}: {{percentage:3.0f}}%|{{bar}}| {{n_fmt}}/{{total_fmt}} {unit}s{{postfix}}"
         self._bar = tqdm(total=total, desc=what, bar_format=shape) if sys.stderr.isatty() else None
 
@@ -72,8 +72,8 @@ class Progress:
             self._bar.update()
             return
         now = time.monotonic()
-        if now - self._told >= LINE_EVERY_S or self._done == self._total:
-            self._told = now
+        if now - self._shown_at >= LINE_EVERY_S or self._done == self._total:
+            self._shown_at = now
             self._show(f"{self._what}: {self._done}/{self._total}{left}")
 
     def __enter__(self) -> Self:

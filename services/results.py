@@ -14,7 +14,7 @@ PREFIX = "RESULT "
 """Of the line for programs."""
 
 
-def tell_result(result: Mapping[str, Any], rows: Mapping[str, str], folder: Path | None) -> None:
+def report_result(result: Mapping[str, Any], rows: Mapping[str, str], folder: Path | None) -> None:
     """Keep the result in the job's folder, which is made if it has to be, and print it.
 
     Programs read the file, or the line ``RESULT`` with the same JSON, the last of a log; a terminal has none.
@@ -25,9 +25,9 @@ def tell_result(result: Mapping[str, Any], rows: Mapping[str, str], folder: Path
         folder: of the job; None where it has none, then there is no file.
     """
     text = json.dumps(result)
-    told = dict(rows) if folder is None else {**rows, "as JSON": _kept(text, folder / RESULT_FILE)}
-    width = max(map(len, told))
-    lines = ["", "result", *(f"  {name.ljust(width)}  {row}" for name, row in told.items() if row)]
+    shown = dict(rows) if folder is None else {**rows, "as JSON": _kept(text, folder / RESULT_FILE)}
+    width = max(map(len, shown))
+    lines = ["", "result", *(f"  {name.ljust(width)}  {row}" for name, row in shown.items() if row)]
     if not sys.stdout.isatty():
         lines.append(f"{PREFIX}{text}")
     sys.stdout.write("\n".join(lines) + "\n")

@@ -76,7 +76,7 @@ def read_scene_file(path: Path) -> SceneFile:
     values = document.values
     if isinstance(values, dict) and str(values.get("robot")).endswith(".json"):
         place = str(path.parent / values["robot"])
-        values["robot"] = _told(path, document, "robot", lambda: named_world(place)).body.to_dict()
+        values["robot"] = _located(path, document, "robot", lambda: named_world(place)).body.to_dict()
     return _read(path, document)
 
 
@@ -101,14 +101,14 @@ def _read(path: Path, document: YamlDocument, kinds: Sequence[str] = tuple(KINDS
         unknown = ScenarioError("the world is unknown", expected=" or ".join(kinds), got=repr(kind)[:200])
         raise _at(path, document, ("world",), unknown)
     try:
-        told = _part(kind).Values.model_validate_json(json.dumps(values), strict=True)
+        parsed = _part(kind).Values.model_validate_json(json.dumps(values), strict=True)
     except ValidationError as error:
         refusal = refused(error, ScenarioError, "the file")
         raise _at(path, document, first_of(error)["loc"], refusal) from error
-    world = _told(path, document, "robot", lambda: cast("World", _part(kind).read_world(told)))
-    scene = _part(kind).read_scene(world, told) if "obstacles" in told.model_fields_set else None
-    ends = [_end(path, document, world, getattr(told, name), name) for name in ("start", "goal")]
-    return SceneFile(path, told.name or None, world, scene, *ends)
+    world = _located(path, document, "robot", lambda: cast("World", _part(kind).read_world(parsed)))
+    scene = _part(kind).read_scene(world, parsed) if "obstacles" in parsed.model_fields_set else None
+    ends = [_end(path, document, world, getattr(parsed, name), name) for name in ("start", "goal")]
+    return SceneFile(path, parsed.name or None, world, scene, *ends)
 
 
 def given_scenes(world: World, files: Sequence[SceneFile]) -> Any:
@@ -134,10 +134,10 @@ def _end(
         unfit = ScenarioError(f"{name} does not fit", expected=f"{dim} angles", got=str(len(angles)))
         raise _at(path, document, (name,), unfit)
     what = f"{name} lies outside the robot's limits"
-    return _told(path, document, name, lambda: world.space.admitted(angles, what, ScenarioError))
+    return _located(path, document, name, lambda: world.space.admitted(angles, what, ScenarioError))
 
 
-def _told(path: Path, document: YamlDocument, part: str, read: Callable[[], _T]) -> _T:
+def _located(path: Path, document: YamlDocument, part: str, read: Callable[[], _T]) -> _T:
     try:
         return read()
     except InputError as error:

@@ -23,17 +23,17 @@ def copy_of_shipped(folder, *, noise=0.0, **changes):
 def noisy(graph, noise_rad):
     """The generator with noise added to its samples."""
     model = onnx.load_from_string(graph)
-    (told,) = model.graph.output
-    clean = f"{told.name}.clean"
+    (output,) = model.graph.output
+    clean = f"{output.name}.clean"
     for node in model.graph.node:
-        node.output[:] = [clean if name == told.name else name for name in node.output]
+        node.output[:] = [clean if name == output.name else name for name in node.output]
     initial = {"wide": np.array(noise_rad, np.float32), "axes": np.array([1], np.int64)}
     model.graph.initializer.extend(numpy_helper.from_array(value, name) for name, value in initial.items())
     model.graph.node.extend(
         [
             helper.make_node("Mul", ["noise", "wide"], ["widened"]),
             helper.make_node("Unsqueeze", ["widened", "axes"], ["added"]),
-            helper.make_node("Add", [clean, "added"], [told.name]),
+            helper.make_node("Add", [clean, "added"], [output.name]),
         ]
     )
     return model.SerializeToString()

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from cspace.errors import CspaceError, InputError
-from services.command_errors import tell_error
-from services.results import tell_result
+from services.command_errors import report_error
+from services.results import report_result
 from training.jobs.environment import Environment, job_environment, job_folder
 from training.section import Section
 
@@ -67,13 +67,13 @@ class JobCommand:
             else:
                 result = train(config, environment, options.job)
         except CspaceError as error:
-            return tell_error(error, InputError, program=self.program)
+            return report_error(error, InputError, program=self.program)
         except KeyboardInterrupt:
             again = "submit it again" if options.job else "go on with --resume and the run's id"
             print(f"{self.program}: stopped; nothing is lost: {again}", file=sys.stderr)
             return STOPPED
         folder = job_folder(environment, result.run_id)
-        tell_result(dataclasses.asdict(result), result.rows(folder), folder)
+        report_result(dataclasses.asdict(result), result.rows(folder), folder)
         return 0
 
     def _parser(self) -> argparse.ArgumentParser:

@@ -176,14 +176,14 @@ class ClusterConfig(Section):
     )
 
 
-class PromiseConfig(Section):
-    """What a bundle is to promise of samples that pass its threshold, on validation scenarios."""
+class CollisionBoundConfig(Section):
+    """Bound on the collisions of samples that pass the threshold, on validation scenarios."""
 
     at_most: float = Field(
         0.04, gt=0, lt=1, description="share of what passes that may collide, as expected of a scene"
     )
     scenarios: int = Field(
-        300, ge=30, description="a third chooses the threshold, one makes the promise, one measures it"
+        300, ge=30, description="a third chooses the threshold, one computes the bound, one measures it"
     )
 
 
@@ -193,7 +193,7 @@ class HeadConfig(ValidityConfig):
     threshold: float | None = Field(
         None, gt=0, lt=1, description="the confidence that the bundle recommends; none to choose it"
     )
-    promise: PromiseConfig | None = Field(
+    promise: CollisionBoundConfig | None = Field(
         None,
         exclude_if=lambda part: part is None,
         description="chooses the threshold by a bound that is stated; none: by target_precision",

@@ -17,7 +17,7 @@ from cspace.bundle.verification import load_verified
 from cspace.errors import BundleError, CspaceError, InputError
 from cspace.world import World
 from cspace.worlds import add_world_options, described_world
-from services.command_errors import tell_error
+from services.command_errors import report_error
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -26,7 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         folder = write_limited(load_verified(options.bundle), options.folder, described_world(options))
     except CspaceError as error:
-        return tell_error(error, InputError)
+        return report_error(error, InputError)
     sys.stdout.write(f"written to {folder}\n")
     return 0
 
@@ -66,8 +66,8 @@ def write_limited(source: Bundle, folder: Path, world: World) -> Path:
         )
     limited = source.within(world)
     note = {"trained_lower": own.lower, "trained_upper": own.upper, "source_digest": source.digest}
-    told = limited.spec.provenance
-    provenance = replace(told, config={**told.config, "limits_narrowed": note})
+    source_provenance = limited.spec.provenance
+    provenance = replace(source_provenance, config={**source_provenance.config, "limits_narrowed": note})
     spec = replace(limited.spec, provenance=provenance)
     return write_bundle(folder, spec, graphs_of(source.folder))
 

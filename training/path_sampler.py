@@ -19,7 +19,7 @@ from pathlib import Path
 from cspace.bundle import Bundle
 from cspace.bundle.verification import load_verified
 from cspace.errors import ConfigError, CspaceError, InputError
-from services.command_errors import tell_error
+from services.command_errors import report_error
 from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, EXPERIMENT, TAG_STAGE, model_name, recorded_name
 from services.registry.ports import ID
 from training.jobs.job import world_tag
@@ -39,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if uri is not None:
             print(f"  registered as {register(bundle, uri, model, options.register)}")
     except CspaceError as error:
-        return tell_error(error, InputError)
+        return report_error(error, InputError)
     return 0
 
 
@@ -57,7 +57,7 @@ def parser() -> argparse.ArgumentParser:
         choices=(ALIAS_CHALLENGER, ALIAS_CHAMPION),
         help="make it a version of the robot's model of paths with this alias",
     )
-    parser.add_argument("--robot-name", help="as of training jobs (default: the one that the bundle tells)")
+    parser.add_argument("--robot-name", help="as of training jobs (default: the one in the bundle)")
     return parser
 
 

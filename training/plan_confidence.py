@@ -1,9 +1,9 @@
-"""``python -m training.plan_confidence BUNDLE FOLDER``: how sure a bundle's plans are, fitted again.
+"""``python -m training.plan_confidence BUNDLE FOLDER``: recalibrate the plans of a bundle.
 
-Plans come of a search that the project changes now and then, and of the same cost more or fewer are free
-then. This plans in validation scenes with the search as it is, as training does with
-``validity.plan_problems``, and writes the bundle with what was fitted. Its networks stay as they are, and so
-does its golden case; what it tells of its making gets a note of the bundle that it comes from.
+The share of free plans at a given cost depends on the search, which changes now and then. This command
+plans in validation scenes with the current search, as training does with ``validity.plan_problems``, and
+writes the bundle with the new calibration. Networks and golden case stay as they are; the
+provenance names the source bundle.
 
 Exit codes: 0 done, 1 the bundle or the disk is bad, 2 the command is wrong.
 """
@@ -16,8 +16,14 @@ from pathlib import Path
 from cspace.bundle import Bundle
 from cspace.bundle.verification import load_verified
 from cspace.errors import BundleError, ConfigError, CspaceError, InputError
-from services.command_errors import tell_error
-from training.clusters.calibration import PlanCalibration, fit_plan_calibration, planned, require_head, write_fitted
+from services.command_errors import report_error
+from training.clusters.calibration import (
+    PlanCalibration,
+    fit_plan_calibration,
+    planned,
+    require_head,
+    write_fitted,
+)
 
 # Fewer say nothing of what a third of them measures.
 _LEAST = 6
@@ -32,9 +38,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         note = {"plan_problems": found.fitted + found.measured}
         folder = write_fitted(source, options.folder, found.stated_in(source.spec), "plans", note)
     except CspaceError as error:
-        return tell_error(error, InputError)
-    told = ", ".join(f"{name.removeprefix('plans/')} {value:.3g}" for name, value in found.metrics().items())
-    sys.stdout.write(f"{folder}\n  plan_calibration {found.parameters}\n  {told}\n")
+        return report_error(error, InputError)
+    metrics_text = ", ".join(
+        f"{name.removeprefix('plans/')} {value:.3g}" for name, value in found.metrics().items()
+    )
+    sys.stdout.write(f"{folder}\n  plan_calibration {found.parameters}\n  {metrics_text}\n")
     return 0
 
 
@@ -42,7 +50,7 @@ def parser() -> argparse.ArgumentParser:
     """The command line."""
     parser = argparse.ArgumentParser(
         prog="python -m training.plan_confidence",
-        description="Fit again how sure a bundle's plans are; its networks stay as they are.",
+        description="Recalibrate the confidence of a bundle's plans; its networks stay as they are.",
         epilog="Exit codes: 0 done, 1 failed, 2 bad input.",
     )
     parser.add_argument("bundle", type=Path, help="a bundle with a validity head")

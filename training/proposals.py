@@ -1,4 +1,4 @@
-"""``python -m training.proposals BUNDLE FOLDER``: the cheapest right way to a bundle's samples, fitted again.
+"""``python -m training.proposals BUNDLE FOLDER``: choose the proposals of a bundle again.
 
 A request that filters mixes uniform proposals among the generator's. How many, and at which confidence, is
 chosen by what either costs and how many pass, as training does it; graphs that became cheaper, and bundles of
@@ -16,7 +16,7 @@ from pathlib import Path
 from cspace.bundle import Bundle
 from cspace.bundle.verification import load_verified
 from cspace.errors import BundleError, CspaceError, InputError
-from services.command_errors import tell_error
+from services.command_errors import report_error
 from training.clusters.bundling import THRESHOLD_SCENARIOS, fit_proposals
 from training.clusters.calibration import require_head, write_fitted
 from training.clusters.proposals import Choice
@@ -32,9 +32,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         note = {"scenarios": THRESHOLD_SCENARIOS}
         folder = write_fitted(source, options.folder, found.stated_in(source.spec), "proposals", note)
     except CspaceError as error:
-        return tell_error(error, InputError)
+        return report_error(error, InputError)
     sys.stdout.write(
-        f"{folder}\n  uniform_share {found.share}, threshold {found.threshold}\n  {_told(found)}\n"
+        f"{folder}\n  uniform_share {found.share}, threshold {found.threshold}\n  {_costs_text(found)}\n"
     )
     return 0
 
@@ -60,13 +60,13 @@ def _fitted(source: Bundle) -> Choice:
             expected="free configurations, and a threshold",
             got=f"a {spec.kind} bundle with the threshold {spec.confidence_threshold}",
         )
-    # What is promised holds at the threshold that it was promised for.
-    promised = any(name.startswith("promise/") for name in spec.provenance.metrics)
+    # The bound holds at the threshold that it was computed for.
+    bounded = any(name.startswith("promise/") for name in spec.provenance.metrics)
     target_acceptance = float(HeadConfig.model_fields["target_acceptance"].default)
-    return fit_proposals(source, spec.confidence_threshold, target_acceptance, fixed=promised)
+    return fit_proposals(source, spec.confidence_threshold, target_acceptance, fixed=bounded)
 
 
-def _told(found: Choice) -> str:
+def _costs_text(found: Choice) -> str:
     costs = found.costs
     kinds = {"learned": costs.learned_s, "uniform": costs.uniform_s, "scored": costs.head_s}
     each = ", ".join(f"{name} {1e6 * value:.2f}" for name, value in kinds.items())

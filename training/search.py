@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from cspace.errors import ConfigError, CspaceError, InputError
-from services.command_errors import tell_error
-from services.results import tell_result
+from services.command_errors import report_error
+from services.results import report_result
 from training.config import TrainConfig, load_config, presets
 from training.jobs.environment import Environment, job_environment, job_folder
 
@@ -61,10 +61,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         environment = job_environment()
         found = run(config, environment, options.trials, options.scenarios)
     except CspaceError as error:
-        return tell_error(error, InputError, program="search")
+        return report_error(error, InputError, program="search")
     best = found["tried"][0]
     rows = {"run": found["run_id"], "best settings": json.dumps(best["settings"])}
-    tell_result(found, rows, job_folder(environment, found["run_id"]))
+    report_result(found, rows, job_folder(environment, found["run_id"]))
     return 0
 
 

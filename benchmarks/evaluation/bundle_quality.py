@@ -65,15 +65,15 @@ def _times(folder: Path) -> str:
     """Milliseconds for one picture, encoder, generator and head together, one thread."""
     bundle = Bundle.load(folder)
     stage = Stage(bundle.spec.world, Split.VALIDATION, 0)
-    image, told = Scene(stage, 0).image, []
+    image, lines = Scene(stage, 0).image, []
     for count in TIMED:
         taken = []
         for seed in range(25):
             began = time.perf_counter()
             bundle.sample(image, count, seed)
             taken.append(1e3 * (time.perf_counter() - began))
-        told.append(f"{count} samples, ms: {spread(taken[5:])}")
-    return "; ".join(told)
+        lines.append(f"{count} samples, ms: {spread(taken[5:])}")
+    return "; ".join(lines)
 
 
 if __name__ == "__main__":

@@ -19,10 +19,10 @@ from pathlib import Path
 from benchmarks.paper.columns import COLUMNS, CONTROLS, Scale
 from benchmarks.paper.jobs import Study, train_columns
 from benchmarks.paper.measures import Effort
-from benchmarks.paper.report import judge_columns
+from benchmarks.paper.report import compare_columns
 from cspace.errors import CspaceError, InputError
 from cspace.files import make_output_folder
-from services.command_errors import tell_error
+from services.command_errors import report_error
 
 
 def parser() -> argparse.ArgumentParser:
@@ -39,7 +39,9 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--controls", nargs="*", default=[], choices=[c.name for c in CONTROLS])
     parser.add_argument("--set", dest="changes", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("--scenarios", type=int, default=100, help="seen and unseen, for the table (100)")
-    parser.add_argument("--only", choices=("train", "judge"), help="one half; judge takes what is trained")
+    parser.add_argument(
+        "--only", choices=("train", "judge"), help="one half; judge evaluates what is trained"
+    )
     return parser
 
 
@@ -58,9 +60,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.only != "judge":
             train_columns(study, columns, say=_say)
         if options.only != "train":
-            judge_columns(study, columns, Effort(scenarios=options.scenarios), say=_say)
+            compare_columns(study, columns, Effort(scenarios=options.scenarios), say=_say)
     except CspaceError as error:
-        return tell_error(error, InputError, program="paper")
+        return report_error(error, InputError, program="paper")
     return 0
 
 

@@ -63,9 +63,9 @@ def reconstruction(scenes: Sequence[Scene], samplers: Mapping[str, SampleSource]
         _picture(row[0], scene)
         real, floor = scene.free(SHOWN_SAMPLES, scene.rng(7)), 0.0
         for axes, sampler in zip(row[2:], samplers.values(), strict=True):
-            drawn = unfiltered(sampler, scene.image, SHOWN_SAMPLES, scene.sampler_seed())
+            samples = unfiltered(sampler, scene.image, SHOWN_SAMPLES, scene.sampler_seed())
             score, floor = _complement_score(scene, sampler, draws)
-            _cloud(axes, scene, drawn, score)
+            _cloud(axes, scene, samples, score)
         _cloud(row[1], scene, real, floor)
         row[1].set_ylabel("theta2 [rad]")
     for axes, label in zip(panels[0], ("picture", "real samples", *samplers), strict=True):
@@ -148,11 +148,11 @@ def _picture(axes: Axes, scene: Scene) -> None:
     axes.set_ylabel(f"{seen} scenario\ny [m]")
 
 
-def _cloud(axes: Axes, scene: Scene, drawn: NDArray[np.float64], score: float) -> None:
-    free = scene.checker.valid_batch(drawn)
+def _cloud(axes: Axes, scene: Scene, samples: NDArray[np.float64], score: float) -> None:
+    free = scene.checker.valid_batch(samples)
     free_map(axes, scene)
     for mask, colour, size in ((free, FREE_COLOUR, 3), (~free, COLLISION_COLOUR, 5)):
-        axes.scatter(drawn[mask, 0], drawn[mask, 1], s=size, color=colour, linewidths=0)
+        axes.scatter(samples[mask, 0], samples[mask, 1], s=size, color=colour, linewidths=0)
     axes.set_xlim(scene.space.lower[0], scene.space.upper[0])
     axes.set_ylim(scene.space.lower[1], scene.space.upper[1])
     axes.set_xticks([-2, 0, 2])

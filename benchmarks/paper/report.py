@@ -30,7 +30,7 @@ from services.planner.samples import BundleSampler
 CAPTION_DRAWS = 50
 
 
-def judge_columns(
+def compare_columns(
     study: Study, columns: Sequence[Column], effort: Effort, say: Callable[[str], None] = print
 ) -> None:
     """Measure every column that is trained and write the report into the study's folder.

@@ -119,13 +119,13 @@ def arm_plan(rng: np.random.Generator, ways: int = 64, limit_s: float = 10) -> A
     goal = (np.array(REST) + rng.uniform(-0.9, 0.9, 7)).clip(-2.6, 2.6)
     goal[3] = min(goal[3], -0.2)
     goal[5] = max(goal[5], 0.1)
-    asked = [
+    query_fields = [
         ("start", json.dumps(REST)),
         ("goal", json.dumps(goal.tolist())),
         ("ways", ways),
         ("time_limit_s", limit_s),
     ]
-    return ("/plan", *form(files, [*fields, *asked, ("alternatives", "true"), ("next_view", "true")]))
+    return ("/plan", *form(files, [*fields, *query_fields, ("alternatives", "true"), ("next_view", "true")]))
 
 
 def flat_plan(rng: np.random.Generator) -> Ask:
@@ -148,7 +148,7 @@ def tensors(rng: np.random.Generator) -> Ask:
         ("intrinsics", "FP64", lens),
         ("poses", "FP64", np.array([POSE] * 2)),
     )
-    told = [
+    described = [
         {
             "name": name,
             "datatype": kind,
@@ -157,7 +157,7 @@ def tensors(rng: np.random.Generator) -> Ask:
         }
         for name, kind, array in inputs
     ]
-    head = json.dumps({"inputs": told, "parameters": {"n": 1, "min_confidence": 0}}).encode()
+    head = json.dumps({"inputs": described, "parameters": {"n": 1, "min_confidence": 0}}).encode()
     headers = {"Inference-Header-Content-Length": str(len(head))}
     return f"/v2/models/{ARM}/infer", headers, head + b"".join(array.tobytes() for *_, array in inputs)
 
@@ -221,7 +221,7 @@ def memory_mib(api: Served) -> tuple[float, float]:
     return total["VmRSS"] / 1024, (total["RssAnon"] + total["RssShmem"]) / 1024
 
 
-def told(mib: tuple[float, float]) -> str:
+def memory_text(mib: tuple[float, float]) -> str:
     return f"{mib[0]:.0f} MiB, {mib[1]:.0f} without files"
 
 
@@ -245,7 +245,7 @@ def main() -> int:
     answers: Counter[tuple[str, str]] = Counter()
     with served(settings, core=None) as api:
         time.sleep(5.0)
-        print(f"at rest: {told(memory_mib(api))}", flush=True)
+        print(f"at rest: {memory_text(memory_mib(api))}", flush=True)
         until = time.monotonic() + options.seconds
         kinds = options.only or list(KINDS)
         clients = [
@@ -261,11 +261,11 @@ def main() -> int:
             most = max(most[0], now[0]), max(most[1], now[1])
             if time.monotonic() - last > options.seconds / 12:
                 last = time.monotonic()
-                print(f"{last - began:4.0f} s: {told(now)}", flush=True)
+                print(f"{last - began:4.0f} s: {memory_text(now)}", flush=True)
             time.sleep(0.1)
         time.sleep(5.0)
-        print(f"most: {told(most)}")
-        print(f"afterwards: {told(memory_mib(api))}")
+        print(f"most: {memory_text(most)}")
+        print(f"afterwards: {memory_text(memory_mib(api))}")
     print(machine())
     for (kind, outcome), count in sorted(answers.items()):
         print(f"{kind}: {count} x {outcome}")

@@ -55,7 +55,7 @@ def main() -> int:
     base = found["the bundle"]
     for name, scenes in found.items():
         row = summarise(scenes, summary_rng(0)).sampler
-        apart = [
+        differences = [
             difference_interval(
                 [getattr(scene.sampler, value) for scene in scenes],
                 [getattr(scene.sampler, value) for scene in base],
@@ -64,7 +64,7 @@ def main() -> int:
             for value in ("precision", "coverage")
         ]
         cells = [f"{value:.4f}" for value in (row.precision, row.coverage)]
-        table.append([name, *cells, f"{row.edr:.3f}", *(f"{value:+.4f}" for value in apart)])
+        table.append([name, *cells, f"{row.edr:.3f}", *(f"{value:+.4f}" for value in differences)])
     print(f"{options.scenarios} test scenarios, {SAMPLES} samples each; {machine()}\n\n{markdown(table)}")
     return 0
 

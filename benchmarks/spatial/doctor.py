@@ -192,10 +192,10 @@ def scenes(world: SpatialWorld, split: Split, seed: int) -> Iterator[SpatialScen
     for index in count():
         scene = replace(draw_scene(rng, world, split, index), holes=0.0)
         try:
-            told = world.examined(replace(scene, noise=None).view()).findings
+            findings = world.examined(replace(scene, noise=None).view()).findings
         except ImageError:
             continue
-        if not {one.code for one in told} & BLOCKED:
+        if not {one.code for one in findings} & BLOCKED:
             yield scene
 
 
@@ -231,7 +231,7 @@ class MeshArm:
         pictures = []
         for camera in scene.cameras:
             depth = render_depth(scene.obstacles, camera).depth_m
-            arm = self._drawn(camera, points)
+            arm = self._rendered(camera, points)
             nearer = arm < np.where(depth > 0.0, depth, MAX_RANGE_M)
             exact = np.where(nearer, arm, depth).astype(np.float32)
             pictures.append(
@@ -245,7 +245,7 @@ class MeshArm:
             [points @ pose[:3, :3].T + pose[:3, 3] for points, pose in zip(self._points, places, strict=True)]
         )
 
-    def _drawn(self, camera: DepthCamera, points: np.ndarray) -> np.ndarray:
+    def _rendered(self, camera: DepthCamera, points: np.ndarray) -> np.ndarray:
         fine = camera.resized(self.FINER * camera.width, self.FINER * camera.height)
         seen = fine.project(points)
         seen = seen[fine.shows(seen)]
@@ -360,9 +360,10 @@ def main() -> int:
                 print(f"{name:<26}{wilson(sum(held), len(rows))}; {common}", flush=True)
         print(f"{'found':<26}{wilson(hits, sum(map(len, found.values())))}; {1e3 * spent:.0f} ms a view")
         if clean:
-            told = Counter(code for codes in alarms for code in codes)
+            codes_seen = Counter(code for codes in alarms for code in codes)
             print(
-                f"{'false alarms':<26}{wilson(sum(map(bool, alarms)), len(alarms))}; {dict(told)}", flush=True
+                f"{'false alarms':<26}{wilson(sum(map(bool, alarms)), len(alarms))}; {dict(codes_seen)}",
+                flush=True,
             )
     return 0
 

@@ -73,23 +73,23 @@ class OwnProblem:
 
     family: str
     number: int
-    drawn: SpatialProblem
+    problem: SpatialProblem
 
     @property
     def obstacles(self) -> Obstacles:
-        return self.drawn.layout.obstacles
+        return self.problem.layout.obstacles
 
     @property
     def start(self) -> np.ndarray:
-        return self.drawn.start
+        return self.problem.start
 
     @property
     def goal(self) -> np.ndarray:
-        return self.drawn.goal
+        return self.problem.goal
 
     def layout(self, arm: SerialArm) -> Layout:
         del arm
-        return self.drawn.layout
+        return self.problem.layout
 
 
 def own_problems(world: SpatialWorld, split: Split, count: int, seed: int) -> list[OwnProblem]:
@@ -102,7 +102,7 @@ def own_problems(world: SpatialWorld, split: Split, count: int, seed: int) -> li
     ]
 
 
-class Judged:
+class Evaluated:
     """Configurations of one problem, by truth, head and cloud."""
 
     def __init__(
@@ -132,52 +132,53 @@ class Judged:
         return self.itself & (self.margin > -slack_m)
 
 
-def report(judged: list[Judged], rng: np.random.Generator) -> list[str]:
+def report(evaluated: list[Evaluated], rng: np.random.Generator) -> list[str]:
     best_m = max(
-        SLACKS_M, key=lambda slack: np.mean([(one.cloud(slack) == one.free).mean() for one in judged])
+        SLACKS_M, key=lambda slack: np.mean([(one.cloud(slack) == one.free).mean() for one in evaluated])
     )
-    told = {
-        "head": [one.confidence > 0.5 for one in judged],
-        "cloud": [one.cloud() for one in judged],
-        f"cloud, slack {1e3 * best_m:.1f} mm": [one.cloud(best_m) for one in judged],
+    predictions = {
+        "head": [one.confidence > 0.5 for one in evaluated],
+        "cloud": [one.cloud() for one in evaluated],
+        f"cloud, slack {1e3 * best_m:.1f} mm": [one.cloud(best_m) for one in evaluated],
     }
     lines = [
-        f"{name:<24}accuracy {right(said, judged, rng)}, near contact {right(said, judged, rng, near=True)}"
-        for name, said in told.items()
+        f"{name:<24}accuracy {right(said, evaluated, rng)}, "
+        f"near contact {right(said, evaluated, rng, near=True)}"
+        for name, said in predictions.items()
     ]
-    for name, said in list(told.items())[1:]:
-        threshold = np.quantile(joined(judged, "confidence"), 1.0 - np.concatenate(said).mean())
-        head = [one.confidence > threshold for one in judged]
-        pair = f"head {false_free(head, judged, rng)}, {name} {false_free(said, judged, rng)}"
+    for name, said in list(predictions.items())[1:]:
+        threshold = np.quantile(joined(evaluated, "confidence"), 1.0 - np.concatenate(said).mean())
+        head = [one.confidence > threshold for one in evaluated]
+        pair = f"head {false_free(head, evaluated, rng)}, {name} {false_free(said, evaluated, rng)}"
         lines.append(f"false free at equal refusal: {pair}")
-    lines.append(f"calibration error of the head {calibration(judged, rng):.4f}")
-    return [*lines, *by_family(judged), *by_unseen(judged)]
+    lines.append(f"calibration error of the head {calibration(evaluated, rng):.4f}")
+    return [*lines, *by_family(evaluated), *by_unseen(evaluated)]
 
 
 def right(
-    said: list[np.ndarray], judged: list[Judged], rng: np.random.Generator, *, near: bool = False
+    said: list[np.ndarray], evaluated: list[Evaluated], rng: np.random.Generator, *, near: bool = False
 ) -> str:
     shares = []
-    for rows, one in zip(said, judged, strict=True):
+    for rows, one in zip(said, evaluated, strict=True):
         chosen = one.near if near else np.ones_like(one.near)
         if chosen.any():
             shares.append((rows == one.free)[chosen].mean())
     return f"{mean_interval(shares, rng):.4f}"
 
 
-def false_free(passes: list[np.ndarray], judged: list[Judged], rng: np.random.Generator) -> str:
-    wrong = [float((said & ~one.free).sum()) for said, one in zip(passes, judged, strict=True)]
+def false_free(passes: list[np.ndarray], evaluated: list[Evaluated], rng: np.random.Generator) -> str:
+    wrong = [float((said & ~one.free).sum()) for said, one in zip(passes, evaluated, strict=True)]
     return f"{ratio_of_sums_interval(wrong, [float(said.sum()) for said in passes], rng):.4f}"
 
 
-def joined(judged: list[Judged], name: str) -> np.ndarray:
-    return np.concatenate([getattr(one, name) for one in judged])
+def joined(evaluated: list[Evaluated], name: str) -> np.ndarray:
+    return np.concatenate([getattr(one, name) for one in evaluated])
 
 
-def calibration(judged: list[Judged], rng: np.random.Generator) -> object:
+def calibration(evaluated: list[Evaluated], rng: np.random.Generator) -> object:
     """Expected calibration error over all, resampled over problems."""
     table = []
-    for one in judged:
+    for one in evaluated:
         place = np.minimum((one.confidence * BINS).astype(int), BINS - 1)
         gaps = np.bincount(place, one.confidence - one.free, BINS)
         table.append(np.append(gaps, len(place)))
@@ -188,26 +189,28 @@ def calibration(judged: list[Judged], rng: np.random.Generator) -> object:
     return bootstrap_interval(np.array(table), error, rng)
 
 
-def by_family(judged: list[Judged]) -> list[str]:
+def by_family(evaluated: list[Evaluated]) -> list[str]:
     lines = ["family: accuracy of the head, of the cloud, free share"]
-    for family in dict.fromkeys(one.family for one in judged):
-        own = [one for one in judged if one.family == family]
+    for family in dict.fromkeys(one.family for one in evaluated):
+        own = [one for one in evaluated if one.family == family]
         head = np.mean([((one.confidence > 0.5) == one.free).mean() for one in own])
         cloud = np.mean([(one.cloud() == one.free).mean() for one in own])
         lines.append(f"  {family:<20}{head:8.4f}{cloud:8.4f}{np.mean([one.free.mean() for one in own]):8.3f}")
     return lines
 
 
-def by_unseen(judged: list[Judged]) -> list[str]:
-    confidence, unseen, free = (joined(judged, name) for name in ("confidence", "unseen", "free"))
-    cloud = np.concatenate([one.cloud() for one in judged])
+def by_unseen(evaluated: list[Evaluated]) -> list[str]:
+    confidence, unseen, free = (joined(evaluated, name) for name in ("confidence", "unseen", "free"))
+    cloud = np.concatenate([one.cloud() for one in evaluated])
     lines = ["share unseen: of all, accuracy of the head, of the cloud, mean confidence, free share"]
     for low, high in pairwise(UNSEEN):
         rows = (unseen >= low) & (unseen < high)
         if rows.any():
             right = ((confidence > 0.5) == free)[rows].mean(), (cloud == free)[rows].mean()
-            told = (rows.mean(), *right, confidence[rows].mean(), free[rows].mean())
-            lines.append(f"  {low:.2f} to {min(high, 1.0):.2f}    " + " ".join(f"{one:7.4f}" for one in told))
+            columns = (rows.mean(), *right, confidence[rows].mean(), free[rows].mean())
+            lines.append(
+                f"  {low:.2f} to {min(high, 1.0):.2f}    " + " ".join(f"{one:7.4f}" for one in columns)
+            )
     return lines
 
 
@@ -227,10 +230,11 @@ def main() -> int:
         found = own_problems(head.world, Split(options.split), options.own, options.seed)
     else:
         found = problems(Split(options.split), options.problems)
-    judged = [Judged(head, one, options.cameras, options.configurations, options.seed) for one in found]
+    evaluated = [Evaluated(head, one, options.cameras, options.configurations, options.seed) for one in found]
     print(machine())
-    print(f"{len(judged)} {options.split} problems, {options.cameras} cameras, {options.configurations} each")
-    print("\n".join(report(judged, np.random.default_rng(options.seed))))
+    each = f"{options.cameras} cameras, {options.configurations} each"
+    print(f"{len(evaluated)} {options.split} problems, {each}")
+    print("\n".join(report(evaluated, np.random.default_rng(options.seed))))
     return 0
 
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmarks.command import arguments
 from benchmarks.machine import machine
-from benchmarks.spatial.problem_options import LIMIT_S, LOOK_RAD, WAYS, benchmark_bundle, panda_world
+from benchmarks.spatial.problem_options import LIMIT_S, LOOK_RAD, PATHS, benchmark_bundle, panda_world
 from cspace.bundle import Bundle
 from cspace.planning.paths import spaced
 from cspace.query import PlanQuery
@@ -71,12 +71,12 @@ def moved(by_m: float) -> Change:
     """The camera is said to stand so far from where it is, in any direction."""
 
     def change(view: DepthView, rng: np.random.Generator) -> DepthView:
-        told = []
+        cameras = []
         for camera in view.cameras:
             pose, path = camera.matrix, rng.normal(size=3)
             pose[:3, 3] += by_m * path / np.linalg.norm(path)
-            told.append(replace(camera, pose=pose_of(pose)))
-        return replace(view, cameras=tuple(told))
+            cameras.append(replace(camera, pose=pose_of(pose)))
+        return replace(view, cameras=tuple(cameras))
 
     return change
 
@@ -120,14 +120,14 @@ MISUSES = {
     "half of it missing": Misuse(change=half_missing),
     "camera off by 1 cm": Misuse(change=moved(0.01)),
     "camera off by 3 cm": Misuse(change=moved(0.03)),
-    "state not told": Misuse(change=stateless),
+    "no state": Misuse(change=stateless),
     "rods": Misuse(shapes=rods),
     "tilted boxes": Misuse(shapes=tilted),
 }
 
 
 @dataclass(frozen=True)
-class Misjudged:
+class Outcome:
     """A plan in a misused picture: whether it collides, how sure it was, how new the picture."""
 
     collides: bool
@@ -135,7 +135,7 @@ class Misjudged:
     novelty: float
 
 
-def judged(bundle: Bundle, world: SpatialWorld, problem: BenchProblem, misuse: Misuse) -> Misjudged | None:
+def evaluate(bundle: Bundle, world: SpatialWorld, problem: BenchProblem, misuse: Misuse) -> Outcome | None:
     """None where the ends collide or no way was found."""
     rng = np.random.default_rng([27, *problem.family.encode(), problem.number])
     ends = np.array([problem.start, problem.goal])
@@ -152,12 +152,12 @@ def judged(bundle: Bundle, world: SpatialWorld, problem: BenchProblem, misuse: M
     scene = replace(from_both_sides(rng, seen_by, layout, ends[0], "goal"), obstacles=obstacles)
     view = _noisy(scene, misuse).view()
     prepared = bundle.prepare(world.observed(view if misuse.change is None else misuse.change(view, rng)))
-    query = PlanQuery(tuple(ends[0]), tuple(ends[1]), 0, 0.0, LIMIT_S, WAYS)
+    query = PlanQuery(tuple(ends[0]), tuple(ends[1]), 0, 0.0, LIMIT_S, PATHS)
     found = bundle.plan(prepared, query)
     if not len(found.path):
         return None
     clearance = truth.clearance(spaced(found.path, world.space, LOOK_RAD)).min()
-    return Misjudged(bool(clearance <= 0.0), found.confidence, prepared.novelty or 0.0)
+    return Outcome(bool(clearance <= 0.0), found.confidence, prepared.novelty or 0.0)
 
 
 def _noisy(scene: SpatialScene, misuse: Misuse) -> SpatialScene:
@@ -181,13 +181,15 @@ def main() -> int:
         for one in problems(Split.VALIDATION, families=(family,))[: options.each or None]
     ]
     for name, misuse in MISUSES.items():
-        rows = [row for row in (judged(bundle, world, one, misuse) for one in chosen) if row is not None]
+        rows = [row for row in (evaluate(bundle, world, one, misuse) for one in chosen) if row is not None]
         hits = np.array([row.collides for row in rows])
-        sure, new = (np.array([getattr(row, part) for row in rows]) for part in ("confidence", "novelty"))
+        confidence, new = (
+            np.array([getattr(row, part) for row in rows]) for part in ("confidence", "novelty")
+        )
         share = mean_interval(hits.astype(float), np.random.default_rng(0))
-        gap = sure.mean() - (1.0 - hits.mean())
-        told = f"{len(rows)}: {share:.3f}; {sure.mean():.3f}, {gap:+.3f}; {np.median(new):.2f}"
-        print(f"{name:<20}{told}, {np.mean(new > NEW):.2f}", flush=True)
+        gap = confidence.mean() - (1.0 - hits.mean())
+        line = f"{len(rows)}: {share:.3f}; {confidence.mean():.3f}, {gap:+.3f}; {np.median(new):.2f}"
+        print(f"{name:<20}{line}, {np.mean(new > NEW):.2f}", flush=True)
     return 0
 
 

@@ -3,10 +3,10 @@
     python -m benchmarks.spatial.next_view BUNDLE [--aim scene] [--each 10]
 
 Problems and first pictures are those of `python -m services.evaluator planning --protocol plans`. The second
-camera is the one that the first plan names, of a hemisphere about its most uncertain place, or one of the same hemisphere by
-chance. Both pictures are noisy, the arm is in them; the plan from both is judged as there. Share of the ways
-that collide, with 95 % bootstrap intervals over the problems that all three solve, and the median of their
-cost, -log of the confidence.
+camera is the one that the first plan names, of a hemisphere about its most uncertain place, or one of the
+same hemisphere by chance. Both pictures are noisy, the arm is in them; the plan from both is checked as in
+that protocol. Printed are the share of the paths that collide, with 95 % bootstrap intervals over the
+problems that all three solve, and the median of their cost, -log of the confidence.
 """
 
 import sys
@@ -18,7 +18,7 @@ from benchmarks.machine import machine
 from benchmarks.spatial.problem_options import (
     LIMIT_S,
     LOOK_RAD,
-    WAYS,
+    PATHS,
     benchmark_bundle,
     chosen_problems,
     panda_world,
@@ -38,7 +38,7 @@ from services.evaluator.statistics import difference_interval, mean_interval
 ARMS = ("first picture", "and where to look next", "and anywhere")
 
 
-def judged(
+def evaluate(
     bundle: Bundle, world: SpatialWorld, problem: BenchProblem, aim: str
 ) -> list[tuple[float, float]] | None:
     """Cost and clearance of each arm's path; None where one solves nothing or the ends collide."""
@@ -49,7 +49,7 @@ def judged(
     rng = np.random.default_rng([25, 1, *problem.family.encode(), problem.number])
     first = from_both_sides(rng, world, problem.layout(world.body), ends[0], aim)
     cameras = tuple(one.to_dict() for one in first.cameras)
-    query = PlanQuery(tuple(ends[0]), tuple(ends[1]), 0, 0.0, LIMIT_S, WAYS, next_view=True, seen_by=cameras)
+    query = PlanQuery(tuple(ends[0]), tuple(ends[1]), 0, 0.0, LIMIT_S, PATHS, next_view=True, seen_by=cameras)
     found = planned(bundle, world, first, query)
     if found.next_view is None:
         return None
@@ -80,16 +80,16 @@ def main() -> int:
     options = parser.parse_args()
     bundle = benchmark_bundle(options.bundle)
     world = viewed(panda_world(bundle), 1)
-    rows = [judged(bundle, world, problem, options.aim) for problem in chosen_problems(options)]
-    told = np.array([row for row in rows if row is not None])
+    rows = [evaluate(bundle, world, problem, options.aim) for problem in chosen_problems(options)]
+    solved = np.array([row for row in rows if row is not None])
     rng = np.random.default_rng(0)
     print(machine())
-    print(f"{len(told)} of {len(rows)} problems solved from all, {options.split}; collide, median cost")
+    print(f"{len(solved)} of {len(rows)} problems solved from all, {options.split}; collide, median cost")
     for number, arm in enumerate(ARMS):
-        hits = [float(one) for one in told[:, number, 1] <= 0.0]
-        print(f"{arm:<24}{mean_interval(hits, rng):.3f}, {np.median(told[:, number, 0]):.3f}")
-    fewer = difference_interval(told[:, 2, 1] <= 0.0, told[:, 1, 1] <= 0.0, rng)
-    lower_cost = difference_interval(told[:, 2, 0], told[:, 1, 0], rng)
+        hits = [float(one) for one in solved[:, number, 1] <= 0.0]
+        print(f"{arm:<24}{mean_interval(hits, rng):.3f}, {np.median(solved[:, number, 0]):.3f}")
+    fewer = difference_interval(solved[:, 2, 1] <= 0.0, solved[:, 1, 1] <= 0.0, rng)
+    lower_cost = difference_interval(solved[:, 2, 0], solved[:, 1, 0], rng)
     print(f"less where one looks next than anywhere: collide {fewer:.3f}, cost {lower_cost:.3f}")
     return 0
 

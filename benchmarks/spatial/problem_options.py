@@ -5,7 +5,7 @@ from pathlib import Path
 
 from benchmarks.command import arguments
 from cspace.bundle import Bundle
-from cspace.query import DEFAULT_WAYS
+from cspace.query import DEFAULT_PATHS
 from cspace.simulator import Split
 from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.benchmark import (
@@ -18,7 +18,7 @@ from cspace.worlds.spatial.benchmark import (
 )
 from cspace.worlds.spatial.world import SpatialWorld, shipped
 
-LOOK_RAD, WAYS, LIMIT_S = 0.01, DEFAULT_WAYS, 2.0
+LOOK_RAD, PATHS, LIMIT_S = 0.01, DEFAULT_PATHS, 2.0
 
 
 def panda() -> SerialArm:

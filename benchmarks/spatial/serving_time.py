@@ -27,18 +27,18 @@ from services.evaluator.statistics import mean_interval
 COUNT, CONFIGURATIONS, WARM = 300, 1000, 5
 
 
-class Asked:
+class SceneRequests:
     """One scene and what is asked of it."""
 
     def __init__(self, index: int) -> None:
         world = examples()["panda"]
         views = replace(world.sensor.views, count=(1, 1))
-        shop = simulator_of(replace(world, sensor=replace(world.sensor, views=views)))
+        simulator = simulator_of(replace(world, sensor=replace(world.sensor, views=views)))
         rng = scenario_rng(Split.DEMO, 0, index)
-        scene = shop.scene(rng, Split.DEMO, index)
-        view, file = shop.picture_file(scene), io.BytesIO()
+        scene = simulator.scene(rng, Split.DEMO, index)
+        view, file = simulator.picture_file(scene), io.BytesIO()
         np.save(file, world.space.sample_uniform(rng, CONFIGURATIONS))
-        self.checker = shop.checker(scene)
+        self.checker = simulator.checker(scene)
         self.pages = {
             "new picture": ("/sample", {"image": view}, {"n": str(COUNT), "seed": "1"}),
             "known picture": ("/sample", {"image": view}, {"n": str(COUNT), "seed": "2"}),
@@ -62,9 +62,9 @@ def main() -> int:
     parser.add_argument("--scenes", type=int, default=60)
     parser.add_argument("--pid", type=int, help="of the server, for its memory")
     options = parser.parse_args()
-    asked = [Asked(index) for index in range(WARM + options.scenes)]
+    requests = [SceneRequests(index) for index in range(WARM + options.scenes)]
     with httpx.Client(base_url=options.url, timeout=60.0) as client:
-        found = [one.answers(client, options.model) for one in asked][WARM:]
+        found = [one.answers(client, options.model) for one in requests][WARM:]
     print(machine())
     for name in found[0]:
         taken, bodies = zip(*(one[name] for one in found), strict=True)
@@ -77,12 +77,12 @@ def main() -> int:
     samples = [one["known picture"][1] for one in found]
     free = [
         scene.checker.valid_batch(np.array(body["samples"])).mean()
-        for scene, body in zip(asked[WARM:], samples, strict=True)
+        for scene, body in zip(requests[WARM:], samples, strict=True)
         if body["samples"]
     ]
     print(f"collision-free {mean_interval(free, np.random.default_rng(0)):.4f}")
     print(f"acceptance {np.mean([one['acceptance'] for one in samples]):.3f}")
-    print(f"shortfall {np.mean([one['shortfall'] for one in samples]) / COUNT:.4f} of what was asked")
+    print(f"shortfall {np.mean([one['shortfall'] for one in samples]) / COUNT:.4f} of the requested samples")
     if options.pid is not None:
         print(f"memory of the server {psutil.Process(options.pid).memory_info().rss / 2**20:.0f} MiB")
     return 0

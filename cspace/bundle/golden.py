@@ -113,8 +113,10 @@ class GoldenCase:
 
     def to_npz(self) -> bytes:
         """``golden.npz``."""
-        asked = asdict(self.query) | {"count": self.query.n, "seed": np.uint64(self.query.seed)}
-        values = {name: asked[name] if name in asked else getattr(self, name) for name in _ARRAYS}
+        query_values = asdict(self.query) | {"count": self.query.n, "seed": np.uint64(self.query.seed)}
+        values = {
+            name: query_values[name] if name in query_values else getattr(self, name) for name in _ARRAYS
+        }
         buffer = io.BytesIO()
         np.savez_compressed(buffer, **{name: value for name, value in values.items() if value is not None})
         return buffer.getvalue()
@@ -138,11 +140,11 @@ class GoldenCase:
                 remedy="export the bundle again",
             )
         # What is no field of the case is one of its query.
-        asked = {
+        query_values = {
             name: values.pop(name).tolist() for name in set(values) - {item.name for item in fields(cls)}
         }
         try:
-            query = SampleQuery.checked(asked.pop("count"), **asked, min_confidence=0.0)
+            query = SampleQuery.checked(query_values.pop("count"), **query_values, min_confidence=0.0)
         except InputError as error:
             raise BundleIntegrityError("golden.npz is not a golden case", got=str(error)) from error
         return cls(query=query, **values)

@@ -90,14 +90,14 @@ def check_graphs(spec: BundleSpec, contents: Mapping[str, bytes]) -> None:
     if MAP_FILE in contents:
         shapes |= {MAP: check_graph(MAP_FILE, contents[MAP_FILE], shapes).get("map", ())}
     rows = PATH_CHUNK_ROWS if spec.kind == "path" else CHUNK_ROWS
-    drawn = {item.name: (rows, *item.shape) for item in spec.random_inputs}
+    noise = {item.name: (rows, *item.shape) for item in spec.random_inputs}
     ends = dict.fromkeys(spec.endpoints, (rows, spec.dim))
-    asked = {
+    inputs = {
         ENCODER_FILE: shapes,
         NOVELTY_FILE: shapes,
-        GENERATOR_FILE: {**shapes, "latent": (rows, spec.latent_dim), **drawn, **ends},
+        GENERATOR_FILE: {**shapes, "latent": (rows, spec.latent_dim), **noise, **ends},
     }
-    for name, sizes in asked.items():
+    for name, sizes in inputs.items():
         if name in contents:
             check_graph(name, contents[name], sizes)
     if VALIDITY_FILE in contents:
@@ -257,15 +257,15 @@ class _Check:
 
     def _feed(self, value: onnx.ValueInfoProto, shapes: Mapping[str, Shape]) -> None:
         tensor = value.type.tensor_type
-        told = [axis.dim_value if axis.HasField("dim_value") else None for axis in tensor.shape.dim]
+        declared = [axis.dim_value if axis.HasField("dim_value") else None for axis in tensor.shape.dim]
         shape = shapes.get(value.name)
-        if shape is None or not tensor.HasField("shape") or len(told) != len(shape):
+        if shape is None or not tensor.HasField("shape") or len(declared) != len(shape):
             fits = False
         else:
-            fits = all(one in (None, size) for one, size in zip(told, shape, strict=True))
+            fits = all(one in (None, size) for one, size in zip(declared, shape, strict=True))
         if shape is None or not fits or tensor.elem_type != onnx.TensorProto.FLOAT:
             expected = f"inputs {dict(shapes)}, or names for their sizes"[:300]
-            raise self._refuse(f"an input {value.name[:100]!r} of shape {told}"[:200], expected)
+            raise self._refuse(f"an input {value.name[:100]!r} of shape {declared}"[:200], expected)
         value.CopyFrom(helper.make_tensor_value_info(value.name, tensor.elem_type, shape))
         self._set(value.name, tensor.elem_type, shape)
 
@@ -273,9 +273,9 @@ class _Check:
         """Learn types and shapes of a node's outputs."""
         outputs = list(filter(None, node.output))
         found = self._inferred([node])
-        told = [size for _, sizes in found.values() for size in sizes]
+        all_sizes = [size for _, sizes in found.values() for size in sizes]
         # A size that is not known may follow from computed values; else it depends on data.
-        unknown = len(found) < len(outputs) or not all(map(self._is_known, told))
+        unknown = len(found) < len(outputs) or not all(map(self._is_known, all_sizes))
         if unknown and (node.op_type not in _SIZING or self._is_followed(node)):
             found = self._inferred([*self._sizing(node, nodes), node], data_prop=True)
         for output, (kind, sizes) in found.items():

@@ -82,7 +82,7 @@ class Bundle:
         self._validity = None if graphs.validity is None else Head(graphs.validity)
         self._generator = graphs.generator
         self._sampler = sampler_of(self.spec, self._generator, self._validity)
-        self.tells_unseen = self._validity is not None and self._validity.tells_unseen
+        self.reports_unseen = self._validity is not None and self._validity.reports_unseen
         self.head_looks_at_map = self._validity is not None and self._validity.looks_at_map
 
     @classmethod
@@ -205,7 +205,7 @@ class Bundle:
         n: int,
         seed: int,
         *,
-        tell_confidence: bool = True,
+        report_confidence: bool = True,
         check_cancelled: CheckCancelled | None = None,
         **options: Unpack[QueryOptions],
     ) -> SampleSet:
@@ -216,14 +216,14 @@ class Bundle:
             BundleError: a graph fails.
         """
         query = SampleQuery.checked(n, seed, **options)
-        return self.answer(image, query, tell_confidence=tell_confidence, check_cancelled=check_cancelled)
+        return self.answer(image, query, report_confidence=report_confidence, check_cancelled=check_cancelled)
 
     def answer(
         self,
         image: NDArray[np.uint8] | Picture,
         query: SampleQuery,
         *,
-        tell_confidence: bool = True,
+        report_confidence: bool = True,
         check_cancelled: CheckCancelled | None = None,
     ) -> SampleSet:
         """Configurations for a picture; the same query gives bit-equal samples on one machine.
@@ -237,7 +237,7 @@ class Bundle:
         Args:
             image: uint8 (P, P, 3), or one that :meth:`prepare` made.
             query: what is asked.
-            tell_confidence: whether samples are scored that are not filtered; the samples are the same.
+            report_confidence: whether samples are scored that are not filtered; the samples are the same.
             check_cancelled: called between the parts of a request, every few ms; what it raises passes
                 through.
 
@@ -251,7 +251,7 @@ class Bundle:
         encoded = time.perf_counter()
 
         found = self._sampler.sample(
-            picture, request, tell_confidence=tell_confidence, check_cancelled=check_cancelled
+            picture, request, report_confidence=report_confidence, check_cancelled=check_cancelled
         )
         samples, confidence = found.samples, found.scores
         unseen = None

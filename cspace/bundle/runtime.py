@@ -60,8 +60,8 @@ def share_arena() -> None:
     place = ort.OrtMemoryInfo("Cpu", ort.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0, ort.OrtMemType.DEFAULT)
     # Another thread, or whoever else uses onnxruntime here, may have come first.
     with suppress(*onnx_errors()):
-        grows_as_asked = {"max_mem": most, "arena_extend_strategy": 1}
-        ort.create_and_register_allocator(place, ort.OrtArenaCfg(grows_as_asked))
+        grows_as_needed = {"max_mem": most, "arena_extend_strategy": 1}
+        ort.create_and_register_allocator(place, ort.OrtArenaCfg(grows_as_needed))
 
 
 def container_bytes(root: Path = Path("/")) -> int | None:
@@ -162,7 +162,7 @@ DEADLINES = Deadlines()
 
 
 # Bound the memory and the time of one call; fixed sizes, so that they can not move a result. What one call
-# of a path sampler draws comes in the order of the way, so it is drawn in larger parts.
+# of a path sampler draws comes in the order of the path, so it is drawn in larger parts.
 CHUNK_ROWS, PATH_CHUNK_ROWS = 512, 4096
 
 # May raise to stop the work.
@@ -376,13 +376,13 @@ def open_graphs(spec: BundleSpec, files: BundleFiles, run_limit_s: float) -> Gra
         model = files.contents.get(name)
         return None if model is None else Graph(name, model, inputs, outputs, run_limit_s, optional)
 
-    drawn = {item.name for item in spec.random_inputs}
+    noise = {item.name for item in spec.random_inputs}
     encoder = Graph(ENCODER_FILE, files.contents[ENCODER_FILE], {"image"}, {"mu", "sigma"}, run_limit_s)
     seen = opened(MAP_FILE, {"image"}, {"map"})
     if seen is not None:
         seen.fixed_shape("map")
     optional = frozenset[str]() if seen is None else frozenset({MAP})
-    generator = opened(GENERATOR_FILE, {"latent", *drawn, *spec.conditions}, {"samples"})
+    generator = opened(GENERATOR_FILE, {"latent", *noise, *spec.conditions}, {"samples"})
     _check_whole(GENERATOR_FILE, generator, "a model kind that has one", described=spec.model_kind != WAYS)
     validity = opened(VALIDITY_FILE, {"image", "configurations"}, {"confidence"}, optional)
     looked_at = spec.looks_at_map or (validity is not None and MAP in validity.inputs)

@@ -91,7 +91,7 @@ class SampleSet:
         unseen: float32 (n',), share of the robot where no picture shows what is there; None where that is not
             told.
         ways: int64 (n',), the path that each sample lies along, 0 for the one with the lowest cost; None for
-            samples that were not drawn along ways.
+            samples that do not lie along paths.
     """
 
     samples: NDArray[np.float32]
@@ -119,7 +119,7 @@ def require_inside(samples: NDArray[np.float32], space: JointSpace) -> None:
 
 
 class FittedQuery(SampleQuery):
-    """A query that :func:`fitted` has judged; the bundle that it fits takes it as it is."""
+    """A query that :func:`fitted` has checked; the bundle that it fits takes it as it is."""
 
     __slots__ = ()
 
@@ -130,7 +130,7 @@ def fitted(query: SampleQuery, spec: BundleSpec, *, has_validity: bool) -> Fitte
     Whoever prepares a picture for it fits it before that, so that nothing is computed for one that does not.
 
     Args:
-        query: valid in itself; one that was fitted to this bundle is not judged again.
+        query: valid in itself; one that was fitted to this bundle is not checked again.
         spec: of the bundle.
         has_validity: whether the bundle scores its samples.
 

@@ -29,7 +29,7 @@ from cspace.bundle.spec import MAP, PICTURE, BundleSpec, RandomInput
 from cspace.errors import BundleError, BundleIntegrityError
 from cspace.plan import Seen, search_paths
 from cspace.planning.paths import AlongPaths
-from cspace.query import DEFAULT_WAYS
+from cspace.query import DEFAULT_PATHS
 from cspace.space import JointSpace
 
 CONFIDENCE, UNSEEN = "confidence", "unseen"
@@ -43,8 +43,8 @@ class Head:
 
     def __init__(self, graph: Graph) -> None:
         self._graph = graph
-        self.tells_unseen, self.looks_at_map = UNSEEN in graph.outputs, MAP in graph.inputs
-        self._outputs = (CONFIDENCE, UNSEEN) if self.tells_unseen else (CONFIDENCE,)
+        self.reports_unseen, self.looks_at_map = UNSEEN in graph.outputs, MAP in graph.inputs
+        self._outputs = (CONFIDENCE, UNSEEN) if self.reports_unseen else (CONFIDENCE,)
 
     def scores(
         self, picture: Picture, configurations: NDArray[np.float32], check_cancelled: CheckCancelled | None
@@ -65,7 +65,7 @@ class Head:
 
         def run(rows: slice) -> NDArray[np.float32]:
             part = configurations[rows]
-            if not self.tells_unseen:
+            if not self.reports_unseen:
                 return score(part)[:, 0]
             parts = []
             for first in range(0, len(part), CACHED_ROWS):
@@ -84,7 +84,7 @@ class Head:
     ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
         """The confidence, and the unseen share; None where the head does not give that."""
         found = self.scores(picture, configurations, check_cancelled)
-        return (found[:, 0], found[:, 1]) if self.tells_unseen else (found, None)
+        return (found[:, 0], found[:, 1]) if self.reports_unseen else (found, None)
 
     def seen(self, spec: BundleSpec, picture: Picture, check_cancelled: CheckCancelled | None) -> Seen:
         """A picture of the bundle's as the search for paths takes it."""
@@ -241,7 +241,7 @@ def rejection_sample(
     left = max(BUDGET * sum(shares), BUDGET_AT_LEAST)
     found: list[tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.intp]]] = []
     missing = np.asarray(shares)
-    drawn = passed = turn = 0
+    sampled = passed = turn = 0
     wanted = [math.ceil(share * (1 + EXTRA) / expected) for share in shares]
     while True:
         if turn and check_cancelled is not None:
@@ -257,20 +257,20 @@ def rejection_sample(
                 return Sampled(samples[first], confidence[first], len(kept) / len(samples))
         belongs = np.repeat(np.arange(len(counts)), counts)
         found.append((samples[good], confidence[good], belongs[good]))
-        left, drawn, passed, turn = (
+        left, sampled, passed, turn = (
             left - len(samples),
-            drawn + len(samples),
+            sampled + len(samples),
             passed + int(good.sum()),
             turn + 1,
         )
         missing = np.maximum(missing - np.bincount(belongs[good], minlength=len(counts)), 0)
         if not missing.any() or left < 1:
             break
-        passing = max(passed / drawn, LEAST_SHARE)
+        passing = max(passed / sampled, LEAST_SHARE)
         wanted = [math.ceil(share * (1 + EXTRA) / passing) for share in missing.tolist()]
     samples, confidence, belongs = (np.concatenate(parts) for parts in zip(*found, strict=True))
     kept = np.concatenate([np.flatnonzero(belongs == share)[:count] for share, count in enumerate(shares)])
-    return Sampled(samples[kept], confidence[kept], passed / drawn)
+    return Sampled(samples[kept], confidence[kept], passed / sampled)
 
 
 def _within(wanted: Sequence[int], left: int) -> list[int]:
@@ -306,7 +306,7 @@ class GeneratorSampler:
         picture: Picture,
         request: FittedQuery,
         *,
-        tell_confidence: bool,
+        report_confidence: bool,
         check_cancelled: CheckCancelled | None,
     ) -> Sampled:
         """Samples for a picture; the same request gives bit-equal ones on one machine.
@@ -314,7 +314,7 @@ class GeneratorSampler:
         Args:
             picture: that the bundle has prepared.
             request: fitted to the bundle.
-            tell_confidence: whether samples are scored that are not filtered; the samples are the same.
+            report_confidence: whether samples are scored that are not filtered; the samples are the same.
             check_cancelled: called now and then in a large request; what it raises passes through.
 
         Raises:
@@ -322,32 +322,32 @@ class GeneratorSampler:
         """
         spec, head, space = self._spec, self._head, self._spec.world.space
 
-        def drawn(counts: Sequence[int], turn: int) -> NDArray[np.float32]:
+        def generate(counts: Sequence[int], turn: int) -> NDArray[np.float32]:
             mu, sigma = picture.encoding.mu, picture.encoding.sigma
             draws = random_numbers(spec, mu, sigma, counts, request.seed, request.epsilon_sigma, turn)
             return self._generate(draws, request, picture, check_cancelled)
 
         wanted = shares(request.n, len(request.epsilon_sigma))
         if head is None or not request.min_confidence:
-            samples = space.to_float32(_inside(drawn, wanted, space, check_cancelled))
+            samples = space.to_float32(_inside(generate, wanted, space, check_cancelled))
             scores = (
                 head.scores(picture, samples, check_cancelled)
-                if head is not None and tell_confidence
+                if head is not None and report_confidence
                 else None
             )
             return Sampled(samples, scores)
 
         def proposed(counts: Sequence[int], turn: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
             proposals = propose(spec, counts, request.seed, turn)
-            learned = drawn(proposals.learned, turn) if any(proposals.learned) else None
+            learned = generate(proposals.learned, turn) if any(proposals.learned) else None
             rows = proposals.mixed_with(learned)
             samples, inside = space.to_float32(rows), space.keeps_pose(rows)
             # What lies outside reaches no confidence, and is not scored.
-            scores = np.full((len(rows), 1 + head.tells_unseen), -1.0, dtype=np.float32)
+            scores = np.full((len(rows), 1 + head.reports_unseen), -1.0, dtype=np.float32)
             if inside.any():
                 found = head.scores(picture, samples[inside], check_cancelled)
                 scores[inside] = found.reshape(len(found), -1)
-            return samples, scores if head.tells_unseen else scores[:, 0]
+            return samples, scores if head.reports_unseen else scores[:, 0]
 
         return rejection_sample(
             proposed, wanted, request.min_confidence, expected_share(spec), check_cancelled
@@ -442,7 +442,7 @@ class PathSampler:
         picture: Picture,
         request: FittedQuery,
         *,
-        tell_confidence: bool,
+        report_confidence: bool,
         check_cancelled: CheckCancelled | None,
     ) -> Sampled:
         """As :meth:`GeneratorSampler.sample`; no time ends the search, its effort does.
@@ -452,25 +452,27 @@ class PathSampler:
         """
         spec, head, space = self._spec, self._head, self._spec.world.space
         ends = fitted_ends(spec, request.start or (), request.goal or ())
-        paths = search_paths(
+        searched = search_paths(
             head.seen(spec, picture, check_cancelled),
             ends,
-            DEFAULT_WAYS,
+            DEFAULT_PATHS,
             request.seed,
             check_cancelled=check_cancelled,
         )
-        if not paths.ways:
-            none = np.empty((0, 2) if head.tells_unseen else 0, dtype=np.float32)
+        if not searched.paths:
+            none = np.empty((0, 2) if head.reports_unseen else 0, dtype=np.float32)
             rows = space.to_float32(np.empty((0, space.dim)))
             return Sampled(rows, none, ways=np.empty(0, dtype=np.int64))
-        along = AlongPaths([one.path for one in paths.ways], space, np.random.default_rng([request.seed, 1]))
+        along = AlongPaths(
+            [one.path for one in searched.paths], space, np.random.default_rng([request.seed, 1])
+        )
 
         def proposed(counts: Sequence[int], turn: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
             del turn
             rows, numbers = along.take(sum(counts))
             samples = space.to_float32(rows)
             columns = [numbers.astype(np.float32)[:, None]]
-            if request.min_confidence or tell_confidence:
+            if request.min_confidence or report_confidence:
                 scores = head.scores(picture, samples, check_cancelled)
                 columns.insert(0, scores.reshape(len(scores), -1))
             return samples, np.concatenate(columns, axis=1)
@@ -483,7 +485,7 @@ class PathSampler:
         scores, numbers = columns[:, :-1], columns[:, -1].astype(np.int64)
         if not scores.shape[1]:
             return Sampled(found.samples, None, found.acceptance, numbers)
-        scores = scores if head.tells_unseen else scores[:, 0]
+        scores = scores if head.reports_unseen else scores[:, 0]
         return Sampled(found.samples, scores, found.acceptance, numbers)
 
 

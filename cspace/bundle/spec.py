@@ -27,7 +27,8 @@ _MAX_CALIBRATION = 100.0
 PLAN_CONFIDENCE = 0.2
 _RESERVED = frozenset({"latent", PICTURE, MAP, *ENDPOINTS})
 _Calibration = tuple[
-    Annotated[float, Field(ge=-_MAX_CALIBRATION, le=_MAX_CALIBRATION)], Annotated[float, Field(gt=0.0, le=_MAX_CALIBRATION)]
+    Annotated[float, Field(ge=-_MAX_CALIBRATION, le=_MAX_CALIBRATION)],
+    Annotated[float, Field(gt=0.0, le=_MAX_CALIBRATION)],
 ]
 _Quantiles = Annotated[
     tuple[Annotated[tuple[float, ...], Field(min_length=2, max_length=1001)], ...],
@@ -114,8 +115,8 @@ class BundleSpec:
             1; None where nobody measured it.
         novelty_quantiles: for each score of the novelty graph its rising quantiles over known pictures; None
             without one.
-        plan_calibration: (a, b), by which a path of cost D is free with exp(-exp(a + b log D)), b above 0; see
-            :mod:`cspace.planning`. None for (0, 1).
+        plan_calibration: (a, b), by which a path of cost D is free with exp(-exp(a + b log D)), b above 0;
+            see :mod:`cspace.planning`. None for (0, 1).
         provenance: how the bundle was made.
 
     Raises:
@@ -140,7 +141,7 @@ class BundleSpec:
 
     def __post_init__(self) -> None:
         names = [item.name for item in self.random_inputs]
-        drawn = sum(math.prod(item.shape) for item in self.random_inputs)
+        noise_size = sum(math.prod(item.shape) for item in self.random_inputs)
         scale, rows = self.standardisation, self.novelty_quantiles or ()
         wrong = {
             f"world: at most {MAX_JOINTS} joints": self.dim > MAX_JOINTS,
@@ -148,7 +149,7 @@ class BundleSpec:
             f"samples_per_latent: {MAX_PER_LATENT} numbers": self.samples_per_latent * self.dim
             > MAX_PER_LATENT,
             f"random_inputs: different names, at most {MAX_PER_LATENT} numbers": len(set(names)) != len(names)
-            or drawn > MAX_PER_LATENT,
+            or noise_size > MAX_PER_LATENT,
             "uniform_share: 0 for a path model": self.uniform_share > 0.0 and self.kind == "path",
             "novelty_quantiles: rising rows": any(np.any(np.diff(row) < 0.0) for row in rows),
             "standardisation: a number a joint": scale is not None and len(scale.mean) != self.dim,

@@ -61,7 +61,7 @@ class ScoredPath:
         return AlternativePath(self.path, self.whole, self.of_pieces(self.confidence, np.minimum))
 
     def least(self) -> LeastConfidence:
-        """Its least sure state."""
+        """Its state of lowest confidence."""
         at = int(np.argmin(self.confidence))
         unseen = None if self.unseen is None else float(self.unseen[at])
         return LeastConfidence(
@@ -84,37 +84,39 @@ def costs_of(confidence: NDArray[np.float32]) -> NDArray[np.float64]:
     return np.asarray(-np.log(np.clip(confidence, _LEAST, 1.0)), dtype=np.float64)
 
 
-def confidence_of_cost(cost: NDArray[np.float64], plan_calibration: tuple[float, float]) -> NDArray[np.float64]:
+def confidence_of_cost(
+    cost: NDArray[np.float64], plan_calibration: tuple[float, float]
+) -> NDArray[np.float64]:
     """How likely paths of a cost (n,) are free, (n,); 1 without cost."""
     offset, slope = plan_calibration
     with np.errstate(divide="ignore"):
         return np.asarray(np.exp(-np.exp(np.minimum(offset + slope * np.log(cost), _MOST))))
 
 
-def calibration_error(sure: NDArray[np.float64], free: Sequence[bool] | NDArray[np.bool_]) -> float:
+def calibration_error(confidence: NDArray[np.float64], free: Sequence[bool] | NDArray[np.bool_]) -> float:
     """Mean distance of confidence (n,) and truth (n,) over ten bins of the confidence."""
-    place = np.minimum((np.asarray(sure) * _BINS).astype(int), _BINS - 1)
-    return float(np.abs(np.bincount(place, sure - np.asarray(free), _BINS)).sum() / len(sure))
+    place = np.minimum((np.asarray(confidence) * _BINS).astype(int), _BINS - 1)
+    return float(np.abs(np.bincount(place, confidence - np.asarray(free), _BINS)).sum() / len(confidence))
 
 
 def score(
-    ways: Sequence[NDArray[np.float64]],
+    paths: Sequence[NDArray[np.float64]],
     space: JointSpace,
     step_rad: float,
     predict: Predict,
     plan_calibration: tuple[float, float] = (0.0, 1.0),
 ) -> list[ScoredPath]:
     """What is predicted for paths, in one call; states are at most ``step_rad`` apart."""
-    if not ways:
+    if not paths:
         return []
-    rows, pieces = zip(*(_states(path, space, step_rad) for path in ways), strict=True)
+    rows, pieces = zip(*(_states(path, space, step_rad) for path in paths), strict=True)
     confidence, unseen = predict(space.to_float32(np.concatenate(rows)))
     ends = np.cumsum([len(one) for one in rows])[:-1]
-    sure = np.split(confidence, ends)
-    hidden = [None] * len(ways) if unseen is None else np.split(unseen, ends)
+    confidences = np.split(confidence, ends)
+    hidden = [None] * len(paths) if unseen is None else np.split(unseen, ends)
     return [
         ScoredPath(path, states, numbers, one, other, length_rad(path, space), plan_calibration)
-        for path, states, numbers, one, other in zip(ways, rows, pieces, sure, hidden, strict=True)
+        for path, states, numbers, one, other in zip(paths, rows, pieces, confidences, hidden, strict=True)
     ]
 
 

@@ -15,9 +15,9 @@ _SHORTEST = 0.02
 _TOGETHER = 16
 
 
-def spaced(way: ArrayLike, space: JointSpace, step_rad: float) -> NDArray[np.float64]:
-    """The same way in steps of at most ``step_rad``, equal within each of its pieces; corners are kept."""
-    rows = np.asarray(way, dtype=np.float64)
+def spaced(path: ArrayLike, space: JointSpace, step_rad: float) -> NDArray[np.float64]:
+    """The same path in steps of at most ``step_rad``, equal within each of its pieces; corners are kept."""
+    rows = np.asarray(path, dtype=np.float64)
     pieces = [rows[:1]]
     for begin, end in pairwise(rows):
         step = space.difference(begin, end)
@@ -27,9 +27,9 @@ def spaced(way: ArrayLike, space: JointSpace, step_rad: float) -> NDArray[np.flo
     return np.concatenate(pieces)
 
 
-def length_rad(way: ArrayLike, space: JointSpace) -> float:
+def length_rad(path: ArrayLike, space: JointSpace) -> float:
     """Euclidean length of a path (k, d) rad."""
-    rows = np.asarray(way, dtype=np.float64)
+    rows = np.asarray(path, dtype=np.float64)
     return float(space.distance(rows[:-1], rows[1:]).sum())
 
 
@@ -62,7 +62,7 @@ def points_along(
 
 def shortcut(
     checker: Checker,
-    way: NDArray[np.float64],
+    path: NDArray[np.float64],
     rng: np.random.Generator,
     shortcuts: int,
     resolution_rad: float,
@@ -75,24 +75,24 @@ def shortcut(
     space = checker.space
     for _ in range(0, shortcuts, _TOGETHER):
         # Pieces of no length are no pieces.
-        steps = space.difference(way[:-1], way[1:])
+        steps = space.difference(path[:-1], path[1:])
         sizes = np.linalg.norm(steps, axis=1)
-        if len(way) < 3 or not sizes.sum() > 0.0:
-            return way
+        if len(path) < 3 or not sizes.sum() > 0.0:
+            return path
         gone = np.concatenate([[0.0], np.cumsum(sizes)])
         span = _SHORTEST ** rng.random(_TOGETHER)
         first = rng.random(_TOGETHER) * (1.0 - span)
         cuts = np.stack([first, first + span]) * gone[-1]
         at = np.clip(np.searchsorted(gone, cuts, side="right") - 1, 0, len(sizes) - 1)
         shares = (cuts - gone[at]) / np.maximum(sizes[at], 1e-12)
-        points = space.wrap(way[at] + np.minimum(shares, 1.0)[..., None] * steps[at])
+        points = space.wrap(path[at] + np.minimum(shares, 1.0)[..., None] * steps[at])
         gains = cuts[1] - cuts[0] - space.distance(points[0], points[1])
         free = checker.edge_batch(points[0], points[1], resolution_rad)
         best = int(np.argmax(np.where(free, gains, 0.0)))
         if free[best] and gains[best] > 1e-4:
             i, j = at[0, best], at[1, best]
-            way = np.concatenate([way[: i + 1], points[:, best], way[j + 1 :]])
-    return way
+            path = np.concatenate([path[: i + 1], points[:, best], path[j + 1 :]])
+    return path
 
 
 # Standard deviations of the noise, each joint, from turn to turn; and how far apart draws are along a path.
@@ -103,19 +103,19 @@ STEP_RAD = 0.3
 class AlongPaths:
     """A stream of configurations about paths.
 
-    A turn goes along one way after the other, each from its start to its goal; each next turn adds more
+    A turn goes along one path after the other, each from its start to its goal; each next turn adds more
     noise, and all that follow the last of :data:`NOISE_RAD` as much as it does.
 
     Args:
-        ways: (k, d) rad each, at least one.
+        paths: (k, d) rad each, at least one.
         space: the robot's joint space; no configuration leaves it.
         rng: of the noise.
     """
 
     def __init__(
-        self, ways: Sequence[NDArray[np.float64]], space: JointSpace, rng: np.random.Generator
+        self, paths: Sequence[NDArray[np.float64]], space: JointSpace, rng: np.random.Generator
     ) -> None:
-        lines = [spaced(way, space, STEP_RAD) for way in ways]
+        lines = [spaced(path, space, STEP_RAD) for path in paths]
         self._line, self._space, self._rng = np.concatenate(lines), space, rng
         self._number = np.repeat(np.arange(len(lines)), [len(line) for line in lines])
         self._turn, self._at = 0, 0

@@ -23,7 +23,7 @@ _NEIGHBOURS, _REACH_RAD = 12, 1.0
 _SPARE = 1.4
 # Paths that may turn out to be blocked or costlier than they seemed, in each round.
 _TRIES = 12
-# More cost at an edge's middle than its ends have, times its length, for which another way is looked for.
+# More cost at an edge's middle than its ends have, times its length, for which another path is looked for.
 _SURPRISE = 0.01
 # Times that so many shortcuts are tried in the end.
 _SHORTER, _SHORTCUTS = 2, 16
@@ -34,7 +34,7 @@ class Effort:
     """How much is done for a lower cost.
 
     Args:
-        ways: those of lowest cost, which are changed.
+        paths: those of lowest cost, which are changed.
         rounds: for each of them.
         states: drawn about it in each round.
         step_rad: between states that the model is asked about.
@@ -42,7 +42,7 @@ class Effort:
         enough: cost at which a path is left as it is.
     """
 
-    ways: int = 4
+    paths: int = 4
     rounds: int = 4
     states: int = 75
     step_rad: float = 0.15
@@ -118,10 +118,10 @@ class PathRefiner:
         count = int(_SPARE * self.effort.states)
         about = path.states[rng.integers(len(path.states), size=count)]
         spread = rng.choice(_SPREADS_RAD, size=(count, 1))
-        drawn = self._space.bound(about + spread * rng.normal(size=about.shape))
-        drawn = drawn[self._checker.valid_batch(drawn)][: self.effort.states]
-        nodes = np.concatenate([path.states, drawn])
-        costs = np.concatenate([path.costs, self._costs(drawn)])
+        sampled = self._space.bound(about + spread * rng.normal(size=about.shape))
+        sampled = sampled[self._checker.valid_batch(sampled)][: self.effort.states]
+        nodes = np.concatenate([path.states, sampled])
+        costs = np.concatenate([path.costs, self._costs(sampled)])
         lengths = self._space.distance(nodes[:, None], nodes[None])
         joined = _neighbours(lengths) & (lengths <= _REACH_RAD)
         own = len(path.states)
@@ -133,16 +133,16 @@ class PathRefiner:
     def _through(self, graph: _Graph) -> NDArray[np.float64] | None:
         """The path of lowest cost that is free and as it seemed, (k, d) rad; None without one."""
         cheapest_route = route_search()
-        known, asked = (np.zeros(graph.costs.shape, dtype=np.bool_) for _ in range(2))
+        known, predicted = (np.zeros(graph.costs.shape, dtype=np.bool_) for _ in range(2))
         ahead = np.arange(graph.own - 1)
         known[ahead, ahead + 1] = known[ahead + 1, ahead] = True
-        asked |= known | (graph.lengths <= self.effort.step_rad)
+        predicted |= known | (graph.lengths <= self.effort.step_rad)
         for _ in range(_TRIES):
             route = cheapest_route(graph.costs, 0, graph.own - 1)
             if route is None:
                 return None
             first, second = route[:-1], route[1:]
-            if self._blocked(graph, first, second, known) or self._surprised(graph, first, second, asked):
+            if self._blocked(graph, first, second, known) or self._surprised(graph, first, second, predicted):
                 continue
             return graph.nodes[route]
         return None
@@ -169,10 +169,10 @@ class PathRefiner:
         graph: _Graph,
         first: NDArray[np.int64],
         second: NDArray[np.int64],
-        asked: NDArray[np.bool_],
+        predicted: NDArray[np.bool_],
     ) -> bool:
         """Ask about the middles of edges; whether one is so much costlier than its ends."""
-        new = ~asked[first, second]
+        new = ~predicted[first, second]
         i, j = first[new], second[new]
         if not len(i):
             return False
@@ -181,7 +181,7 @@ class PathRefiner:
         more = graph.lengths[i, j] * np.maximum(
             0.0, middles - 0.5 * (graph.node_costs[i] + graph.node_costs[j])
         )
-        asked[i, j] = asked[j, i] = True
+        predicted[i, j] = predicted[j, i] = True
         graph.costs[i, j] += more
         graph.costs[j, i] = graph.costs[i, j]
         return bool(more.max() > _SURPRISE)
@@ -205,9 +205,9 @@ def route_search() -> Callable[[NDArray[np.float64], int, int], NDArray[np.int64
 
 def _neighbours(lengths: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Which of (n, n) are among the least of their row, the diagonal not among them."""
-    apart = lengths + np.diag(np.full(len(lengths), np.inf))
+    distances = lengths + np.diag(np.full(len(lengths), np.inf))
     count = min(_NEIGHBOURS, len(lengths) - 1)
-    nearest = np.argpartition(apart, count - 1, axis=1)[:, :count]
+    nearest = np.argpartition(distances, count - 1, axis=1)[:, :count]
     found = np.zeros(lengths.shape, dtype=np.bool_)
     np.put_along_axis(found, nearest, values=True, axis=1)
     return found

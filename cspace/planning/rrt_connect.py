@@ -24,7 +24,7 @@ def connect_trees(
     resolution_rad: float,
     check_cancelled: CheckCancelled | None = None,
 ) -> NDArray[np.float64] | None:
-    """The way that RRT-Connect finds between two free configurations, (k, d) rad; None without one.
+    """The path that RRT-Connect finds between two free configurations, (k, d) rad; None without one.
 
     Args:
         checker: of the scene.
@@ -185,18 +185,18 @@ def grow_rrt(
         growth: how.
     """
     space, test = checker.space, checker.edge_test(growth.resolution_rad)
-    ends, drawn = space.wrap(np.stack([start, goal])), space.wrap(states)
-    nodes, parents = np.empty((len(drawn) + 1, space.dim)), np.full(len(drawn) + 1, -1, dtype=np.int64)
+    ends, sampled = space.wrap(np.stack([start, goal])), space.wrap(states)
+    nodes, parents = np.empty((len(sampled) + 1, space.dim)), np.full(len(sampled) + 1, -1, dtype=np.int64)
     nodes[0], count, looked_at, reached = ends[0], 1, 0, False
     # The first call loads the compiled check.
     test(ends[0], ends[0])
     began, until_s = time.perf_counter(), time.thread_time() + growth.time_limit_s
     iterations, timed_out = 0, False
-    while iterations < len(drawn) and not reached:
+    while iterations < len(sampled) and not reached:
         timed_out = time.thread_time() >= until_s
         if timed_out:
             break
-        target = ends[1] if towards_goal[iterations] else drawn[iterations]
+        target = ends[1] if towards_goal[iterations] else sampled[iterations]
         steps = space.difference(nodes[:count], target)
         gaps = np.abs(steps).sum(axis=1)
         nearest = int(np.argmin(gaps))
@@ -215,7 +215,7 @@ def grow_rrt(
     return Grown(path, *tree, iterations, iterations, looked_at, time_s, timed_out)
 
 
-def drawn_states(
+def sampled_states(
     space: JointSpace,
     samples: NDArray[np.float64] | None,
     uniform_share: float,

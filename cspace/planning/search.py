@@ -21,12 +21,12 @@ class FoundPaths:
     """What a search for paths came to.
 
     Args:
-        ways: (k, d) rad each.
+        paths: (k, d) rad each.
         late: whether the time was over before there were as many as were wanted.
         checker: by which they are free; None without paths.
     """
 
-    ways: list[NDArray[np.float64]]
+    paths: list[NDArray[np.float64]]
     late: bool
     checker: Checker | None
 
@@ -85,7 +85,7 @@ def find_paths(
         limits: effort for each path.
         check_cancelled: called now and then; may raise to stop, which passes through.
     """
-    check_cancelled = paused(until_s, check_cancelled)
+    check_cancelled = with_deadline(until_s, check_cancelled)
     found: list[NDArray[np.float64]] = []
     ends = np.stack([start, goal])
     possible = [level for level, checker in enumerate(checkers) if checker.valid_batch(ends).all()]
@@ -109,7 +109,7 @@ def find_paths(
     return FoundPaths(found, late=False, checker=checker)
 
 
-def paused(until_s: float, check_cancelled: CheckCancelled | None) -> Callable[[], None]:
+def with_deadline(until_s: float, check_cancelled: CheckCancelled | None) -> Callable[[], None]:
     """``check_cancelled`` that also raises :class:`OutOfTimeError` from a ``time.thread_time`` on."""
 
     def check() -> None:

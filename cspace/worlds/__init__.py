@@ -205,8 +205,8 @@ def robot_digest(world: World) -> str:
 
 @lru_cache(maxsize=64)
 def _digest(kind: str, body: Body) -> str:
-    told = {"kind": kind, "robot": body.to_dict()}
-    return sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
+    content = {"kind": kind, "robot": body.to_dict()}
+    return sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def checker_of(scene: Scene) -> Checker:

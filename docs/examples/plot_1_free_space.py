@@ -7,7 +7,7 @@ alone, and draws configurations of that region.
 """
 
 # %%
-# A problem of the family *narrow*: a narrow passage lies on every way from start to goal.
+# A problem of the family *narrow*: a narrow passage lies on every path from start to goal.
 
 from cspace.bundle import Bundle
 from cspace.simulator import Split

@@ -38,10 +38,10 @@ print(
 
 figure, (map_, wrong) = plt.subplots(1, 2, figsize=(10, 4.4), layout="constrained")
 extent = (-np.pi, np.pi, -np.pi, np.pi)
-drawn = map_.imshow(confidence.reshape(side, side), extent=extent, origin="lower", cmap="viridis")
+image = map_.imshow(confidence.reshape(side, side), extent=extent, origin="lower", cmap="viridis")
 map_.contour(angles, angles, free.reshape(side, side), levels=[0.5], colors="white", linewidths=1)
 map_.set(title="P(free); the true border in white", xlabel="joint 1 (rad)", ylabel="joint 2 (rad)")
-figure.colorbar(drawn, ax=map_)
+figure.colorbar(image, ax=map_)
 wrong.imshow(~right.reshape(side, side), extent=extent, origin="lower", cmap="Reds")
 wrong.contour(angles, angles, free.reshape(side, side), levels=[0.5], colors="grey", linewidths=1)
 wrong.set(title="where the head is wrong at even odds", xlabel="joint 1 (rad)", ylabel="joint 2 (rad)")

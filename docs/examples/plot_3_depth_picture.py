@@ -3,7 +3,7 @@ A depth picture, and what is predicted of the rest
 ==================================================
 
 An arm of seven joints before a shelf, seen by depth cameras. What no picture shows is hidden space: the model
-has learned what such scenes are like, and is less sure there.
+has learned what such scenes are like, and is less confident there.
 """
 
 # %%
@@ -39,9 +39,9 @@ print(
 )
 
 figure, (taken, predicted) = plt.subplots(1, 2, figsize=(10, 4.2), layout="constrained")
-drawn = taken.imshow(np.where(depth_mm > 0, depth_mm * 1e-3, np.nan), cmap="viridis")
+image = taken.imshow(np.where(depth_mm > 0, depth_mm * 1e-3, np.nan), cmap="viridis")
 taken.set(title="a depth picture; white has no reading", xlabel="column (pixels)", ylabel="row (pixels)")
-figure.colorbar(drawn, ax=taken, label="depth (m)")
+figure.colorbar(image, ax=taken, label="depth (m)")
 for chosen, colour, marker, label in (
     (free, "tab:blue", "o", "free"),
     (~free, "tab:red", "x", "in collision"),

@@ -38,7 +38,7 @@ batch = LocalSampler(folder).sample(encode_png(render(problem.scenario)), 300, s
 
 settings = PlannerSettings(seed=1)
 results = {"uniform samples": (solve(problem, settings), None)}
-results["samples along the way"] = (solve(problem, settings, batch.samples), batch.samples)
+results["samples along the path"] = (solve(problem, settings, batch.samples), batch.samples)
 
 figure, panels = plt.subplots(1, 2, figsize=(11, 5), layout="constrained")
 for axes, (name, (result, samples)) in zip(panels, results.items(), strict=True):

@@ -92,12 +92,12 @@ def parser_of(command: Command) -> ArgumentParser:
 
 def _parts(command: Command) -> Iterator[str]:
     parser = parser_of(command)
-    yield from _told(f"## `{command.line}`", parser)
+    yield from _section(f"## `{command.line}`", parser)
     for names, sub in _below(parser):
-        yield from _told(f"### `{command.line} {' '.join(names)}`", sub)
+        yield from _section(f"### `{command.line} {' '.join(names)}`", sub)
 
 
-def _told(heading: str, parser: ArgumentParser) -> Sequence[str]:
+def _section(heading: str, parser: ArgumentParser) -> Sequence[str]:
     with patch.dict("os.environ", {"COLUMNS": "100"}):
         return heading, "", "```text", parser.format_help().rstrip(), "```", ""
 

@@ -53,10 +53,10 @@ def rows(
         below = _section(field)
         default = getattr(given, name) if given is not None else _default(field)
         if below is None:
-            yield code(key), code(_told(default)), _meaning(field)
+            yield code(key), code(_default_text(default)), _meaning(field)
         else:
             if default is None:
-                yield code(key), code(_told(None)), _meaning(field)
+                yield code(key), code(_default_text(None)), _meaning(field)
             yield from rows(below, f"{key}.", default if isinstance(default, below) else None)
 
 
@@ -69,7 +69,7 @@ def _default(field: FieldInfo) -> Any:
     return None if field.is_required() else field.get_default(call_default_factory=True)
 
 
-def _told(value: Any) -> str:
+def _default_text(value: Any) -> str:
     """A default as it would be typed; a value of a type of its own by its fields."""
     if is_dataclass(value) and not isinstance(value, type):
         value = asdict(value)
@@ -86,8 +86,8 @@ def _meaning(field: FieldInfo) -> str:
         if hasattr(bound, name)
     ]
     choices = [code(str(choice)) for choice in _choices(field.annotation)]
-    told = [field.description, " or ".join(choices), ", ".join(bounds)]
-    return "; ".join(part for part in told if part)
+    parts = [field.description, " or ".join(choices), ", ".join(bounds)]
+    return "; ".join(part for part in parts if part)
 
 
 def _choices(annotation: Any) -> tuple[Any, ...]:

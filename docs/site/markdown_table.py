@@ -21,5 +21,5 @@ def code(text: str) -> str:
 
 
 def _line(cells: Sequence[str]) -> str:
-    told = (" ".join(cell.split()).replace("|", "\\|") for cell in cells)
-    return f"| {' | '.join(told)} |"
+    escaped = (" ".join(cell.split()).replace("|", "\\|") for cell in cells)
+    return f"| {' | '.join(escaped)} |"

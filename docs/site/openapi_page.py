@@ -13,7 +13,7 @@ from inference_api.settings import ApiSettings
 INTRODUCTION = """\
 # Operations of the API
 
-Made of the document that `GET /openapi.json` gives. What the contract promises, with examples, stands in
+Made of the document that `GET /openapi.json` gives. What the contract guarantees, with examples, stands in
 [the inference API](../api.md); a running server has the same as an interactive page at `/docs`.
 """
 METHODS = ("get", "post", "put", "patch", "delete")
@@ -34,9 +34,9 @@ def markdown() -> str:
     return "\n".join(lines)
 
 
-def _operation(name: str, told: Mapping[str, Any]) -> Iterator[str]:
-    yield from (f"## `{name}`", "", f"{told.get('summary', '')}. {told.get('description', '')}", "")
-    parameters = told.get("parameters", ())
+def _operation(name: str, operation: Mapping[str, Any]) -> Iterator[str]:
+    yield from (f"## `{name}`", "", f"{operation.get('summary', '')}. {operation.get('description', '')}", "")
+    parameters = operation.get("parameters", ())
     if parameters:
         yield from table(
             ("parameter", "where", "type", "meaning"),
@@ -46,13 +46,13 @@ def _operation(name: str, told: Mapping[str, Any]) -> Iterator[str]:
             ),
         )
         yield ""
-    body = told.get("requestBody", {}).get("content", {})
+    body = operation.get("requestBody", {}).get("content", {})
     if body:
         yield from (f"Body: {', '.join(map(code, body))}.", "")
         # All forms of a body have the same fields.
         yield from _properties(next(iter(body.values())).get("schema", {}))
         yield ""
-    yield from table(("status", "answer", "as"), _answers(told["responses"]))
+    yield from table(("status", "answer", "as"), _answers(operation["responses"]))
     yield ""
 
 
@@ -64,8 +64,12 @@ def _answers(responses: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
             refused.append(status)
             continue
         schema: Mapping[str, Any] = next((one.get("schema", {}) for one in content.values()), {})
-        told = answer.get("description", "")
-        yield status, " ".join(part for part in (told, _type(schema)) if part), ", ".join(map(code, content))
+        description = answer.get("description", "")
+        yield (
+            status,
+            " ".join(part for part in (description, _type(schema)) if part),
+            ", ".join(map(code, content)),
+        )
     if refused:
         yield (
             ", ".join(refused),

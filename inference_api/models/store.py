@@ -301,7 +301,7 @@ class ModelStore:
             ModelNotFoundError: there is no such version.
             RegistryError: the registry does not answer and nothing is known.
         """
-        asked_s = self._clock()
+        requested_s = self._clock()
         recalled = self._recall(reference)
         if recalled is not None:
             return recalled
@@ -321,7 +321,7 @@ class ModelStore:
                 raise
             return stored[-1] if known is None else known.version
         with self._lock:
-            self._known[reference] = _Known(found, self._clock() + self._lookup_s, asked_s)
+            self._known[reference] = _Known(found, self._clock() + self._lookup_s, requested_s)
         return found
 
     def _follow_known(self) -> list[tuple[_Known, ModelVersion, "Future[Bundle]"]]:

@@ -29,25 +29,25 @@ router = APIRouter()
 
 @router.post(
     "/doctor",
-    summary="Tell what is wrong with depth pictures, cameras and state",
+    summary="Find what is wrong with depth pictures, cameras and state",
     openapi_extra=both_bodies(DoctorRequest),
     responses=answer_responses(DoctorAnswer),
 )
 async def doctor(request: Request, service: Serving) -> Response:
     """Warnings of other answers, and tests that take longer: the arm rendered at `state` against the picture.
 
-    Views that others refuse for seeing nothing in reach are answered. Of a plane only the novelty is judged.
+    Views that others refuse for seeing nothing in reach are answered. Of a plane only the novelty is given.
     """
     work = partial(_answer, service.store, began=time.perf_counter())
     return await service.answer(request, DoctorRequest, work)
 
 
 def _answer(
-    store: ModelStore, asked: DoctorRequest, served: ServedModel, job: Job, *, began: float
+    store: ModelStore, request: DoctorRequest, served: ServedModel, job: Job, *, began: float
 ) -> Response:
-    bundle, image = served.bundle, asked.picture()
+    bundle, image = served.bundle, request.picture()
     world = bundle.spec.world
-    require_robot(asked.robot, bundle.spec)
+    require_robot(request.robot, bundle.spec)
     # Fits last long, and are paid for as they compute.
     job.spend(rows_of(pixels=world.pixels_of(image), searches=True))
     found = world.diagnosis(image, job.check_cancelled)

@@ -58,7 +58,7 @@ async def live() -> Live:
 
 @router.get(
     "/health/ready",
-    summary="Whether samples can be asked for",
+    summary="Whether the server can answer",
     responses=problem_responses(NO_MODEL, STARTING),
 )
 async def ready(service: Serving) -> Ready:
@@ -80,7 +80,7 @@ def default_model(service: Service) -> ServedModel:
     served = store.resolve_now(ModelReference(store.model_name))
     if served is None or service.scheduler.is_stuck:
         raise ModelNotReadyError(
-            "samples cannot be asked for",
+            "the server cannot answer yet",
             expected=f"a model, and requests that are computed within {STUCK_S:g} s",
             got="no model" if served is None else "requests that do not end",
             remedy="ask again in some seconds; if that does not help, start the server again",

@@ -108,7 +108,7 @@ async def live() -> ServerLive:
     return ServerLive()
 
 
-@router.get("/health/ready", summary="Whether samples can be asked for", responses=_errors(503))
+@router.get("/health/ready", summary="Whether the server can answer", responses=_errors(503))
 async def ready(service: Serving) -> ServerReady:
     """503 while no model answers by default."""
     default_model(service)
@@ -129,7 +129,7 @@ async def version_metadata(request: Request, service: Serving, model: str, versi
     return await service.lookups.run(describe, client_of(request.scope))
 
 
-@router.get("/models/{model}/ready", summary="Whether a model can be asked", responses=_MODEL_ERRORS)
+@router.get("/models/{model}/ready", summary="Whether a model can answer", responses=_MODEL_ERRORS)
 async def model_ready(request: Request, service: Serving, model: str) -> ModelReady:
     """Loads the model if it is not in memory."""
     await service.lookups.run(partial(service.store.resolve, _reference(model)), client_of(request.scope))
@@ -138,7 +138,7 @@ async def model_ready(request: Request, service: Serving, model: str) -> ModelRe
 
 @router.get(
     "/models/{model}/versions/{version}/ready",
-    summary="Whether a version can be asked",
+    summary="Whether a version can answer",
     responses=_MODEL_ERRORS,
 )
 async def version_ready(request: Request, service: Serving, model: str, version: str) -> ModelReady:
@@ -337,12 +337,12 @@ def _score(
     read = _read_pictures(spec.world, pictures, job)
     if len(read.images) != 1:
         raise InputError(
-            "configurations are asked about in one picture",
+            "configurations are scored in one picture",
             expected="one picture",
             got=f"{len(read.images)}",
             remedy="send a request for each picture",
         )
-    job.spend(rows_of(drawn=len(configurations)))
+    job.spend(rows_of(rows=len(configurations)))
     picture = store.pictures.of_pixels(bundle, read.images[0]).picture
     confidence, unseen = bundle.predict(picture, configurations, job.check_cancelled)
     name = f"{served.name}/{served.version}"
@@ -368,7 +368,7 @@ def _describe(store: ModelStore, name: str, reference: ModelReference) -> ModelM
     outputs = [
         ("samples", "FP32", [-1, spec.dim], True),
         ("confidence", "FP32", [-1], scores),
-        ("unseen", "FP32", [-1], bundle.tells_unseen),
+        ("unseen", "FP32", [-1], bundle.reports_unseen),
         ("ways", "INT64", [-1], spec.model_kind == WAYS),
         ("shortfall", "INT32", [-1], True),
         ("novelty", "FP32", [-1], spec.novelty_quantiles is not None),

@@ -11,7 +11,7 @@ from fastapi.responses import Response
 from cspace.bundle import BundleSpec
 from cspace.bundle.samples import fitted_end, fitted_plan, require_robot
 from cspace.errors import InputError
-from cspace.query import Plan, PlanQuery, drawn_seed
+from cspace.query import Plan, PlanQuery, random_seed
 from cspace.world import ARM_IN_PICTURE, LITTLE_IN_REACH, Finding
 from inference_api.models.pictures import Prepared
 from inference_api.models.served import ServedModel
@@ -42,12 +42,12 @@ router = APIRouter()
 
 @router.post(
     "/plan",
-    summary="Plan a path through a picture's scenario, or tell why there is none",
+    summary="Plan a path through a picture's scenario, or explain why there is none",
     openapi_extra=both_bodies(PlanRequest),
     responses=answer_responses(PlanAnswer) | problem_responses(*SAMPLE_PROBLEMS, NO_PLANNER, STARTING),
 )
 async def plan(request: Request, service: Serving) -> Response:
-    """Of several paths through what the picture shows the one of the least cost to the model.
+    """Returns, of several paths through what the picture shows, the one with the least cost.
 
     The search treats unknown space as free; the model estimates how likely it is free.
     """
@@ -56,22 +56,22 @@ async def plan(request: Request, service: Serving) -> Response:
 
 
 def _answer(
-    store: ModelStore, asked: PlanRequest, served: ServedModel, job: Job, *, began: float
+    store: ModelStore, request: PlanRequest, served: ServedModel, job: Job, *, began: float
 ) -> Response:
     store.planner.require()
-    bundle, spec, image = served.bundle, served.bundle.spec, asked.picture()
-    given = query_of(asked)
+    bundle, spec, image = served.bundle, served.bundle.spec, request.picture()
+    given = query_of(request)
     query = fitted_plan(spec, given)
-    require_robot(asked.robot, spec)
+    require_robot(request.robot, spec)
     if not bundle.has_validity:
         raise InputError("the model has no validity head", remedy="name a model that has one")
     for name, end in (("start", given.start), ("goal", given.goal)):
         fitted_end(spec, name, end)
     with job.searching() as check_cancelled:
         prepared = prepared_picture(store, bundle, image, job)
-        warnings = _warnings(spec, prepared, asked.start)
+        warnings = _warnings(spec, prepared, request.start)
         if given.min_confidence is None and any(one.code == LITTLE_IN_REACH for one in warnings):
-            # By what other scenes were like no path is sure enough, unless somebody asks for less.
+            # The calibration of other scenes does not hold here, so that paths are refused by default.
             query = replace(query, min_confidence=1.0)
         found = bundle.plan(prepared.picture, query, check_cancelled)
     name = f"{served.name}/{served.version}"
@@ -98,7 +98,7 @@ def _answer(
             Alternative(path=one.path.tolist(), confidence=one.confidence, edges=one.edges.tolist())
             for one in found.alternatives
         ]
-        if asked.alternatives
+        if request.alternatives
         else None,
         next_view=None if view is None else NextViewInfo(camera=dict(view.camera), sees=view.sees),
         seed=str(query.seed),
@@ -117,19 +117,19 @@ def _answer(
     return Response(body.model_dump_json(), media_type="application/json")
 
 
-def query_of(asked: PlanRequest) -> PlanQuery:
-    """What the planner is asked."""
+def query_of(request: PlanRequest) -> PlanQuery:
+    """The planner's query of a request."""
     return PlanQuery(
-        asked.start,
-        asked.goal,
-        drawn_seed(asked.seed),
-        asked.min_confidence,
-        asked.time_limit_s,
-        asked.ways,
-        asked.next_view or bool(asked.view),
-        asked.view,
-        asked.alternatives,
-        asked.camera,
+        request.start,
+        request.goal,
+        random_seed(request.seed),
+        request.min_confidence,
+        request.time_limit_s,
+        request.ways,
+        request.next_view or bool(request.view),
+        request.view,
+        request.alternatives,
+        request.camera,
     )
 
 
@@ -143,8 +143,8 @@ def _warnings(spec: BundleSpec, prepared: Prepared, start: tuple[float, ...]) ->
 def _reason(found: Plan, query: PlanQuery, warnings: Sequence[Finding]) -> str | None:
     if found.status == "solved":
         return None
-    told = "".join(f"; {one.message}" for one in warnings if one.code in _WHY)
-    return f"{_why(found, query)}{told}"
+    notes = "".join(f"; {one.message}" for one in warnings if one.code in _WHY)
+    return f"{_why(found, query)}{notes}"
 
 
 def _why(found: Plan, query: PlanQuery) -> str:
@@ -156,6 +156,6 @@ def _why(found: Plan, query: PlanQuery) -> str:
     unseen = "" if least.unseen is None else f", where {least.unseen:.0%} of the robot is in unknown space"
     return (
         f"the best of {found.found} paths has a confidence of {found.confidence:.3f}, below the requested "
-        f"{query.min_confidence:g}; its lowest confidence is {least.confidence:.3f} at {least.along:.0%} of its "
-        f"length{unseen}"
+        f"{query.min_confidence:g}; its lowest confidence is {least.confidence:.3f} at {least.along:.0%} of "
+        f"its length{unseen}"
     )

@@ -92,7 +92,7 @@ MAX_WARNINGS = 2048
 _SAMPLE_HEADERS = {
     "X-Seed": "The seed that was used, in decimal.",
     "X-Shortfall": "n minus what was returned.",
-    "X-Acceptance": "Share of what was drawn that reached the confidence asked for.",
+    "X-Acceptance": "Share of the generated samples that reached the requested confidence.",
     "Server-Timing": "decode, encode, generate and total, in ms.",
 }
 _MODEL_HEADERS = {
@@ -102,7 +102,7 @@ _MODEL_HEADERS = {
     "X-Robot": "`robot` of the model.",
     "X-Alias-Confirmed": "`alias_confirmed` of the model, `true` or `false`.",
     "X-Joint-Space": "`joint_space` of the JSON answer, as JSON.",
-    "X-Novelty": "How unlike the training scenarios the picture is, 0 to 1, where the model tells.",
+    "X-Novelty": "How unlike the training scenarios the picture is, 0 to 1, where the model estimates it.",
     "X-Warnings": "`warnings` of the JSON answer, as JSON; of many the last ones have an empty message.",
 }
 
@@ -159,15 +159,15 @@ async def sample(request: Request, service: Serving) -> Response:
 
 
 def _answer(
-    store: ModelStore, asked: SampleRequest, served: ServedModel, job: Job, *, npy: bool, began: float
+    store: ModelStore, request: SampleRequest, served: ServedModel, job: Job, *, npy: bool, began: float
 ) -> Response:
     bundle, spec = served.bundle, served.bundle.spec
-    query = fitted(asked.query(), spec, has_validity=bundle.has_validity)
+    query = fitted(request.query(), spec, has_validity=bundle.has_validity)
     with job.sampling(spec, query) as check_cancelled:
-        prepared = prepared_picture(store, bundle, asked.picture(), job)
+        prepared = prepared_picture(store, bundle, request.picture(), job)
         # A ``.npy`` holds samples alone: nobody would see the scores of those that are not filtered.
         found = bundle.answer(
-            prepared.picture, query, tell_confidence=not npy, check_cancelled=check_cancelled
+            prepared.picture, query, report_confidence=not npy, check_cancelled=check_cancelled
         )
     # Without a confidence to reach all are taken.
     warnings = warnings_of(prepared.findings_with(spec.world, colliding=1.0 - found.acceptance))
@@ -273,9 +273,9 @@ def model_headers(
 
 def _warnings_text(warnings: Sequence[PictureWarning]) -> str:
     """ASCII JSON of at most :data:`MAX_WARNINGS` characters: the last ones lose their words."""
-    told = [one.model_dump() for one in warnings]
-    for one in reversed(told):
-        if len(json.dumps(told)) <= MAX_WARNINGS:
+    rows = [one.model_dump() for one in warnings]
+    for one in reversed(rows):
+        if len(json.dumps(rows)) <= MAX_WARNINGS:
             break
         one["message"] = ""
-    return json.dumps(told, separators=(",", ":"))
+    return json.dumps(rows, separators=(",", ":"))

@@ -38,7 +38,7 @@ router = APIRouter()
 
 @router.post(
     "/validity",
-    summary="Tell which configurations are free in a picture's scenario",
+    summary="Predict which configurations are free in a picture's scenario",
     openapi_extra=both_bodies(ValidityRequest),
     responses=npy_responses(
         ValidityAnswer,
@@ -60,13 +60,13 @@ async def validity(request: Request, service: Serving) -> Response:
 
 
 def _answer(
-    store: ModelStore, asked: ValidityRequest, served: ServedModel, job: Job, *, npy: bool, began: float
+    store: ModelStore, request: ValidityRequest, served: ServedModel, job: Job, *, npy: bool, began: float
 ) -> Response:
     bundle, spec = served.bundle, served.bundle.spec
-    image, given = asked.picture(), _array_of(asked.configurations)
-    require_robot(asked.robot, spec)
+    image, given = request.picture(), _array_of(request.configurations)
+    require_robot(request.robot, spec)
     configurations = fitted_configurations(given, spec)
-    job.spend(rows_of(drawn=len(configurations)))
+    job.spend(rows_of(rows=len(configurations)))
     prepared = prepared_picture(store, bundle, image, job)
     scoring = time.perf_counter()
     confidence, unseen = bundle.predict(prepared.picture, configurations, job.check_cancelled)

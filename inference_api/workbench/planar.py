@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from cspace.errors import InputError, ScenarioError
 from cspace.planning.paths import NOISE_RAD, AlongPaths, length_rad
-from cspace.planning.rrt_connect import GOAL_BIAS, Grown, Growth, drawn_states, grow_connect, grow_rrt
+from cspace.planning.rrt_connect import GOAL_BIAS, Grown, Growth, grow_connect, grow_rrt, sampled_states
 from cspace.simulator import Checker, Simulator, Split
 from cspace.world import World
 from cspace.worlds import read_world, simulator_of
@@ -28,13 +28,13 @@ from inference_api.scheduler import rows_of as rows_cost
 from inference_api.workbench.schemas import (
     MAX_SHOWN,
     FileRequest,
+    PathCheck,
     SceneAnswer,
     SceneRequest,
     SearchAnswer,
     SearchRequest,
     TruthAnswer,
     TruthRequest,
-    WayTruth,
 )
 
 _PLANAR = "planar"
@@ -42,7 +42,7 @@ _PLANAR = "planar"
 _REFERENCES = 800
 # Samples at a time, so that memory stays small.
 _CHUNK = 256
-# Checks of a way for a person's eyes are finer than those of a planner.
+# Checks of a path for a person's eyes are finer than those of a planner.
 _RESOLUTION_RAD = 0.005
 # Of a path; ten times as long as any that a planner finds.
 MAX_STATES = 100_000
@@ -54,17 +54,17 @@ _UNIFORM_SHARE = 0.3
 _NAME = Path("the file")
 
 
-def scene(asked: SceneRequest, served: ServedModel, job: Job) -> Response:
+def scene(request: SceneRequest, served: ServedModel, job: Job) -> Response:
     """A scene of a family."""
     # Draws that are not of the family are drawn again.
     job.spend(rows_cost(searches=True))
     world = planar(served.bundle.spec.world)
-    with telling():
+    with request_errors():
         simulator = simulator_of(world)
         names = simulator.families.names
-        family = asked.family or names[0]
-        # Nothing of these scenes is used to train or to judge, so playing with them gives nothing away.
-        problem = simulator.problem(family, Split.DEMO, asked.seed)
+        family = request.family or names[0]
+        # Nothing of these scenes is used to train or to evaluate, so playing with them gives nothing away.
+        problem = simulator.problem(family, Split.DEMO, request.seed)
         rows = simulator.arrays_of(problem.scenario)["discs"]
     # Scenes with fewer discs than the most repeat their last one.
     discs = list(dict.fromkeys(tuple(row) for row in rows.tolist()))
@@ -74,48 +74,48 @@ def scene(asked: SceneRequest, served: ServedModel, job: Job) -> Response:
         goal=problem.goal.tolist(),
         family=family,
         families=list(names),
-        seed=asked.seed,
+        seed=request.seed,
     )
     return Response(body.model_dump_json(), media_type="application/json")
 
 
-def truth(asked: TruthRequest, served: ServedModel, job: Job) -> Response:
+def truth(request: TruthRequest, served: ServedModel, job: Job) -> Response:
     """What holds of a scene of discs: its free space, and whether samples and a path are free."""
     world = planar(served.bundle.spec.world)
-    samples, path = rows_of("configurations", asked.configurations, world), path_of(asked.path, world)
-    job.spend(rows_cost(drawn=asked.cells**2 + len(samples) + states_on(path, world)))
+    samples, path = rows_of("configurations", request.configurations, world), path_of(request.path, world)
+    job.spend(rows_cost(rows=request.cells**2 + len(samples) + states_on(path, world)))
     began = time.perf_counter()
-    with telling():
-        simulator = simulator_of(among(world, asked.discs))
+    with request_errors():
+        simulator = simulator_of(among(world, request.discs))
         checker = simulator.checker(simulator.scene(np.random.default_rng(0), Split.TEST, 0))
-        free = checker.valid_batch(_grid(world, asked)) if world.dim > 1 else np.ones(0, np.bool_)
+        free = checker.valid_batch(_grid(world, request)) if world.dim > 1 else np.ones(0, np.bool_)
         job.check_cancelled()
         good = checker.valid_batch(samples) if len(samples) else np.zeros(0, dtype=np.bool_)
         covered = _coverage(simulator, checker, samples[good]) if len(samples) else None
-        way = way_truth(checker, path) if len(path) > 1 else None
+        path_verdict = check_path(checker, path) if len(path) > 1 else None
     body = TruthAnswer(
-        cells=asked.cells,
+        cells=request.cells,
         free=base64.b64encode(np.packbits(free).tobytes()).decode(),
         sample_free=good.tolist(),
         precision=float(np.mean(good)) if len(good) else None,
         coverage=covered,
         radius_rad=simulator.measures.coverage_radius_rad,
-        way=way,
+        path_verdict=path_verdict,
         families=list(simulator.families.names),
         timing_ms={"total": 1e3 * (time.perf_counter() - began)},
     )
     return Response(body.model_dump_json(), media_type="application/json")
 
 
-def search(asked: SearchRequest, served: ServedModel, job: Job) -> Response:
+def search(request: SearchRequest, served: ServedModel, job: Job) -> Response:
     """A planner's trees among discs, and the path that they found."""
     world = planar(served.bundle.spec.world)
     ends = world.space.bound(
-        np.concatenate([rows_of("start", (asked.start,), world), rows_of("goal", (asked.goal,), world)])
+        np.concatenate([rows_of("start", (request.start,), world), rows_of("goal", (request.goal,), world)])
     )
-    samples = _given(asked, world)
-    with job.searching() as check_cancelled, telling():
-        simulator = simulator_of(among(world, asked.discs))
+    samples = _given(request, world)
+    with job.searching() as check_cancelled, request_errors():
+        simulator = simulator_of(among(world, request.discs))
         checker = simulator.checker(simulator.scene(np.random.default_rng(0), Split.TEST, 0))
         free = checker.valid_batch(ends)
         if not free.all():
@@ -123,21 +123,23 @@ def search(asked: SearchRequest, served: ServedModel, job: Job) -> Response:
             body = SearchAnswer(status="refused", reason=reason)
         else:
             measures = simulator.measures
-            growth = Growth(measures.range_rad, measures.resolution_rad, asked.time_limit_s, check_cancelled)
-            body = _searched(asked, checker, ends, samples, growth)
+            growth = Growth(
+                measures.range_rad, measures.resolution_rad, request.time_limit_s, check_cancelled
+            )
+            body = _searched(request, checker, ends, samples, growth)
     return Response(body.model_dump_json(), media_type="application/json")
 
 
-def scene_file(asked: FileRequest, _: ServedModel, job: Job) -> Response:
+def scene_file(request: FileRequest, _: ServedModel, job: Job) -> Response:
     """A scene file as the command lines read it, with all that it leaves out, in JSON."""
     job.spend(rows_cost(searches=True))
-    with telling():
-        return JSONResponse(_scene_of(asked.text))
+    with request_errors():
+        return JSONResponse(_scene_of(request.text))
 
 
 @contextmanager
-def telling(field: str | None = None) -> Iterator[None]:
-    """Errors of what is asked for in the words of requests.
+def request_errors(field: str | None = None) -> Iterator[None]:
+    """Raises scenario errors as errors of the request.
 
     Args:
         field: that they are about; None where it is no single one.
@@ -213,7 +215,7 @@ def path_of(rows: tuple[tuple[float, ...], ...], world: World) -> NDArray[np.flo
 
 
 def states_on(path: NDArray[np.float64], world: World) -> float:
-    """About how many states :func:`way_truth` looks at."""
+    """About how many states :func:`check_path` looks at."""
     steps = np.abs(world.space.difference(path[:-1], path[1:])).max(axis=1, initial=0.0)
     return float(steps.sum()) / _RESOLUTION_RAD
 
@@ -223,14 +225,14 @@ def wrong_field(field: str, expected: str, got: str) -> FieldsError:
     return FieldsError([FieldProblem(field=field, expected=expected, got=got)])
 
 
-def _grid(world: World, asked: TruthRequest) -> NDArray[np.float64]:
+def _grid(world: World, request: TruthRequest) -> NDArray[np.float64]:
     """Centres of cells over the first two joints, joint 1 the slower axis, (cells^2, d) rad."""
-    at = rows_of("at", (asked.at,), world)[0] if asked.at else np.zeros(world.dim)
+    at = rows_of("at", (request.at,), world)[0] if request.at else np.zeros(world.dim)
     low, high = (np.asarray(end[:2]) for end in (world.space.lower, world.space.upper))
-    steps = (np.arange(asked.cells) + 0.5) / asked.cells
+    steps = (np.arange(request.cells) + 0.5) / request.cells
     first, second = (low[joint] + steps * (high - low)[joint] for joint in (0, 1))
-    grid = np.tile(at, (asked.cells**2, 1))
-    grid[:, 0], grid[:, 1] = np.repeat(first, asked.cells), np.tile(second, asked.cells)
+    grid = np.tile(at, (request.cells**2, 1))
+    grid[:, 0], grid[:, 1] = np.repeat(first, request.cells), np.tile(second, request.cells)
     return grid
 
 
@@ -250,50 +252,52 @@ def _coverage(simulator: Simulator, checker: Checker, samples: NDArray[np.float6
     return float(np.mean(covered))
 
 
-def way_truth(checker: Checker, path: NDArray[np.float64]) -> WayTruth:
-    """Whether a way (n, d) rad is free."""
+def check_path(checker: Checker, path: NDArray[np.float64]) -> PathCheck:
+    """Whether a path (n, d) rad is free."""
     edges = checker.edge_batch(path[:-1], path[1:], _RESOLUTION_RAD)
-    return WayTruth(
+    return PathCheck(
         free=bool(edges.all()),
         edges=edges.tolist(),
         clearance_m=float(np.min(checker.clearance(path))),
     )
 
 
-def _given(asked: SearchRequest, world: World) -> NDArray[np.float64] | None:
-    """What is drawn before uniform states, (n, d) rad: samples as they are, or states about ways."""
-    if not asked.ways:
-        return rows_of("samples", asked.samples, world) if asked.samples else None
-    if sum(map(len, asked.ways)) > MAX_SHOWN or not all(asked.ways):
-        raise wrong_field("ways", asked.expected("ways"), f"{len(asked.ways)} paths")
-    ways = [rows_of("ways", way, world) for way in asked.ways]
-    along = AlongPaths(ways, world.space, np.random.default_rng(asked.seed))
-    return along.take(min(asked.max_iterations, len(NOISE_RAD) * along.turn_rows))[0]
+def _given(request: SearchRequest, world: World) -> NDArray[np.float64] | None:
+    """What is sampled before uniform states, (n, d) rad: samples as they are, or states around paths."""
+    if not request.paths:
+        return rows_of("samples", request.samples, world) if request.samples else None
+    if sum(map(len, request.paths)) > MAX_SHOWN or not all(request.paths):
+        raise wrong_field("paths", request.expected("paths"), f"{len(request.paths)} paths")
+    paths = [rows_of("paths", path, world) for path in request.paths]
+    along = AlongPaths(paths, world.space, np.random.default_rng(request.seed))
+    return along.take(min(request.max_iterations, len(NOISE_RAD) * along.turn_rows))[0]
 
 
 def _searched(
-    asked: SearchRequest,
+    request: SearchRequest,
     checker: Checker,
     ends: NDArray[np.float64],
     samples: NDArray[np.float64] | None,
     growth: Growth,
 ) -> SearchAnswer:
     # The stream of the planner's command, so that a seed and its samples give the same search there.
-    rng = np.random.default_rng(np.random.SeedSequence(asked.seed, spawn_key=(2,)))
-    states, learned = drawn_states(checker.space, samples, _UNIFORM_SHARE, asked.max_iterations, rng)
-    if asked.planner == "RRT":
+    rng = np.random.default_rng(np.random.SeedSequence(request.seed, spawn_key=(2,)))
+    states, learned = sampled_states(checker.space, samples, _UNIFORM_SHARE, request.max_iterations, rng)
+    if request.planner == "RRT":
         towards_goal = rng.random(len(states)) < GOAL_BIAS
         learned &= ~towards_goal
         found = grow_rrt(checker, ends[0], ends[1], states, towards_goal, growth)
     else:
         found = grow_connect(checker, ends[0], ends[1], states, growth)
-    return _told(asked, checker, found, int(learned[: found.iterations].sum()))
+    return _search_answer(request, checker, found, int(learned[: found.iterations].sum()))
 
 
-def _told(asked: SearchRequest, checker: Checker, found: Grown, learned_drawn: int) -> SearchAnswer:
+def _search_answer(
+    request: SearchRequest, checker: Checker, found: Grown, learned_drawn: int
+) -> SearchAnswer:
     body = SearchAnswer(
         status="timeout" if found.timed_out else "exhausted",
-        reason=f"no path was found within {asked.max_iterations} iterations",
+        reason=f"no path was found within {request.max_iterations} iterations",
         iterations=found.iterations,
         edge_checks=found.edge_checks,
         state_checks=found.state_checks,
@@ -304,9 +308,12 @@ def _told(asked: SearchRequest, checker: Checker, found: Grown, learned_drawn: i
     )
     if found.path is not None:
         body.status, body.reason, body.path = "solved", None, found.path.tolist()
-        body.length_rad, body.way = length_rad(found.path, checker.space), way_truth(checker, found.path)
+        body.length_rad, body.path_verdict = (
+            length_rad(found.path, checker.space),
+            check_path(checker, found.path),
+        )
     elif found.timed_out:
-        body.reason = f"no path was found within {asked.time_limit_s:g} s"
+        body.reason = f"no path was found within {request.time_limit_s:g} s"
     return body
 
 

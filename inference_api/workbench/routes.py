@@ -52,8 +52,8 @@ class About(BaseModel):
 
     Args:
         version: of the server.
-        truth: whether the truth can be asked for.
-        plans: whether ways can.
+        truth: whether it answers with the ground truth.
+        plans: whether it plans paths.
         mlflow: where browsers find MLflow.
     """
 
@@ -63,7 +63,7 @@ class About(BaseModel):
     mlflow: str | None
 
 
-Asked = TypeVar("Asked", bound=WorkbenchRequest)
+Fields = TypeVar("Fields", bound=WorkbenchRequest)
 
 
 def add_workbench(app: FastAPI, *, truth: bool, mlflow_pages: str | None) -> None:
@@ -71,7 +71,7 @@ def add_workbench(app: FastAPI, *, truth: bool, mlflow_pages: str | None) -> Non
 
     Args:
         app: whose.
-        truth: whether the ground truth may be asked for.
+        truth: whether to serve the ground truth.
         mlflow_pages: where browsers find MLflow.
 
     Raises:
@@ -96,7 +96,7 @@ def add_workbench(app: FastAPI, *, truth: bool, mlflow_pages: str | None) -> Non
     about = About(version=app.version, truth=truth, plans=_is_installed("numba"), mlflow=mlflow_pages)
 
     @app.get("/workbench/about", include_in_schema=False)
-    async def told() -> About:
+    async def server_info() -> About:
         return about
 
     @app.get("/workbench/models", include_in_schema=False)
@@ -113,7 +113,7 @@ def add_workbench(app: FastAPI, *, truth: bool, mlflow_pages: str | None) -> Non
 
 
 def _add(
-    app: FastAPI, name: str, kind: type[Asked], work: Callable[[Asked, ServedModel, Job], Response]
+    app: FastAPI, name: str, kind: type[Fields], work: Callable[[Fields, ServedModel, Job], Response]
 ) -> None:
     @app.post(f"/workbench/{name}", include_in_schema=False)
     async def ask(request: Request, service: Serving) -> Response:

@@ -80,13 +80,13 @@ class SceneAnswer(BaseModel):
     seed: int
 
 
-class WayTruth(BaseModel):
-    """Whether a way is free.
+class PathCheck(BaseModel):
+    """Whether a path is free.
 
     Args:
         free: all of it.
         edges: each piece of it.
-        clearance_m: the least distance to what the robot collides with, at the way's points.
+        clearance_m: the least distance to what the robot collides with, at the path's points.
     """
 
     free: bool
@@ -106,8 +106,8 @@ class TruthAnswer(BaseModel):
         coverage: share of free configurations, drawn evenly, with one of the free samples within
             ``radius_rad``.
         radius_rad: of coverage.
-        way: of the path; None without one.
-        families: that scenes can be asked of.
+        path_verdict: of the path; None without one.
+        families: that scenes can be generated of.
         timing_ms: of all of it.
     """
 
@@ -117,7 +117,7 @@ class TruthAnswer(BaseModel):
     precision: float | None
     coverage: float | None
     radius_rad: float
-    way: WayTruth | None
+    path_verdict: PathCheck | None
     families: list[str]
     timing_ms: dict[str, Any]
 
@@ -131,22 +131,22 @@ class FileRequest(WorkbenchRequest):
 
 
 MAX_ITERATIONS = 20_000
-_MAX_WAYS = 8
-_Ways = Annotated[
-    Annotated[tuple[Rows, ...], Field(max_length=_MAX_WAYS), Strict(strict=False)],
-    Expected(f"at most {_MAX_WAYS} paths of at most {MAX_SHOWN} configurations in all"),
+_MAX_PATHS = 8
+_Paths = Annotated[
+    Annotated[tuple[Rows, ...], Field(max_length=_MAX_PATHS), Strict(strict=False)],
+    Expected(f"at most {_MAX_PATHS} paths of at most {MAX_SHOWN} configurations in all"),
 ]
 
 
 class SearchRequest(WorkbenchRequest):
-    """A problem among discs, a planner, and what it draws."""
+    """A problem among discs, a planner, and what it samples."""
 
     discs: Discs
     start: _End
     goal: _End
     planner: Annotated[Literal["RRT", "RRTConnect"], Expected("RRT or RRTConnect")]
     samples: Rows = ()
-    ways: _Ways = ()
+    paths: _Paths = ()
     seed: Seed = 0
     max_iterations: Annotated[
         int, Field(ge=1, le=MAX_ITERATIONS), Expected(f"a whole number from 1 to {MAX_ITERATIONS}")
@@ -172,7 +172,7 @@ class SearchAnswer(BaseModel):
         search_ms: wall time of the search alone.
         nodes: of the trees, rad.
         parents: of each node the one from which it was reached, -1 for roots.
-        way: of the path, by the ground truth; None without one.
+        path_verdict: of the path, by the ground truth; None without one.
     """
 
     status: Literal["solved", "refused", "exhausted", "timeout"]
@@ -186,4 +186,4 @@ class SearchAnswer(BaseModel):
     search_ms: float = 0.0
     nodes: list[list[float]] = []
     parents: list[int] = []
-    way: WayTruth | None = None
+    path_verdict: PathCheck | None = None

@@ -62,11 +62,11 @@ def stories(store: ModelStore, name: str | None, pages: str | None) -> Stories:
     """
     wanted = name if name is not None and is_model_name(name) else store.model_name
     versions = store.versions(wanted)
-    told = [_version(version, pages) for version in versions]
+    registered = [_version(version, pages) for version in versions]
     promoted = [one for version in versions for one in _decisions(version) if one.promoted]
     latest_first = sorted(promoted, key=lambda one: one.created_ms, reverse=True)
     return Stories(
-        models=told + [_shipped(one.name, one.spec.provenance) for one in store.shipped],
+        models=registered + [_shipped(one.name, one.spec.provenance) for one in store.shipped],
         champions=[(_when(one.created_ms), f"version {one.version}{_reasons(one)}") for one in latest_first],
     )
 
@@ -76,11 +76,11 @@ def _version(version: ModelVersion, pages: str | None) -> ModelStory:
     figures = decisions[-1].metrics if decisions else {}
     tags = {name: version.tags.get(name) for name in _LINEAGE}
     link = f"{pages}/#/models/{quote(version.name, safe='')}/versions/{version.number}" if pages else None
-    judged = [
+    decision_rows = [
         (_when(one.created_ms), f"{'promoted' if one.promoted else 'not promoted'}{_reasons(one)}")
         for one in decisions
     ]
-    return _story(str(version), version.created_ms, figures, tags, judged, link)
+    return _story(str(version), version.created_ms, figures, tags, decision_rows, link)
 
 
 def _story(
@@ -88,18 +88,18 @@ def _story(
     made: int | str | None,
     figures: Mapping[str, float],
     lineage: Mapping[str, str | None],
-    judged: Rows,
+    decision_rows: Rows,
     link: str | None,
 ) -> ModelStory:
-    told = [(name, (name.replace("_", " "), f"{value:.4g}")) for name, value in figures.items()]
+    shown = [(name, (name.replace("_", " "), f"{value:.4g}")) for name, value in figures.items()]
     comes_from = [(name.replace("_", " "), text[:_MAX_TEXT]) for name, text in lineage.items() if text]
     return ModelStory(
         reference=reference,
-        rows=[row for name, row in told if "/" not in name]
+        rows=[row for name, row in shown if "/" not in name]
         + ([("made", _when(made))] if made else [])
         + comes_from
-        + judged,
-        further=[row for name, row in told if "/" in name],
+        + decision_rows,
+        further=[row for name, row in shown if "/" in name],
         link=link,
     )
 

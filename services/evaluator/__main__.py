@@ -13,17 +13,17 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from cspace.errors import ConfigError, CspaceError, InputError, ModelNotFoundError
-from services.command_errors import tell_error
+from services.command_errors import report_error
 from services.evaluator import compare
 from services.evaluator.benchmark.__main__ import main as planning_benchmark
 from services.evaluator.evaluation.job import Outcome, evaluate_version, executor
 from services.evaluator.evaluation.measured import flat_metrics
-from services.evaluator.evaluation.report import REPORT_FOLDER, judged_on, terminal_table
+from services.evaluator.evaluation.report import REPORT_FOLDER, scenes_text, terminal_table
 from services.evaluator.evaluation.units import BUDGETS, make_request
 from services.evaluator.tables import aligned
 from services.registry.mlflow_registry import MlflowRegistry
 from services.registry.mlflow_tracking import MlflowTracking
-from services.results import tell_result
+from services.results import report_result
 
 BENCHMARK, COMPARE = "planning", "compare"
 SHIPPED_FOLDER = Path(__file__).parents[2] / "inference_api" / "pretrained"
@@ -51,9 +51,9 @@ def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] 
         tracking, registry = MlflowTracking(uri), MlflowRegistry(uri)
         outcome = evaluate_version(request, tracking, registry, executor(environment), _progress)
     except CspaceError as error:
-        return tell_error(error, ConfigError, ModelNotFoundError)
+        return report_error(error, ConfigError, ModelNotFoundError)
     _print(outcome)
-    tell_result(result(outcome), _rows(outcome), _folder(environment, outcome.run_id))
+    report_result(result(outcome), _rows(outcome), _folder(environment, outcome.run_id))
     return 0
 
 
@@ -67,7 +67,7 @@ def _compare(arguments: Sequence[str], environment: Mapping[str, str]) -> int:
         if options.out is not None:
             compare.write_comparison(found, options.out, everything=options.all)
     except CspaceError as error:
-        return tell_error(error, InputError, ModelNotFoundError)
+        return report_error(error, InputError, ModelNotFoundError)
     return 0
 
 
@@ -81,7 +81,7 @@ def result(outcome: Outcome) -> dict[str, object]:
         "digest": version.digest,
         "promoted": verdict.promoted and outcome.recorded,
         "recorded": outcome.recorded,
-        "judged_on": judged_on(outcome.evaluation.setting),
+        "judged_on": scenes_text(outcome.evaluation.setting),
         "reasons": list(verdict.reasons),
         "metrics": flat_metrics(outcome.evaluation),
         "figures": list(outcome.figures),
@@ -102,8 +102,8 @@ def _tracking_uri(environment: Mapping[str, str]) -> str:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m services.evaluator",
-        description="Judge a version on scenarios it was never trained on; promote it if the gate holds.",
-        epilog=f"`python -m services.evaluator {BENCHMARK} --help` tells of the planning benchmark, "
+        description="Evaluate a version on scenarios it was never trained on; promote it if the gate holds.",
+        epilog=f"`python -m services.evaluator {BENCHMARK} --help` describes the planning benchmark, "
         f"`{COMPARE} --help` of evaluated versions side by side. "
         "Exit codes: 0 evaluated (promoted or not), 1 evaluation failed, 2 wrong request.",
     )
@@ -115,7 +115,7 @@ def _parser() -> argparse.ArgumentParser:
         "--data",
         type=Path,
         metavar="FOLDER",
-        help="a data set: judge on its scenes, not on the version's own",
+        help="a data set: evaluate on its scenes, not on the version's own",
     )
     parser.add_argument("--no-promote", action="store_true", help="record no decision, move no alias")
     parser.add_argument(
@@ -131,10 +131,10 @@ def _progress(line: str) -> None:
 
 
 def _print(outcome: Outcome) -> None:
-    print(f"\n{judged_on(outcome.evaluation.setting)}")
+    print(f"\n{scenes_text(outcome.evaluation.setting)}")
     print(f"\n{terminal_table(outcome.evaluation, outcome.verdict.bar.comparisons)}\n")
     moved = "promoted" if outcome.verdict.promoted else "not promoted"
-    print(f"{moved}{'' if outcome.recorded else ' (only judged, nothing recorded)'}:")
+    print(f"{moved}{'' if outcome.recorded else ' (evaluated only, nothing recorded)'}:")
     for reason in outcome.verdict.reasons:
         print(f"  {reason}")
 

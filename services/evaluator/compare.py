@@ -63,8 +63,8 @@ def find(text: str, runs: Tracking, registry: ModelRegistry) -> Compared:
         title = run.name
     else:
         version = ModelReference.parse(text).look_up(registry)
-        judged = runs.children(version.run_id)
-        found = [one for one in judged if one.tags.get(_DIGEST) == version.digest]
+        evaluations = runs.children(version.run_id)
+        found = [one for one in evaluations if one.tags.get(_DIGEST) == version.digest]
         title = str(version)
     for one in found:
         rows = _rows(runs, one)

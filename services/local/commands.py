@@ -194,7 +194,7 @@ def _yes(parser: argparse.ArgumentParser) -> None:
 COMMANDS = {
     "up": Command("start what does not run, wait until it is ready, print the addresses", _up),
     "down": Command("end exactly what was started, by process id", _down),
-    "status": Command("tell what runs, since when, where, whether it answers; and the state folder", _status),
+    "status": Command("show what runs, since when, where, whether it answers; and the state folder", _status),
     "demo": Command(
         "start the API on the shipped models and the 3D viewer, and open the viewer", _demo, _no_browser
     ),

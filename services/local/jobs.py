@@ -44,7 +44,7 @@ class EvaluationResult(BaseModel):
 
     Args:
         run_id: its run in the tracking server.
-        version: that was judged.
+        version: that was evaluated.
         promoted: whether it is the champion now.
         reasons: for the verdict.
         metrics: all numbers by name.
@@ -188,7 +188,7 @@ class RayJobs:
 
 
 def follow(
-    jobs: Jobs, job: str, show: Callable[[str], None], pause: Callable[[float], None] = time.sleep
+    jobs: Jobs, job: str, show: Callable[[str], None], sleep: Callable[[float], None] = time.sleep
 ) -> str:
     """Show a job's lines as they come until it ends; its whole log, without colours.
 
@@ -197,14 +197,14 @@ def follow(
     """
     shown = 0
     while True:
-        state, log = _look(jobs, job, pause)
+        state, log = _look(jobs, job, sleep)
         complete = log if state in ENDED else log[: log.rfind("\n") + 1]
         for line in complete[shown:].splitlines():
             show(line)
         shown = max(shown, len(complete))
         if state in ENDED:
             break
-        pause(POLL_S)
+        sleep(POLL_S)
     if state != SUCCEEDED:
         last = "\n".join(log.splitlines()[-LAST_LINES:])
         raise JobError(
@@ -214,13 +214,13 @@ def follow(
     return log
 
 
-def _look(jobs: Jobs, job: str, pause: Callable[[float], None]) -> tuple[str, str]:
+def _look(jobs: Jobs, job: str, sleep: Callable[[float], None]) -> tuple[str, str]:
     """A job's state and what it had written then or a little later."""
     for _ in range(LOOKS - 1):
         # A head whose machine is busy with trials may miss a question; the job goes on all the same.
         with suppress(JobError):
             return jobs.state(job), _COLOUR.sub("", jobs.log(job))
-        pause(POLL_S)
+        sleep(POLL_S)
     return jobs.state(job), _COLOUR.sub("", jobs.log(job))
 
 

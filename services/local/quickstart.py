@@ -53,7 +53,7 @@ class Tour:
         shipped: the model that comes with the server; None where none is of this robot.
         train: entry point of the training job.
         evaluate: of the evaluation job, with ``{model}`` where the version goes.
-        scenarios: on which served samples are judged.
+        scenarios: on which served samples are evaluated.
         families: of the problems that are planned and drawn.
     """
 
@@ -102,7 +102,7 @@ def wait_served(
     default: bool,
     limit_s: float = LIMIT_S,
     transport: httpx.BaseTransport | None = None,
-    pause: Callable[[float], None] = time.sleep,
+    sleep: Callable[[float], None] = time.sleep,
 ) -> None:
     """Wait until ``GET /models`` lists a version.
 
@@ -112,7 +112,7 @@ def wait_served(
         default: whether it must also be what requests get that name no model.
         limit_s: when to give up.
         transport: of httpx; None for the network.
-        pause: between two looks.
+        sleep: between two looks.
 
     Raises:
         ServiceStartError: the time is up.
@@ -125,7 +125,7 @@ def wait_served(
                 return
             if time.monotonic() > until:
                 break
-            pause(POLL_S)
+            sleep(POLL_S)
     raise ServiceStartError(
         f"the inference API does not serve {reference}{' by default' if default else ''}",
         got=f"{sorted(seen)} after {limit_s:.0f} s",
@@ -154,7 +154,7 @@ SEED = 1
 
 
 def served_quality(url: str, references: Sequence[str], tour: Tour) -> Mapping[str, ReconstructionSummary]:
-    """Ask for versions, without their validity filter and with it, and judge all on the same scenarios.
+    """Ask for versions, without their validity filter and with it, and evaluate all on the same scenarios.
 
     Args:
         url: of the inference API.
@@ -182,15 +182,15 @@ def _rows(scene: Scene, client: SampleSource, references: Sequence[str]) -> dict
 
     picture = picture_file_of(scene.scenario)
 
-    def judged(reference: str) -> SceneQuality:
+    def quality_of(reference: str) -> SceneQuality:
         queries = (SampleQuery(SAMPLES, scene.sampler_seed(), min_confidence=least) for least in (0.0, None))
-        drawn, served = (client.answer(picture, query, reference).samples for query in queries)
+        sampled, served = (client.answer(picture, query, reference).samples for query in queries)
         as_served = scene.quality(served.astype(np.float64), held_out) if len(served) == SAMPLES else None
         return SceneQuality(
-            scene.index, scene.quality(drawn.astype(np.float64), held_out), uniform, real, as_served
+            scene.index, scene.quality(sampled.astype(np.float64), held_out), uniform, real, as_served
         )
 
-    return {reference: judged(reference) for reference in references}
+    return {reference: quality_of(reference) for reference in references}
 
 
 PLANNING_SEED = 7
@@ -280,12 +280,12 @@ def summary(
         ]
     )
     reasons = "\n".join(f"  {reason}" for reason in evaluation.reasons)
-    drawn = "\n".join(f"  {path}" for path in pictures)
+    paths = "\n".join(f"  {path}" for path in pictures)
     return (
         f"{head}\nwhy\n{reasons}\n\n"
         f"{scenarios} unseen scenarios over HTTP, {SAMPLES} samples each, "
         f"drawn without the validity filter and as served; 95 % intervals over scenarios\n"
-        f"{quality_table(quality)}\n\npictures\n{drawn}"
+        f"{quality_table(quality)}\n\npictures\n{paths}"
     )
 
 
@@ -353,14 +353,14 @@ def quickstart(settings: Settings, tour: Tour, say: Callable[[str], None]) -> No
     up(settings, services(settings), progress.line)
     jobs = RayJobs(settings)
     training = last_result(_run(jobs, tour.train, progress), TrainingResult)
-    judge = tour.evaluate.replace("{model}", training.reference)
-    evaluation = last_result(_run(jobs, judge, progress), EvaluationResult)
+    command = tour.evaluate.replace("{model}", training.reference)
+    evaluation = last_result(_run(jobs, command, progress), EvaluationResult)
     progress.stage(f"waiting until the inference API serves {training.reference}")
     # The API's default is one robot's; a model of another one is asked for by its name.
     default = evaluation.promoted and training.model == MODEL_NAME
     wait_served(settings.api_url, training.reference, default=default)
-    told = listed_models(settings.api_url, training.model)
-    both = tuple(name for name in (training.reference, tour.shipped) if name and name in told)
+    listed = listed_models(settings.api_url, training.model)
+    both = tuple(name for name in (training.reference, tour.shipped) if name and name in listed)
     progress.stage(f"quality of {' and '.join(both)} over HTTP, on scenarios that nobody was trained on")
     quality = served_quality(settings.api_url, both, tour)
     progress.stage("planning with samples from POST /sample")

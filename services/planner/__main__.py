@@ -3,7 +3,7 @@
 ``python -m services.planner plan scene.yaml``, or a problem of a family: ``--family narrow --seed 7``. With
 ``--whole-plan`` the API plans by what its model predicts from the picture.
 
-Exit codes: 0 solved, 1 not solved or the API's way collides, 2 wrong usage or input, or the API refused the
+Exit codes: 0 solved, 1 not solved or the API's path collides, 2 wrong usage or input, or the API refused the
 request.
 """
 
@@ -15,11 +15,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cspace.errors import CspaceError
-from cspace.query import DEFAULT_WAYS, PLAIN, PlanQuery, SampleQuery
+from cspace.query import DEFAULT_PATHS, PLAIN, PlanQuery, SampleQuery
 from cspace.simulator import Problem, Split
 from cspace.world import World
 from cspace.worlds import examples, named_world, simulator_of
-from services.command_errors import finite, tell_error
+from services.command_errors import finite, report_error
 from services.planner.client import DEFAULT_TIMEOUT_S, SamplingClient, usual_api
 from services.planner.ompl_planner import DEFAULT_UNIFORM_SHARE
 from services.planner.planning import (
@@ -35,8 +35,8 @@ from services.planner.report import (
     ask_for_plan,
     comparison_json,
     comparison_table,
+    plan_text,
     problem_line,
-    told,
 )
 from services.planner.settings import LEARNED_PLANNERS, RRT, PlannerSettings, check_uniform_share
 from services.scene_files import SceneFile, read_scene_file
@@ -61,8 +61,8 @@ class Command:
         scene: a file that holds the problem; None for one of a family.
         plot: the figure's file, or None.
         json: whether the outcome is printed as JSON.
-        whole: whether the API plans the whole way.
-        ways: that it chooses from then.
+        whole: whether the API plans the whole path.
+        ways: number of paths that it chooses from then.
     """
 
     url: str
@@ -178,7 +178,7 @@ def make_parser() -> argparse.ArgumentParser:
     samples.add_argument(
         "--ordered",
         action="store_true",
-        help="take the samples along the way through them, from the start on",
+        help="take the samples along the path through them, from the start on",
     )
     samples.add_argument(
         "--colliding-last",
@@ -192,7 +192,7 @@ def make_parser() -> argparse.ArgumentParser:
         help="let the API plan by what its model predicts, and check the path in the true scene; of the "
         "options for samples and search --min-confidence, --time-limit and --planner-seed hold for it",
     )
-    whole.add_argument("--ways", type=_count, default=DEFAULT_WAYS, help="to choose from; %(default)s")
+    whole.add_argument("--ways", type=_count, default=DEFAULT_PATHS, help="to choose from; %(default)s")
     search = parser.add_argument_group("search")
     search.add_argument("--planner", choices=LEARNED_PLANNERS, default=RRT, help="default %(default)s")
     search.add_argument(
@@ -233,27 +233,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _print(command, comparison)
         _draw(command, comparison)
     except CspaceError as error:
-        return tell_error(error, CspaceError)
+        return report_error(error, CspaceError)
     return 0 if comparison.learned.result.solved else 1
 
 
 def _problem(command: Command) -> Problem:
     if command.scene is not None:
         return command.scene.problem()
-    workshop = simulator_of(command.world)
-    return workshop.problem(command.family, Split.DEMO, command.seed, command.index)
+    simulator = simulator_of(command.world)
+    return simulator.problem(command.family, Split.DEMO, command.seed, command.index)
 
 
 def _plan_whole(command: Command, problem: Problem) -> int:
-    settings, asked = command.settings, command.request
+    settings, request = command.settings, command.request
     start, goal = (tuple(float(angle) for angle in end) for end in (problem.start, problem.goal))
-    least, limit_s = asked.query.min_confidence, settings.time_limit_s
+    least, limit_s = request.query.min_confidence, settings.time_limit_s
     query = PlanQuery(start, goal, settings.seed, least, limit_s, command.ways)
     # The search is a part of the request.
     timeout_s = command.timeout_s + settings.time_limit_s
     with SamplingClient(command.url, timeout_s) as client:
-        whole = ask_for_plan(problem, client, query, asked.model)
-    print(json.dumps(as_json(whole), allow_nan=False) if command.json else told(whole))
+        whole = ask_for_plan(problem, client, query, request.model)
+    print(json.dumps(as_json(whole), allow_nan=False) if command.json else plan_text(whole))
     if command.plot is not None:
         title = f"{problem_line(problem)}: {whole.found.plan.status}"
         save_figure(plot_plan(problem, whole.result, None, title), command.plot)

@@ -75,8 +75,8 @@ def mapped() -> Iterator[None]:
 
 
 @contextmanager
-def told_to_client() -> Iterator[None]:
-    """Errors of a source within the block leave it as those that the client expects of one."""
+def as_client_errors() -> Iterator[None]:
+    """Raises errors of a source within the block as those that the client expects."""
     try:
         yield
     except SamplerError as error:
@@ -103,8 +103,8 @@ class ClientSource:
         Raises:
             cspace_client.SamplerError: it has no answer.
         """
-        with told_to_client():
-            return self._source.answer(_picture(picture), _judged(query), model)
+        with as_client_errors():
+            return self._source.answer(_picture(picture), _server_query(query), model)
 
 
 def open_local(folder: Path, *, robot: str | None) -> ClientSource:
@@ -119,7 +119,7 @@ def open_local(folder: Path, *, robot: str | None) -> ClientSource:
         raise cspace_client.LocalError(error.what, got=error.got, remedy=error.remedy) from error
 
 
-def _judged(query: cspace_client.Wanted) -> SampleQuery:
+def _server_query(query: cspace_client.Wanted) -> SampleQuery:
     if isinstance(query, SampleQuery):
         return query
     try:
@@ -207,7 +207,7 @@ class SamplingClient(SampleSource):
             return self._client.answer(picture, query, model)
 
     def validity(self, picture: Picture, configurations: ArrayLike, model: str | None = None) -> Predictions:
-        """How sure a model is that configurations are free; no fallback answers.
+        """A model's confidence that configurations are free; no fallback answers.
 
         Args:
             picture: of the scenario; of depth cameras a file of :func:`cspace.view_file.pack_view`.
@@ -229,12 +229,12 @@ class SamplingClient(SampleSource):
 
         Args:
             picture: as :meth:`validity` has it.
-            query: the problem; the server judges it.
+            query: the problem; the server checks it.
             model: as :meth:`answer` has it.
 
         Raises:
             SamplerUnavailableError: as :meth:`answer` has it, or the server does not plan (501).
-            SamplerAnswerError: likewise, for a way that does not lead from start to goal, for example.
+            SamplerAnswerError: likewise, for a path that does not lead from start to goal, for example.
             SamplerError: likewise.
         """
         with mapped():

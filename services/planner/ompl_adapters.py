@@ -263,8 +263,8 @@ class StoppingRule:
         max_iterations: how many are allowed.
         time_limit_s: for how long, from the first question on.
         clock: the time in s.
-        drawn: how many states were drawn so far, for planners that do not ask once for each; an iteration is
-            a drawn state then, and not a question.
+        sample_count: how many states were sampled so far, for planners that do not ask for each; an iteration
+            is a sampled state then, and not a question.
     """
 
     def __init__(
@@ -272,19 +272,19 @@ class StoppingRule:
         max_iterations: int,
         time_limit_s: float,
         clock: Callable[[], float] = time.perf_counter,
-        drawn: Callable[[], int] | None = None,
+        sample_count: Callable[[], int] | None = None,
     ) -> None:
         self.reason: Reason | None = None
         self._max_iterations = max_iterations
         self._time_limit_s = time_limit_s
-        self._clock, self._drawn = clock, drawn
+        self._clock, self._sample_count = clock, sample_count
         self._allowed = 0
         self._began: float | None = None
 
     @property
     def iterations(self) -> int:
         """States drawn, or about to be."""
-        return self._allowed if self._drawn is None else self._drawn()
+        return self._allowed if self._sample_count is None else self._sample_count()
 
     def __call__(self) -> bool:
         """Whether the search has to end now."""

@@ -78,13 +78,13 @@ class DrawnMilestones(ob.ValidStateSampler):  # type: ignore[misc]
             self._access.write(state, self._ends.pop(0))
             return True
         # OMPL asks twice before it asks whether to go on.
-        if drawn(self._draws) >= self._limit:
+        if sample_count(self._draws) >= self._limit:
             return False
         self._access.write(state, self._draws.draw())
         return self._is_free(state)
 
 
-def drawn(draws: StateDraws) -> int:
+def sample_count(draws: StateDraws) -> int:
     """How many states a source gave."""
     return draws.goal_drawn + draws.learned_drawn + draws.uniform_drawn
 
@@ -123,7 +123,9 @@ def solve_by_roadmap(
         )
     )
     start, goal = (roadmap.number(np.array(end)) for end in ends)
-    rule = StoppingRule(settings.max_iterations, settings.time_limit_s, drawn=lambda: drawn(draws))
+    rule = StoppingRule(
+        settings.max_iterations, settings.time_limit_s, sample_count=lambda: sample_count(draws)
+    )
     began, found = time.perf_counter(), None
     run.planner.growRoadmapPtc(ob.PlannerTerminationCondition(lambda: roadmap.joined(start, goal) or rule()))
     if roadmap.joined(start, goal):
@@ -261,7 +263,7 @@ def _search(
         settings.max_iterations,
         settings.time_limit_s,
         # BIT* draws in batches and asks before each edge. It checks what it draws, and the start.
-        drawn=(lambda: max(0, run.states.checks - 1)) if settings.planner == BIT_STAR else None,
+        sample_count=(lambda: max(0, run.states.checks - 1)) if settings.planner == BIT_STAR else None,
     )
     record = _cost_record(run, rule) if settings.planner in OPTIMISING_PLANNERS else None
     began = time.perf_counter()
@@ -279,7 +281,7 @@ def _search(
         state_checks=run.state_checks,
         solve_time_s=solve_time_s,
         learned_drawn=draws.learned_drawn,
-        uniform_drawn=draws.uniform_drawn if mixed else _ompl_drawn(settings, rule.iterations, draws),
+        uniform_drawn=draws.uniform_drawn if mixed else _ompl_samples(settings, rule.iterations, draws),
     )
     return outcome(
         problem,
@@ -300,6 +302,6 @@ def _cost_record(run: OmplSearch[EdgeValidator], rule: StoppingRule) -> CostReco
     return CostRecord(rule, lambda: float(run.planner.bestCost().value()), lambda: run.edges.checks)
 
 
-def _ompl_drawn(settings: PlannerSettings, iterations: int, draws: StateDraws) -> int:
+def _ompl_samples(settings: PlannerSettings, iterations: int, draws: StateDraws) -> int:
     # RRTConnect roots a tree in the goal and then draws a uniform state in every iteration.
     return iterations if settings.planner == RRT_CONNECT else iterations - draws.goal_drawn

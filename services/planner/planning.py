@@ -32,7 +32,7 @@ class SampleRequest:
         query: without start and goal, which are the problem's.
         model: ``name``, ``name@alias``, ``name/version`` or ``pretrained``; None for the source's default.
         with_ends: whether start and goal are sent, as path models require and others refuse.
-        ordered: whether the planner takes the samples along the way through them, from the start on.
+        ordered: whether the planner takes the samples along the path through them, from the start on.
         or_uniform: whether uniform samples do where there is no such model.
     """
 

@@ -182,18 +182,18 @@ def plot_workspace(axes: Any, problem: Problem, path: NDArray[np.float64]) -> No
         problem: scenario, start and goal.
         path: (k, d) rad; (0, d) for none.
     """
-    workshop = simulator_of(problem.scenario.world)
-    body = workshop.world.body
-    workshop.draw_scene(axes, problem.scenario, OBSTACLE)
+    simulator = simulator_of(problem.scenario.world)
+    body = simulator.world.body
+    simulator.draw_scene(axes, problem.scenario, OBSTACLE)
     if len(path) > 1:
         shares = np.linspace(0.0, 1.0, POSES + 2)[1:-1]
         poses = poses_along(problem.space, path, POSES + 2)[1:-1]
         for share, configuration in zip(shares, poses, strict=True):
-            workshop.draw_robot(axes, configuration, blend(share, 0.72), 2)
+            simulator.draw_robot(axes, configuration, blend(share, 0.72), 2)
         tips = body.joint_positions_m(poses_along(problem.space, path, _TRACE_POINTS))[:, -1]
         axes.plot(*tips.T, color=PATH, linewidth=1.8, zorder=3)
     for configuration, colour in ((problem.start, START), (problem.goal, GOAL)):
-        workshop.draw_robot(axes, configuration, colour, 4)
+        simulator.draw_robot(axes, configuration, colour, 4)
         axes.plot(
             *body.joint_positions_m(configuration)[0][1:-1].T, "o", markersize=3, color="white", zorder=5
         )

@@ -210,7 +210,7 @@ def ask_for_plan(
     return WholePlan(problem, found, clearance_m)
 
 
-def told(whole: WholePlan) -> str:
+def plan_text(whole: WholePlan) -> str:
     """The outcome in words; the last line is the ground truth."""
     found, plan, model = whole.found, whole.found.plan, whole.found.model
     times = f"{1e3 * found.round_trip_s:.0f} ms: search {plan.search_ms:.0f}, scoring {plan.score_ms:.0f}"
@@ -222,7 +222,9 @@ def told(whole: WholePlan) -> str:
         lines.append(f"reason   {found.reason}")
     lines.extend(warning_lines(model.warnings))
     if len(plan.path):
-        unseen = "" if plan.unseen is None else f", up to {plan.unseen.max():.0%} of the robot in unknown space"
+        unseen = (
+            "" if plan.unseen is None else f", up to {plan.unseen.max():.0%} of the robot in unknown space"
+        )
         lines.append(
             f"path     {plan.length_rad:.2f} rad over {len(plan.edges)} edges, the best of {plan.found}: "
             f"confidence {plan.confidence:.3f}, lowest {plan.edges.min():.3f}{unseen}"

@@ -98,7 +98,7 @@ GOAL_TOLERANCE_RAD = 1e-6
 CHECK_FACTOR = 10.0
 
 
-def judge_path(problem: Problem, path: NDArray[np.float64], resolution_rad: float) -> Reason:
+def check_path(problem: Problem, path: NDArray[np.float64], resolution_rad: float) -> Reason:
     """Whether a path leads from start to goal and is free at ten times the resolution.
 
     Args:
@@ -163,7 +163,7 @@ def outcome(
     """
     path = np.empty((0, problem.space.dim))
     if found is not None:
-        reason = judge_path(problem, found, settings.resolution_rad)
+        reason = check_path(problem, found, settings.resolution_rad)
         path = found if reason is Reason.SOLVED else path
     path.setflags(write=False)
     solved = reason is Reason.SOLVED

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cspace.kernel_cache import njit
 from cspace.planning.paths import NOISE_RAD, AlongPaths
-from cspace.planning.rrt_connect import Growth, drawn_states, grow_connect
+from cspace.planning.rrt_connect import Growth, grow_connect, sampled_states
 from cspace.query import AlternativePath
 from cspace.simulator import Checker, EdgeTest, Problem
 from cspace.space import JointSpace
@@ -115,7 +115,7 @@ def connect(
         samples, looked_at = samples[colliding_last(samples, checker)], len(samples)
     sorted_s = time.perf_counter() - began
     rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(2,)))
-    states, learned = drawn_states(space, samples, uniform_share, settings.max_iterations, rng)
+    states, learned = sampled_states(space, samples, uniform_share, settings.max_iterations, rng)
     growth = Growth(settings.range_rad, settings.resolution_rad, settings.time_limit_s)
     grown = grow_connect(checker, problem.start, problem.goal, states, growth)
     learned_drawn = int(learned[: grown.iterations].sum())
@@ -140,14 +140,14 @@ UNIFORM_SHARE = 0.3
 
 
 def solve_with_paths(
-    problem: Problem, settings: PlannerSettings, ways: Sequence[AlternativePath]
+    problem: Problem, settings: PlannerSettings, paths: Sequence[AlternativePath]
 ) -> PlanResult:
-    """Solve a problem by the ways, or by RRT-Connect with configurations about them.
+    """Solves a problem by the paths, or by RRT-Connect with configurations around them.
 
     Args:
         problem: start and goal, both free.
         settings: of the search; its planner is not looked at.
-        ways: from the problem's start to its goal, the surest first.
+        paths: from the problem's start to its goal, the most confident first.
 
     Returns:
         Its counts are those of both: pieces are edges, states within them are states.
@@ -155,38 +155,40 @@ def solve_with_paths(
     space, checker = problem.space, checker_of(problem.scenario)
     test = checker.edge_test(settings.resolution_rad)
     began, edges, states = time.perf_counter(), 0, 0
-    for way in ways:
-        free, looked_at, tried = _checked(test, way)
+    for candidate in paths:
+        free, looked_at, tried = _checked(test, candidate)
         edges, states = edges + tried, states + looked_at
         if free:
             counts = Counts(edge_checks=edges, state_checks=states, solve_time_s=time.perf_counter() - began)
-            found = outcome(problem, settings, way.path, Reason.NO_PATH, counts)
+            found = outcome(problem, settings, candidate.path, Reason.NO_PATH, counts)
             if found.solved:
                 return found
     spent = Counts(edge_checks=edges, state_checks=states, solve_time_s=time.perf_counter() - began)
     tried_first = outcome(problem, settings, None, Reason.NO_PATH, spent)
-    about = drawn_about([way.path for way in ways], space, np.random.default_rng(settings.seed))
+    about = samples_around(
+        [candidate.path for candidate in paths], space, np.random.default_rng(settings.seed)
+    )
     left_s = max(settings.time_limit_s - spent.solve_time_s, 1e-3)
     grown = connect(problem, replace(settings, time_limit_s=left_s), about, UNIFORM_SHARE)
     return after(tried_first, grown)
 
 
-def drawn_about(
-    ways: Sequence[NDArray[np.float64]], space: JointSpace, rng: np.random.Generator
+def samples_around(
+    paths: Sequence[NDArray[np.float64]], space: JointSpace, rng: np.random.Generator
 ) -> NDArray[np.float64] | None:
     """Configurations about paths, (n, d) rad within the limits, in the order in which they are drawn."""
-    if not ways:
+    if not paths:
         return None
-    along = AlongPaths(ways, space, rng)
+    along = AlongPaths(paths, space, rng)
     return along.take(len(NOISE_RAD) * along.turn_rows)[0]
 
 
-def _checked(test: EdgeTest, way: AlternativePath) -> tuple[bool, int, int]:
+def _checked(test: EdgeTest, candidate: AlternativePath) -> tuple[bool, int, int]:
     """Whether a path is free, and how many states and pieces were looked at for that."""
     looked_at = 0
-    for tried, piece in enumerate(np.argsort(way.edges, kind="stable"), start=1):
-        free, count = test(way.path[piece], way.path[piece + 1])
+    for tried, piece in enumerate(np.argsort(candidate.edges, kind="stable"), start=1):
+        free, count = test(candidate.path[piece], candidate.path[piece + 1])
         looked_at += count
         if not free:
             return False, looked_at, tried
-    return True, looked_at, len(way.edges)
+    return True, looked_at, len(candidate.edges)

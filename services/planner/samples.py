@@ -12,7 +12,7 @@ from cspace.bundle import Bundle
 from cspace.bundle.samples import fitted
 from cspace.bundle.verification import load_verified
 from cspace.errors import BundleError, InputError, SamplerError, SamplerUnavailableError, ServiceError
-from cspace.query import MAX_SAMPLES, QueryOptions, SampleQuery, drawn_seed
+from cspace.query import MAX_SAMPLES, QueryOptions, SampleQuery, random_seed
 from cspace.world import Examined
 from cspace_client import JointSpace, PictureWarning, SampleBatch, SourceTiming
 
@@ -63,7 +63,7 @@ class SampleSource(Protocol):
             SamplerError: likewise, or a value is out of its range.
         """
         try:
-            query = SampleQuery.checked(n, drawn_seed(seed), **options)
+            query = SampleQuery.checked(n, random_seed(seed), **options)
         except InputError as error:
             raise SamplerError(error.what, expected=error.expected, got=error.got) from error
         return self.answer(picture, query, model)
@@ -120,7 +120,7 @@ class BundleSampler(SampleSource):
             decoded = time.perf_counter()
             prepared = self.bundle.prepare(read.images[0])
             encoded = time.perf_counter()
-            found = self.bundle.answer(prepared, query, tell_confidence=False)
+            found = self.bundle.answer(prepared, query, report_confidence=False)
         except (InputError, BundleError) as error:
             raise SamplerError("the local bundle refused the request", got=str(error)) from error
         total_s, space = time.perf_counter() - began, world.space

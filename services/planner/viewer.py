@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from cspace.errors import CspaceError, InputError
 from cspace.planning.paths import spread_points
-from cspace.simulator import UNIFORM, Asked, Problem, Split
+from cspace.simulator import UNIFORM, Problem, ProblemRequest, Split
 from cspace.world import World
 from cspace.worlds import partly_seen, read_world, simulator_of
 from cspace_client import ClientError, DepthPictures, Diagnosis, FoundPlan, PlanQuery, SamplingClient
@@ -112,8 +112,8 @@ class SceneState:
     @property
     def families(self) -> tuple[str, ...]:
         """Names of scene families, and of the sets of MotionBenchMaker for the robot that has them."""
-        drawn = [name for name in self.simulator.families.names if name != UNIFORM]
-        return (*drawn, *self.benchmark.sources.get(SOURCE, ()))
+        families = [name for name in self.simulator.families.names if name != UNIFORM]
+        return (*families, *self.benchmark.sources.get(SOURCE, ()))
 
     @property
     def scene(self) -> Any:
@@ -146,7 +146,7 @@ class SceneState:
             self.problem = self.simulator.problem(family, Split.DEMO, seed)
             return self.problem
         index = seed % (self.benchmark.count(family, Split.VALIDATION) or 1)
-        found = self.benchmark.problem(Asked(Split.VALIDATION), family, index, 1)
+        found = self.benchmark.problem(ProblemRequest(Split.VALIDATION), family, index, 1)
         if found is None or not self.world.space.contains([found.start, found.goal]).all():
             raise InputError(
                 f"problem {index} of {family} does not fit the model's arm",
@@ -319,7 +319,7 @@ class Viewer:
     def _choose(self) -> None:
         wanted = self.model.value
         if wanted != self.state.model:
-            self.told.content = f"Loading {wanted} ..."
+            self.message.content = f"Loading {wanted} ..."
             # Until it is there, and for good where it cannot be shown.
             self.model.value = self.state.model
             self.show(SceneState(self.api, world_of(self.api_url, wanted), wanted))
@@ -336,7 +336,7 @@ class Viewer:
             self.seed: Any = gui.add_number("seed", seed, min=0, step=1)
             self.cameras: Any = gui.add_slider("cameras", 1, len(ASIDE_RAD), 1, len(state.scene.cameras))
             self.count = gui.add_slider("samples", 1, SAMPLES_AT_MOST, 1, 60)
-            self.told = gui.add_markdown("")
+            self.message = gui.add_markdown("")
             gui.add_markdown("Click an obstacle or a camera to move it.")
             self.unseen: Any = gui.add_checkbox("show unknown space", initial_value=False)
         with gui.add_folder("Your own pictures"):
@@ -388,7 +388,7 @@ class Viewer:
             try:
                 action()
             except (CspaceError, ClientError, httpx.HTTPError) as error:
-                self.told.content = f"**{type(error).__name__}**: {error}"
+                self.message.content = f"**{type(error).__name__}**: {error}"
 
     def _show_example(self, name: str) -> None:
         self.family.value, self.seed.value = EXAMPLES[name]
@@ -532,7 +532,7 @@ class Viewer:
             "novelty of the pictures": found.novelty,
         }
         rows = [f"| {name} | {value:.0%} |" for name, value in shares.items() if value is not None]
-        self.told.content = "\n".join(["| | |", "|---|---|", *rows])
+        self.message.content = "\n".join(["| | |", "|---|---|", *rows])
 
     def _show_unseen(self) -> None:
         points = self.state.unseen_m() if self.unseen.value else np.empty((0, 3))

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from cspace.errors import ConfigError, CspaceError, InputError, ModelNotFoundError
-from services.command_errors import tell_error
+from services.command_errors import report_error
 from services.names import ALIAS_CHAMPION
 from services.registry import promotion
 from services.registry.mlflow_registry import MlflowRegistry
@@ -35,7 +35,7 @@ def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] 
             )
         options.run(MlflowRegistry(options.uri), options)
     except CspaceError as error:
-        return tell_error(error, InputError, ModelNotFoundError)
+        return report_error(error, InputError, ModelNotFoundError)
     return 0
 
 
@@ -81,9 +81,11 @@ def _list(registry: ModelRegistry, options: argparse.Namespace) -> None:
             print(f"{name:<40} {len(newest):>4} versions, champion {champion}")
         return
     for version in registry.versions(options.name):
-        judged = decisions_of(version)
+        decisions = decisions_of(version)
         figures = (
-            ", ".join(f"{key} {value:.3f}" for key, value in judged[-1].metrics.items()) if judged else ""
+            ", ".join(f"{key} {value:.3f}" for key, value in decisions[-1].metrics.items())
+            if decisions
+            else ""
         )
         print(f"{version!s:<30} {_when(version.created_ms)}  {', '.join(version.aliases):<22} {figures}")
 
@@ -102,11 +104,11 @@ def _show(registry: ModelRegistry, options: argparse.Namespace) -> None:
 
 
 def _promote(registry: ModelRegistry, options: argparse.Namespace) -> None:
-    _tell(promotion.promote(registry, _version(registry, options), options.reason))
+    _print_decision(promotion.promote(registry, _version(registry, options), options.reason))
 
 
 def _roll_back(registry: ModelRegistry, options: argparse.Namespace) -> None:
-    _tell(promotion.roll_back(registry, options.name, options.reason))
+    _print_decision(promotion.roll_back(registry, options.name, options.reason))
 
 
 def _delete(registry: ModelRegistry, options: argparse.Namespace) -> None:
@@ -136,7 +138,7 @@ def _version(registry: ModelRegistry, options: argparse.Namespace) -> ModelVersi
     return ModelReference.parse(options.version).look_up(registry)
 
 
-def _tell(decision: Decision) -> None:
+def _print_decision(decision: Decision) -> None:
     before = "" if decision.against is None else f", version {decision.against} before"
     print(f"champion of {decision.name} is version {decision.version}{before}")
 

@@ -139,11 +139,11 @@ class MlflowTracking:
     def ask(self, action: str, call: Callable[[], Answer]) -> Answer:
         """The answer of a call that may be repeated, waited for as long as this waits."""
 
-        def asked() -> Answer:
+        def call_once() -> Answer:
             with mapped(action):
                 return call()
 
-        return asked() if self._wait_s is None else patiently(action, asked, self._wait_s)
+        return call_once() if self._wait_s is None else patiently(action, call_once, self._wait_s)
 
     def _spool(self, run_id: str) -> "Spool | None":
         return None if self._spool_folder is None else Spool(self._spool_folder, run_id)

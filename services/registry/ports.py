@@ -54,12 +54,12 @@ class ModelVersion:
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """What people see of a version once it is judged.
+    """What people see of a version once it is evaluated.
 
     Args:
         metrics: a few, by name.
         note: of its page, in Markdown.
-        data: what it was judged on, in words.
+        data: what it was evaluated on, in words.
         data_digest: of that, in hexadecimal.
     """
 

@@ -54,7 +54,7 @@ class Decision:
         metrics: the gated metrics, from the validation scenarios.
         against: the champion of that time, None when there was none.
         created_ms: milliseconds since 1970-01-01 UTC.
-        robot: digest of the robot that it was judged with; champions of others are not compared.
+        robot: digest of the robot that it was evaluated with; champions of others are not compared.
     """
 
     name: str
@@ -253,11 +253,11 @@ def _require_name(registry: ModelRegistry, name: str, spec: BundleSpec) -> None:
     other = next((one for one in held if one.tags.get(TAG_ROBOT, digest) != digest), None)
     if other is None and not is_kept(name):
         return
-    told = "" if other is None else f", and {other} is of robot {other.tags[TAG_ROBOT][:8]}"
+    known = "" if other is None else f", and {other} is of robot {other.tags[TAG_ROBOT][:8]}"
     raise ConfigError(
         "the model's name is another robot's",
         expected=f"a name whose models are of robot {digest[:8]}",
-        got=f"{name}{told}",
+        got=f"{name}{known}",
         remedy=f"import it as {model_name(spec.world, path=spec.kind == 'path')}, or under another name",
     )
 
@@ -285,13 +285,13 @@ def _by_hand(registry: ModelRegistry, version: ModelVersion, reason: str) -> Dec
     with tempfile.TemporaryDirectory(prefix="cspace-promote-") as folder:
         bundle = registry.download(version, Path(folder) / BUNDLE_FOLDER)
         world = load_verified(bundle, version.digest).spec.world
-    judged = decisions_of(version)
+    decisions = decisions_of(version)
     return Decision(
         version.name,
         version.number,
         promoted=True,
         reasons=(f"{BY_HAND}: {reason}",),
-        metrics=judged[-1].metrics if judged else {},
+        metrics=decisions[-1].metrics if decisions else {},
         against=_champion(registry, version.name),
         created_ms=time.time_ns() // 1_000_000,
         robot=robot_digest(world),

@@ -63,12 +63,12 @@ def test_a_planned_way_is_free_by_an_independent_check_and_is_drawn_in_both_view
     open_bench(page, address, hash_of(SCENE, start="0,0.3", goal="-2.6,-0.6"))
     with page.expect_response(is_page("plan")) as answer:
         page.get_by_role("button", name="Plan a path").click()
-    told = answer.value.json()
-    assert told["status"] == "solved", told["reason"]
-    path = np.array(told["path"])
+    plan = answer.value.json()
+    assert plan["status"] == "solved", plan["reason"]
+    path = np.array(plan["path"])
     assert checker(SCENE).edge_batch(path[:-1], path[1:], 0.005).all()
-    expect(page.locator("#plan-told")).to_contain_text("Checked against the discs: collision-free.")
-    drawn = page.locator("#torus .way").get_attribute("d") or ""
+    expect(page.locator("#plan-status")).to_contain_text("Checked against the discs: collision-free.")
+    drawn = page.locator("#torus .path").get_attribute("d") or ""
     assert drawn.count("M") >= len(path) - 1
     assert (page.locator("#scene .arm.ghost").get_attribute("d") or "").count("M") == 14
     # It plays by itself, and stops where one takes hold of it.
@@ -79,7 +79,7 @@ def test_a_planned_way_is_free_by_an_independent_check_and_is_drawn_in_both_view
     assert slider.input_value() == "1000"
     # What changes the scene makes the way stale.
     page.get_by_role("button", name="Add a disc").click()
-    expect(page.locator("#torus .way")).to_have_attribute("d", "")
+    expect(page.locator("#torus .path")).to_have_attribute("d", "")
 
 
 def test_the_picture_that_is_sent_is_the_one_that_training_draws(page: Page, address: str) -> None:
@@ -106,9 +106,9 @@ def test_a_broken_png_gets_a_useful_message_and_a_good_one_takes_it_away(page: P
         page.locator("#open").set_input_files({"name": "own.png", "mimeType": "image/png", "buffer": picture})
     assert workbench.sent_picture(request.value.post_data) == picture
     expect(problem).to_be_hidden()
-    expect(page.locator("#disc-told")).to_have_text("uploaded picture, no discs")
+    expect(page.locator("#disc-status")).to_have_text("uploaded picture, no discs")
     page.get_by_role("button", name="Back to discs").click()
-    expect(page.locator("#disc-told")).to_have_text("no disc selected")
+    expect(page.locator("#disc-status")).to_have_text("no disc selected")
 
 
 def test_an_api_that_is_away_is_told_and_what_was_changed_meanwhile_is_shown_when_it_is_back(
@@ -133,8 +133,8 @@ def test_the_page_measures_from_an_interaction_to_its_samples(page: Page, addres
     x, y, _ = workbench.discs_in_address(page)[2]
     drag(page, (x, y), (1.5, -1.8), steps=20)
     wait_for_disc(page, 2, 1.5, -1.8)
-    told = "() => performance.getEntriesByName('interaction-to-samples').map((one) => one.duration)"
-    assert len(page.evaluate(told)) >= 5
+    durations = "() => performance.getEntriesByName('interaction-to-samples').map((one) => one.duration)"
+    assert len(page.evaluate(durations)) >= 5
 
 
 def test_an_address_opens_the_same_scene_again(page: Page, address: str) -> None:
@@ -158,7 +158,7 @@ def test_what_is_copied_runs_and_asks_for_the_same(
     shown = open_bench(page, address, hash_of(SCENE, n="5"))
     page.locator("#take-what").select_option(what)
     page.get_by_role("button", name=f"Copy as {form}").click()
-    expect(page.locator("#take-told")).not_to_be_empty()
+    expect(page.locator("#take-status")).not_to_be_empty()
     text = page.locator("#take-text").input_value()
     command = ["bash", "-c", text] if form == "curl" else [sys.executable, "-c", text]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True, timeout=60)
@@ -192,8 +192,8 @@ def test_a_server_without_the_truth_still_shows_pictures_samples_and_plans(
         page.get_by_label("background").select_option("prediction")
         expect(page.locator(".ground-3").first).to_have_attribute("d", re.compile("^M"))
         page.get_by_role("button", name="Plan a path").click()
-        expect(page.locator("#plan-told")).to_contain_text("Solved")
-        expect(page.locator("#plan-told")).not_to_contain_text("Checked")
+        expect(page.locator("#plan-status")).to_contain_text("Solved")
+        expect(page.locator("#plan-status")).not_to_contain_text("Checked")
         page.goto("about:blank")
 
 
@@ -242,9 +242,9 @@ def test_an_arm_of_three_joints_with_limits_has_a_map_of_two_and_sliders_for_all
     with api_server(tmp_path, settings) as own:
         # What an earlier page still waits for is no answer to this one.
         page.goto("about:blank")
-        with page.expect_response(is_page("truth")) as told:
+        with page.expect_response(is_page("truth")) as response:
             answer = open_bench(page, own, hash_of(SCENE, start="0.5,1,0.4", goal="9,9,9", n="20"))
-        truth = told.value.json()
+        truth = response.value.json()
         assert len(answer["samples"][0]) == 3
         expect(page.locator("#joints input")).to_have_count(6)
         # Limits stop what leaves them, circles wrap it.

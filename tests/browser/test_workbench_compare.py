@@ -56,11 +56,11 @@ def test_a_version_of_the_registry_is_chosen_beside_the_one_that_ships_and_asked
 ) -> None:
     open_bench(page, address, hash_of(SCENE, model="pretrained"))
     expect(page.get_by_role("table")).to_be_hidden()
-    asked: list[Any] = []
+    requests: list[Any] = []
 
     def keep(request: Request) -> None:
         if request.url.endswith("/sample"):
-            asked.append(request.post_data_json)
+            requests.append(request.post_data_json)
 
     page.on("request", keep)
     page.get_by_role("combobox", name="compare with").select_option(VERSION)
@@ -68,7 +68,7 @@ def test_a_version_of_the_registry_is_chosen_beside_the_one_that_ships_and_asked
     page.wait_for_url(re.compile("beside=cspace-sampler/1"))
     settle(page)
     page.remove_listener("request", keep)
-    last = {body["model"]: body for body in asked}
+    last = {body["model"]: body for body in requests}
     assert last["pretrained"].keys() == last[VERSION].keys()
     assert {**last["pretrained"], "model": VERSION} == last[VERSION]
     both = [shown_samples(page, one) for one in ("#torus", "#torus-beside")]
@@ -84,15 +84,15 @@ def test_figures_of_two_models_are_those_of_the_truth_for_each(page: Page, addre
     checks = workbench.checker(SCENE)
     for value in page.locator("#compared tbody tr").first.locator("td").all():
         expect(value).to_contain_text("%")
-    told = rows(page)
+    table = rows(page)
     for at, drawing in enumerate(("#torus", "#torus-beside")):
-        precision = float(told["precision"][at].removesuffix("%"))
+        precision = float(table["precision"][at].removesuffix("%"))
         truly = 100.0 * float(np.mean(checks.valid_batch(shown_samples(page, drawing))))
         # Drawings round to a tenth of a pixel.
         assert precision == pytest.approx(truly, abs=1.0)
-    assert told["precision"][0] != told["precision"][1]
-    assert all(re.fullmatch(r"\d+\.\d ms", value) for value in told["sampled in"])
-    assert {"coverage", "accepted", "novelty"} < told.keys()
+    assert table["precision"][0] != table["precision"][1]
+    assert all(re.fullmatch(r"\d+\.\d ms", value) for value in table["sampled in"])
+    assert {"coverage", "accepted", "novelty"} < table.keys()
 
 
 def test_both_follow_a_disc_that_is_dragged(page: Page, address: str) -> None:
@@ -119,21 +119,21 @@ def test_a_plan_asks_both_and_the_table_tells_each_way_and_whether_it_is_free(
     open_bench(page, address, hash_of(SCENE, start="0,0.3", goal="-2.6,-0.6", **BESIDE))
     page.on("response", keep)
     page.get_by_role("button", name="Plan a path").click()
-    expect(page.locator("#plan-told")).to_contain_text(f"{VERSION}: ")
+    expect(page.locator("#plan-status")).to_contain_text(f"{VERSION}: ")
     expect(page.get_by_role("button", name="Pause")).to_be_visible()
     page.remove_listener("response", keep)
     assert answers.keys() == {"pretrained", VERSION}
-    told = rows(page)
-    assert told["plan"] == [answers[one]["status"] for one in ("pretrained", VERSION)]
-    assert told["confidence"][0] == f"{answers['pretrained']['confidence']:.3f}"
-    assert told["collision-free (ground truth)"][0] == "yes"
+    table = rows(page)
+    assert table["plan"] == [answers[one]["status"] for one in ("pretrained", VERSION)]
+    assert table["confidence"][0] == f"{answers['pretrained']['confidence']:.3f}"
+    assert table["collision-free (ground truth)"][0] == "yes"
     for drawing, one in (("#torus", "pretrained"), ("#torus-beside", VERSION)):
         path = answers[one]["path"]
-        drawn = page.locator(f"{drawing} .way").get_attribute("d") or ""
+        drawn = page.locator(f"{drawing} .path").get_attribute("d") or ""
         assert drawn.count("M") >= len(path) - 1
     # What changes the problem takes both ways away.
     page.get_by_role("button", name="Add a disc").click()
-    expect(page.locator("#torus .way")).to_have_attribute("d", "")
+    expect(page.locator("#torus .path")).to_have_attribute("d", "")
     expect(page.locator("#compared")).not_to_contain_text("collision-free (ground truth)")
 
 

@@ -55,7 +55,7 @@ def test_everything_can_be_done_by_keyboard_alone(page: Page, address: str) -> N
     plan = page.get_by_role("button", name="Plan a path")
     tab_to(page, plan)
     page.keyboard.press("Enter")
-    expect(page.locator("#plan-told")).to_contain_text("Checked against the discs: collision-free.")
+    expect(page.locator("#plan-status")).to_contain_text("Checked against the discs: collision-free.")
     page.keyboard.press("Shift+Tab")
     tab_to(page, page.get_by_role("button", name="Copy the link"))
     page.keyboard.press("Enter")
@@ -116,17 +116,19 @@ def test_nothing_is_cut_off_and_nothing_lies_over_something_else(
 
 
 def test_the_page_asks_this_server_alone_and_its_policy_refuses_it_nothing(page: Page, address: str) -> None:
-    asked: list[str] = []
+    addresses: list[str] = []
     errors: list[str] = []
-    page.on("request", lambda request: asked.append(request.url))
+    page.on("request", lambda request: addresses.append(request.url))
     page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
     open_bench(page, address, "#ground=prediction")
     page.get_by_role("button", name="Plan a path").click()
-    expect(page.locator("#plan-told")).to_contain_text("Checked")
+    expect(page.locator("#plan-status")).to_contain_text("Checked")
     page.get_by_role("button", name="Copy as Python").click()
     page.get_by_role("button", name="Models").click()
-    assert len(asked) > 20
-    assert [one for one in asked if not one.startswith((f"{address}/", f"blob:{address}/", "about:"))] == []
+    assert len(addresses) > 20
+    assert [
+        one for one in addresses if not one.startswith((f"{address}/", f"blob:{address}/", "about:"))
+    ] == []
     assert errors == []
 
 
@@ -147,8 +149,8 @@ def test_texts_that_others_write_are_shown_as_text(page: Page, address: str) -> 
     story = {
         "reference": "pretrained", "rows": [[wicked, wicked]], "further": [[wicked, wicked]], "link": None,
     }  # fmt: skip
-    told = {"models": [story], "champions": [[wicked, wicked]]}
-    page.route("**/workbench/models", lambda route: route.fulfill(json=told))
+    stories = {"models": [story], "champions": [[wicked, wicked]]}
+    page.route("**/workbench/models", lambda route: route.fulfill(json=stories))
     open_bench(page, address, "#view=models&model=%3Cimg%20class%3Dintruder%3E")
     expect(page.get_by_role("article").first).to_contain_text(wicked)
     expect(page.locator(".intruder")).to_have_count(0)

@@ -38,22 +38,22 @@ def test_seed_time_and_number_of_ways_are_asked_for_and_stand_in_the_address(
     page: Page, address: str
 ) -> None:
     open_bench(page, address, hash_of(SCENE, **ENDS))
-    asked, _ = plan(page)
-    assert (asked["seed"], asked["time_limit_s"], asked["ways"]) == ("7", 5, 4)
-    expect(page.locator("#plan-told")).to_contain_text("Checked")
+    request, _ = plan(page)
+    assert (request["seed"], request["time_limit_s"], request["ways"]) == ("7", 5, 4)
+    expect(page.locator("#plan-status")).to_contain_text("Checked")
     fields = page.get_by_label("Plan", exact=True)
-    fields.get_by_label("paths").fill("2")
+    fields.get_by_label("paths", exact=True).fill("2")
     # Another question: the way that was there is none of its answers.
-    expect(page.locator("#plan-told")).to_be_empty()
+    expect(page.locator("#plan-status")).to_be_empty()
     fields.get_by_label("seed").fill("18446744073709551615")
     fields.get_by_label("time limit, s").fill("1.5")
     page.wait_for_url(re.compile("plan=18446744073709551615,1.5,2"))
-    asked, found = plan(page)
-    assert (asked["seed"], asked["time_limit_s"], asked["ways"]) == ("18446744073709551615", 1.5, 2)
+    request, found = plan(page)
+    assert (request["seed"], request["time_limit_s"], request["ways"]) == ("18446744073709551615", 1.5, 2)
     assert found["seed"] == "18446744073709551615"
     again = page.url.partition("/#")[2]
     open_bench(page, address, f"#{again}")
-    expect(fields.get_by_label("paths")).to_have_value("2")
+    expect(fields.get_by_label("paths", exact=True)).to_have_value("2")
     expect(fields.get_by_label("time limit, s")).to_have_value("1.5")
 
 
@@ -62,11 +62,11 @@ def test_what_an_address_says_wrongly_of_a_plan_is_brought_within_its_bounds(
     page: Page, address: str, wrong: str
 ) -> None:
     open_bench(page, address, f"{hash_of(SCENE, **ENDS)}&{wrong}")
-    asked, found = plan(page)
+    request, found = plan(page)
     # A machine that has much to do finds nothing in the least time.
-    assert found["status"] == "solved" or asked["time_limit_s"] == 0.01
-    assert 0.01 <= asked["time_limit_s"] <= 10
-    assert 1 <= asked["ways"] <= 64
+    assert found["status"] == "solved" or request["time_limit_s"] == 0.01
+    assert 0.01 <= request["time_limit_s"] <= 10
+    assert 1 <= request["ways"] <= 64
 
 
 def test_the_least_sure_place_and_each_piece_of_a_way_are_told_and_drawn(page: Page, address: str) -> None:
@@ -74,9 +74,9 @@ def test_the_least_sure_place_and_each_piece_of_a_way_are_told_and_drawn(page: P
     _, found = plan(page)
     assert found["status"] == "solved"
     least, edges = found["least_sure"], found["edges"]
-    told = page.locator("#plan-confidence")
-    expect(told).to_contain_text(f"Lowest confidence {least['confidence']:.3f} after")
-    pieces = re.search(r"Per edge: ([\d., ]+)\.$", told.inner_text())
+    note = page.locator("#plan-confidence")
+    expect(note).to_contain_text(f"Lowest confidence {least['confidence']:.3f} after")
+    pieces = re.search(r"Per edge: ([\d., ]+)\.$", note.inner_text())
     assert pieces is not None
     assert np.allclose([float(one) for one in pieces[1].split(", ")], edges, atol=0.00051)
     # As sure as this it needs no mark.
@@ -86,7 +86,7 @@ def test_the_least_sure_place_and_each_piece_of_a_way_are_told_and_drawn(page: P
     assert (uncertain > 0) == any(edge < 0.9 for edge in edges)
     # The confidence goes with the path.
     page.get_by_role("button", name="Add a disc").click()
-    expect(told).to_be_empty()
+    expect(note).to_be_empty()
 
 
 def test_pieces_of_little_confidence_are_drawn_as_such(page: Page, tmp_path: Path) -> None:
@@ -98,7 +98,7 @@ def test_pieces_of_little_confidence_are_drawn_as_such(page: Page, tmp_path: Pat
         _, found = plan(page)
         assert all(edge < 0.9 for edge in found["edges"])
         expect(page.locator("#plan-confidence")).to_contain_text("Per edge")
-        drawn = [page.locator(f"#torus .{kind}").get_attribute("d") for kind in ("way", "uncertain")]
+        drawn = [page.locator(f"#torus .{kind}").get_attribute("d") for kind in ("path", "uncertain")]
         assert drawn[0]
         assert drawn[0] == drawn[1]
         mark = page.locator("#torus .least")
@@ -114,8 +114,8 @@ def test_a_refusal_tells_its_reason(page: Page, address: str) -> None:
     open_bench(page, address, hash_of([(2.5, 0.0, 1.0)], start="2,0.3", goal="0,0"))
     _, found = plan(page)
     assert (found["status"], found["least_sure"]) == ("refused", None)
-    expect(page.locator("#plan-told")).to_have_text(f"Refused: {found['reason']}.")
-    expect(page.locator("#plan-told")).to_have_class("bad")
+    expect(page.locator("#plan-status")).to_have_text(f"Refused: {found['reason']}.")
+    expect(page.locator("#plan-status")).to_have_class("bad")
     expect(page.locator("#plan-confidence")).to_be_empty()
     expect(page.get_by_role("button", name="Play")).to_be_disabled()
 
@@ -132,9 +132,9 @@ def test_a_refused_path_shows_where_its_confidence_is_lowest(page: Page, address
     _, found = plan(page)
     page.unroute("**/plan")
     assert found["status"] == "refused"
-    expect(page.locator("#plan-told")).to_have_text(f"Refused: {found['reason']}.")
+    expect(page.locator("#plan-status")).to_have_text(f"Refused: {found['reason']}.")
     expect(page.locator("#plan-confidence")).to_contain_text(
         f"Lowest confidence {found['least_sure']['confidence']:.3f}"
     )
     expect(page.locator("#torus .least")).to_be_visible()
-    expect(page.locator("#torus .way")).to_have_attribute("d", "")
+    expect(page.locator("#torus .path")).to_have_attribute("d", "")

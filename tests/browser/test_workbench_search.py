@@ -45,23 +45,23 @@ def test_trees_are_fed_with_the_samples_that_are_shown_and_drawn_with_their_way(
     expect(page.locator("#predicted")).to_be_hidden()
     page.get_by_label("iterations").fill("3000")
     page.wait_for_url(re.compile(f"search={planner},shown,3000"))
-    asked, found = grow(page)
-    assert (asked["planner"], asked["max_iterations"], asked["seed"]) == (planner, 3000, "7")
-    assert len(asked["samples"]) == 300
+    request, found = grow(page)
+    assert (request["planner"], request["max_iterations"], request["seed"]) == (planner, 3000, "7")
+    assert len(request["samples"]) == 300
     assert found["status"] == "solved"
     path = np.array(found["path"])
     assert checker(SCENE).edge_batch(path[:-1], path[1:], 0.002).all()
-    expect(page.locator("#plan-told")).to_contain_text(f"{found['iterations']} iterations.")
-    expect(page.locator("#plan-told")).to_contain_text("Checked against the discs: collision-free.")
+    expect(page.locator("#plan-status")).to_contain_text(f"{found['iterations']} iterations.")
+    expect(page.locator("#plan-status")).to_contain_text("Checked against the discs: collision-free.")
     expect(page.locator("#plan-confidence")).to_contain_text(f"{found['state_checks']} states checked")
     drawn = page.locator("#torus .tree").get_attribute("d") or ""
     # A branch that crosses a seam is drawn at both sides of it.
     assert drawn.count("M") >= sum(parent >= 0 for parent in found["parents"]) > 0
-    expect(page.locator("#torus .way")).to_have_attribute("d", re.compile("^M"))
+    expect(page.locator("#torus .path")).to_have_attribute("d", re.compile("^M"))
     # Other samples would grow another tree.
     page.locator("#seed").fill("8")
     expect(page.locator("#torus .tree")).to_have_attribute("d", "")
-    expect(page.locator("#plan-told")).to_be_empty()
+    expect(page.locator("#plan-status")).to_be_empty()
 
 
 def test_trees_about_the_model_s_plan_ask_for_it_first_and_the_address_keeps_the_choice(
@@ -69,23 +69,23 @@ def test_trees_about_the_model_s_plan_ask_for_it_first_and_the_address_keeps_the
 ) -> None:
     open_bench(page, address, f"{hash_of(SCENE, **ENDS)}&search=RRT,ways,500")
     with page.expect_response(is_page("plan"), timeout=90_000) as planned:
-        asked, found = grow(page)
+        request, found = grow(page)
     assert planned.value.json()["status"] == "solved"
     assert json.loads(planned.value.request.post_data or "")["min_confidence"] == 0
     alternatives = [one["path"] for one in planned.value.json()["alternatives"]]
-    assert asked["ways"] == alternatives[:8]
-    assert (asked["planner"], asked["max_iterations"]) == ("RRT", 500)
+    assert request["paths"] == alternatives[:8]
+    assert (request["planner"], request["max_iterations"]) == ("RRT", 500)
     assert found["learned_drawn"] > 0
 
 
 def test_a_budget_that_is_used_up_and_an_end_that_collides_are_told(page: Page, address: str) -> None:
     open_bench(page, address, f"{hash_of(SCENE, **ENDS)}&search=RRT,uniform,1")
     grow(page)
-    expect(page.locator("#plan-told")).to_have_text("Not solved: no path was found within 1 iterations.")
-    expect(page.locator("#plan-told")).to_have_class("bad")
+    expect(page.locator("#plan-status")).to_have_text("Not solved: no path was found within 1 iterations.")
+    expect(page.locator("#plan-status")).to_have_class("bad")
     open_bench(page, address, f"{hash_of([(2.5, 0.0, 1.0)], start='0,0', goal='2,0')}&search=RRT,uniform,1")
     grow(page)
-    expect(page.locator("#plan-told")).to_have_text("Refused: the start collides.")
+    expect(page.locator("#plan-status")).to_have_text("Refused: the start collides.")
 
 
 def test_what_a_plan_has_to_score_is_chosen_kept_in_the_address_and_a_refusal_tells_why(
@@ -97,13 +97,13 @@ def test_what_a_plan_has_to_score_is_chosen_kept_in_the_address_and_a_refusal_te
     with page.expect_response(is_page("plan"), timeout=90_000) as answer:
         page.get_by_role("button", name="Plan a path").click()
     assert json.loads(answer.value.request.post_data or "")["min_confidence"] == 0.99
-    told = answer.value.json()
-    assert told["status"] == "refused"
-    assert "below the requested 0.99" in told["reason"]
-    expect(page.locator("#plan-told")).to_have_text(f"Refused: {told['reason']}.")
+    plan = answer.value.json()
+    assert plan["status"] == "refused"
+    assert "below the requested 0.99" in plan["reason"]
+    expect(page.locator("#plan-status")).to_have_text(f"Refused: {plan['reason']}.")
     again = page.url.partition("/#")[2]
     open_bench(page, address, f"#{again}")
-    expect(page.locator("#plan-sure")).to_have_value("0.99")
+    expect(page.locator("#plan-min-confidence")).to_have_value("0.99")
 
 
 def test_a_server_without_the_truth_offers_no_trees(page: Page, tmp_path: Path) -> None:

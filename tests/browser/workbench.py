@@ -38,8 +38,8 @@ def bench_server(folder: Path) -> Iterator[str]:
 
 def hash_of(discs: Discs, **fields: str) -> str:
     """The part of an address behind its # that shows so many discs."""
-    told = {"discs": ";".join(",".join(f"{value:g}" for value in disc) for disc in discs), **fields}
-    return "#" + "&".join(f"{name}={value}" for name, value in told.items())
+    values = {"discs": ";".join(",".join(f"{value:g}" for value in disc) for disc in discs), **fields}
+    return "#" + "&".join(f"{name}={value}" for name, value in values.items())
 
 
 def scenario(discs: Discs) -> Scenario:

@@ -57,7 +57,7 @@ def _taken(page: Page, address: str, name: str) -> bytes:
     page.set_viewport_size({"width": width, "height": height})
     open_bench(page, address, fragment)
     page.get_by_role("button", name="Plan a path").click()
-    expect(page.locator("#plan-told")).to_contain_text("Checked")
+    expect(page.locator("#plan-status")).to_contain_text("Checked")
     page.get_by_role("slider", name="Along the path").evaluate(
         "(slider) => { slider.value = 450; slider.dispatchEvent(new Event('input')); slider.blur(); }"
     )

@@ -25,9 +25,9 @@ def test_a_document_that_is_nested_deep_is_refused(opening: str, closing: str, l
 
 @given(st.text(st.characters(), max_size=2 * MAX_CHARACTERS))
 def test_no_text_is_long_or_leaves_its_line(text: str) -> None:
-    told = printable(text)
-    assert told.isprintable()
-    assert len(told) == min(len(text), MAX_CHARACTERS)
+    shown = printable(text)
+    assert shown.isprintable()
+    assert len(shown) == min(len(text), MAX_CHARACTERS)
 
 
 def test_an_unusable_answer_tells_what_came_in_plain_text() -> None:

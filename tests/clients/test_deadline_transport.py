@@ -99,10 +99,10 @@ def test_a_connection_that_the_server_closed_is_replaced_unseen() -> None:
 
 
 def test_a_host_of_many_addresses_has_one_time_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[float] = []
+    timeouts: list[float] = []
 
     def never(self: object, host: str, port: int, timeout: float, *_: object) -> None:
-        asked.append(timeout)
+        timeouts.append(timeout)
         time.sleep(min(timeout, 0.06))
         raise transport.httpcore.ConnectTimeout("late")
 
@@ -112,8 +112,8 @@ def test_a_host_of_many_addresses_has_one_time_limit(monkeypatch: pytest.MonkeyP
     client = SamplingClient("http://many.test", policy=RetryPolicy(attempts=1, deadline_s=0.3))
     with client, pytest.raises(SamplerUnavailableError, match="in time"):
         client.sample(PNG, N, seed=SEED)
-    assert 1 < len(asked) <= 6
-    assert sum(min(value, 0.06) for value in asked) <= 0.3
+    assert 1 < len(timeouts) <= 6
+    assert sum(min(value, 0.06) for value in timeouts) <= 0.3
 
 
 def test_without_a_deadline_the_request_s_own_limits_hold() -> None:

@@ -39,10 +39,10 @@ def client(folder):
 
 
 def test_a_bundle_answers_as_the_projects_own_sampler(folder, client):
-    asked = {"seed": 7, "epsilon_sigma": [0, 0.5], "min_confidence": 0.4}
+    options = {"seed": 7, "epsilon_sigma": [0, 0.5], "min_confidence": 0.4}
     ours, theirs = (
-        LocalSampler(folder).sample(picture(), 50, **asked),
-        client.sample(picture(), 50, **asked),
+        LocalSampler(folder).sample(picture(), 50, **options),
+        client.sample(picture(), 50, **options),
     )
     assert np.array_equal(ours.samples, theirs.samples)
     assert (ours.digest, ours.shortfall) == (theirs.digest, theirs.shortfall)

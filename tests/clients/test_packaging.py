@@ -28,10 +28,10 @@ def test_the_wheel_is_small_holds_the_package_alone_and_needs_numpy_and_httpx(tm
     assert {name for name in names if name.endswith(".py")} == sources
     assert "cspace_client/py.typed" in names
     assert any(name.endswith("licenses/LICENSE") for name in names)
-    told = Parser().parsestr(metadata)
-    plain = [one for one in told.get_all("Requires-Dist") if "extra ==" not in one]
+    headers = Parser().parsestr(metadata)
+    plain = [one for one in headers.get_all("Requires-Dist") if "extra ==" not in one]
     assert sorted(one.partition("<")[0].partition(">")[0] for one in plain) == ["httpx", "numpy"]
-    assert told.get_all("Provides-Extra") == ["ompl", "local"]
+    assert headers.get_all("Provides-Extra") == ["ompl", "local"]
 
 
 def test_it_has_the_projects_version() -> None:

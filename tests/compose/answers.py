@@ -21,10 +21,10 @@ def ask_for_samples(stack: Stack, **fields: str) -> httpx.Response:
 
 def ask_for_plan(stack: Stack, **fields: str) -> httpx.Response:
     """Ask for a way through the same picture, by one seed."""
-    asked = request(**fields)
+    body = request(**fields)
     ends = {"start": "[1.5, 0.5]", "goal": "[-1.5, 0.5]", "seed": "1", "time_limit_s": "10"}
-    data = {name: value for name, value in asked["data"].items() if name not in ("n", "seed")} | ends
-    return httpx.post(f"{stack.url('API')}/plan", timeout=60, files=asked["files"], data=data)
+    data = {name: value for name, value in body["data"].items() if name not in ("n", "seed")} | ends
+    return httpx.post(f"{stack.url('API')}/plan", timeout=60, files=body["files"], data=data)
 
 
 def serves_champion(stack: Stack, decided: Mapping[str, Any]) -> None:

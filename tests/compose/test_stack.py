@@ -36,8 +36,8 @@ def test_a_container_is_not_root_and_cannot_write_to_its_root(stack: Stack, serv
 
 def test_the_api_plans_without_compiling_first(stack: Stack) -> None:
     began = stack.compose("exec", "-T", "inference-api", "ls", "-R", "/opt/cspace/kernels")
-    told = ask_for_plan(stack, model="pretrained").json()
-    assert told["status"] in ("solved", "refused"), told
+    answer = ask_for_plan(stack, model="pretrained").json()
+    assert answer["status"] in ("solved", "refused"), answer
     assert began.count(".nbc") > 10
     assert stack.compose("exec", "-T", "inference-api", "ls", "-R", "/opt/cspace/kernels") == began
 

@@ -59,8 +59,8 @@ def test_a_version_leads_to_its_run_and_to_the_data(registered: Registered) -> N
     MlflowRegistry(registered.uri).show(registered.version, shown)
     page = client.get_model_version(registered.version.name, str(registered.version.number))
     assert page.description == "## promoted"
-    told = {metric.key: metric for metric in client.get_logged_model(output.model_id).metrics}
-    metric = told["validation/edr"]
+    metrics = {metric.key: metric for metric in client.get_logged_model(output.model_id).metrics}
+    metric = metrics["validation/edr"]
     assert (metric.value, metric.dataset_name) == (0.25, "planar scenes, seed 0")
     assert metric.dataset_digest == DIGEST[:36]
 

@@ -137,8 +137,8 @@ def test_the_same_seed_drawn_or_asked_for_gives_the_same_samples_and_another_one
 
 @BASELINE_TOO
 def test_pixels_are_as_good_as_their_file_and_a_query_as_its_arguments(source):
-    asked = source.answer(picture(), SampleQuery(20, 3, (0.0, 0.5)))
-    assert np.array_equal(source.sample(PNG, 20, 3, epsilon_sigma=[0, 0.5]).samples, asked.samples)
+    by_query = source.answer(picture(), SampleQuery(20, 3, (0.0, 0.5)))
+    assert np.array_equal(source.sample(PNG, 20, 3, epsilon_sigma=[0, 0.5]).samples, by_query.samples)
 
 
 @BASELINE_TOO

@@ -66,12 +66,12 @@ def test_the_description_tells_limits_and_no_other_ones_than_the_robots() -> Non
     spec = tiny_spec(ARMS["mixed"])
     assert BundleSpec.from_json(spec.to_json()) == spec
     values = json.loads(spec.to_json())
-    told = values["joint_space"]
-    assert told == {
+    space = values["joint_space"]
+    assert space == {
         "kind": "mixed", "dim": 2, "unit": "rad",
         "lower": [-np.pi, -1.0], "upper": [np.pi, 0.5], "periodic": [True, False],
     }  # fmt: skip
-    for other in (told | {"upper": [np.pi, 0.6]}, {"kind": "torus", "dim": 2, "unit": "rad"}):
+    for other in (space | {"upper": [np.pi, 0.6]}, {"kind": "torus", "dim": 2, "unit": "rad"}):
         with pytest.raises(BundleIntegrityError, match="joint_space"):
             BundleSpec.from_json(json.dumps(values | {"joint_space": other}).encode())
 

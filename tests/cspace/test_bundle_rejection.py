@@ -71,12 +71,12 @@ def test_a_handful_has_a_chance_too() -> None:
 
 def test_samples_are_the_same_where_nobody_is_told_their_confidence(tiny_bundle: Path) -> None:
     bundle = Bundle.load(tiny_bundle)
-    told = bundle.sample(picture(), 40, 2, min_confidence=0.0)
-    untold = bundle.sample(picture(), 40, 2, min_confidence=0.0, tell_confidence=False)
-    assert told.confidence is not None
-    assert untold.confidence is None
-    np.testing.assert_array_equal(untold.samples, told.samples)
+    with_confidence = bundle.sample(picture(), 40, 2, min_confidence=0.0)
+    without_confidence = bundle.sample(picture(), 40, 2, min_confidence=0.0, report_confidence=False)
+    assert with_confidence.confidence is not None
+    assert without_confidence.confidence is None
+    np.testing.assert_array_equal(without_confidence.samples, with_confidence.samples)
     filtered = [
-        bundle.sample(picture(), 40, 2, min_confidence=0.4, tell_confidence=tell) for tell in (True, False)
+        bundle.sample(picture(), 40, 2, min_confidence=0.4, report_confidence=tell) for tell in (True, False)
     ]
     np.testing.assert_array_equal(filtered[0].samples, filtered[1].samples)

@@ -31,7 +31,7 @@ def test_a_query_that_fits_is_not_judged_again_nor_is_it_with_another_seed(bundl
 def test_a_fitted_query_gives_the_samples_of_the_query_itself(bundle: Bundle) -> None:
     query = SampleQuery(50, 3, min_confidence=0.5, robot=bundle.robot)
     fits = fitted(query, bundle.spec, has_validity=True)
-    one, other = (bundle.answer(picture(), asked) for asked in (query, fits))
+    one, other = (bundle.answer(picture(), each) for each in (query, fits))
     assert one.samples.tobytes() == other.samples.tobytes()
 
 

@@ -135,9 +135,9 @@ def test_a_filtered_request_keeps_the_shares_of_its_schedule(scored: Bundle) -> 
 def test_without_a_confidence_the_bundles_own_threshold_holds(tmp_path: Path) -> None:
     spec = replace(tiny_spec(), confidence_threshold=0.4)
     own = Bundle.load(write_bundle(tmp_path / "own", spec, tiny_graphs(spec, validity=True)))
-    default, asked = own.sample(picture(), 300, 3), own.sample(picture(), 300, 3, min_confidence=0.4)
+    default, explicit = own.sample(picture(), 300, 3), own.sample(picture(), 300, 3, min_confidence=0.4)
     everything = own.sample(picture(), 300, 3, min_confidence=0.0)
-    assert default.samples.tobytes() == asked.samples.tobytes() != everything.samples.tobytes()
+    assert default.samples.tobytes() == explicit.samples.tobytes() != everything.samples.tobytes()
     assert everything.confidence is not None
     assert everything.confidence.min() < np.float32(0.4)
     assert everything.acceptance == 1.0

@@ -16,7 +16,7 @@ from cspace.worlds import examples, seen_checkers, simulator_of
 from tests.bundles import picture, tiny_graphs, tiny_spec, write_tiny_bundle
 
 WORLD = examples()["two-link"]
-SHOP = simulator_of(WORLD)
+SIMULATOR = simulator_of(WORLD)
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +32,7 @@ def bundle(folder):
 
 @pytest.fixture(scope="module")
 def problem():
-    return SHOP.problem("narrow", Split.VALIDATION, 0, 1)
+    return SIMULATOR.problem("narrow", Split.VALIDATION, 0, 1)
 
 
 def ends(problem):
@@ -40,7 +40,7 @@ def ends(problem):
 
 
 def test_samples_lie_along_free_ways_in_their_order(bundle, problem):
-    image = SHOP.render(problem.scenario)
+    image = SIMULATOR.render(problem.scenario)
     found = bundle.sample(image, 600, 7, min_confidence=0.0, **ends(problem))
     assert (len(found.samples), found.shortfall) == (600, 0)
     assert found.confidence.shape == found.ways.shape == (600,)
@@ -58,7 +58,7 @@ def test_samples_lie_along_free_ways_in_their_order(bundle, problem):
 
 
 def test_the_same_seed_gives_the_same_samples_and_another_gives_others(bundle, problem):
-    image = SHOP.render(problem.scenario)
+    image = SIMULATOR.render(problem.scenario)
     one, again, other = (
         bundle.sample(image, 80, seed, min_confidence=0.0, **ends(problem)).samples for seed in (7, 7, 8)
     )
@@ -67,7 +67,7 @@ def test_the_same_seed_gives_the_same_samples_and_another_gives_others(bundle, p
 
 
 def test_a_confidence_to_reach_drops_samples_and_keeps_the_order_of_ways(bundle, problem):
-    image = SHOP.render(problem.scenario)
+    image = SIMULATOR.render(problem.scenario)
     plain = bundle.sample(image, 200, 7, min_confidence=0.0, **ends(problem))
     least = float(np.quantile(plain.confidence, 0.3))
     found = bundle.sample(image, 200, 7, min_confidence=least, **ends(problem))

@@ -51,8 +51,8 @@ def test_what_is_interrupted_leaves_nothing(tmp_path: Path, error: BaseException
 def test_a_folder_that_holds_something_is_not_replaced(tmp_path: Path) -> None:
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis" / "text").write_text("years of work")
-    told = pytest.raises(StorageError, match="the thesis cannot be written")
-    with told, replacing(tmp_path / "thesis", "the thesis") as beside:
+    refused = pytest.raises(StorageError, match="the thesis cannot be written")
+    with refused, replacing(tmp_path / "thesis", "the thesis") as beside:
         beside.mkdir()
     assert (tmp_path / "thesis" / "text").read_text() == "years of work"
     assert [path.name for path in tmp_path.iterdir()] == ["thesis"]

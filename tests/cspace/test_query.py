@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cspace.errors import InputError
-from cspace.query import MAX_SEED, SampleQuery, drawn_seed
+from cspace.query import MAX_SEED, SampleQuery, random_seed
 
 WRONG = [
     {"n": 0}, {"n": 2.5}, {"n": True}, {"n": "3"},
@@ -38,8 +38,8 @@ def test_values_of_numpy_become_plain_ones_and_equal_queries_are_one():
 
 
 def test_a_seed_is_drawn_where_none_is_given():
-    assert drawn_seed(0) == 0
-    first, second = drawn_seed(), drawn_seed()
+    assert random_seed(0) == 0
+    first, second = random_seed(), random_seed()
     assert first != second
     assert 0 <= first <= MAX_SEED
 

@@ -133,7 +133,7 @@ def page() -> Iterator[Page]:
 @pytest.mark.e2e
 def test_the_guide_works_in_a_browser_under_the_servers_policy(guide: str, page: Page) -> None:
     refused: list[str] = []
-    page.on("console", lambda told: refused.append(told.text) if told.type == "error" else None)
+    page.on("console", lambda message: refused.append(message.text) if message.type == "error" else None)
     page.on("pageerror", lambda error: refused.append(str(error)))
     page.goto(guide)
     page.get_by_role("link", name="Getting started").first.click()

@@ -19,7 +19,7 @@ COMPILER = shutil.which("g++")
 def has_libcurl() -> bool:
     if COMPILER is None:
         return False
-    asked = subprocess.run(
+    process = subprocess.run(
         [COMPILER, "-E", "-x", "c++", "-"],
         input="#include <curl/curl.h>\n",
         capture_output=True,
@@ -27,7 +27,7 @@ def has_libcurl() -> bool:
         check=False,
         timeout=30,
     )
-    return asked.returncode == 0
+    return process.returncode == 0
 
 
 needs_libcurl = pytest.mark.skipif(not has_libcurl(), reason="no g++ with libcurl's headers on this machine")

@@ -99,11 +99,11 @@ def test_a_depth_picture_and_a_goal_become_a_trajectory_of_seven_joints(
     world = examples()["panda"]
     problem = simulator_of(world).problem("shelf", Split.DEMO, 12)
     taken = read_view(picture_file_of(problem.scenario), world.space)
-    told = taken.cameras[0].to_dict()
-    k = [told["fx"], 0.0, told["cx"], 0.0, told["fy"], told["cy"], 0.0, 0.0, 1.0]
-    node = page["Planner"](space_api, JOINTS, told["pose"], model="pretrained", least=0.0)
+    values = taken.cameras[0].to_dict()
+    k = [values["fx"], 0.0, values["cx"], 0.0, values["fy"], values["cy"], 0.0, 0.0, 1.0]
+    node = page["Planner"](space_api, JOINTS, values["pose"], model="pretrained", least=0.0)
     node.client.timeout = 300.0
-    node.on_camera(page["CameraInfo"](width=told["width"], height=told["height"], k=k))
+    node.on_camera(page["CameraInfo"](width=values["width"], height=values["height"], k=k))
     node.on_image(image_of(page, taken.pictures[0], "16UC1"))
     node.on_state(page["JointState"](name=JOINTS[::-1], position=problem.start[::-1].tolist()))
     node.on_goal(page["JointState"](name=JOINTS, position=problem.goal.tolist()))

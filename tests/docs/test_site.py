@@ -86,18 +86,18 @@ def test_a_link_that_shows_a_files_name_shows_its_title_on_the_site(outside: Mod
 
 
 def test_the_page_of_commands_has_every_command_of_the_project(command_lines: ModuleType) -> None:
-    told = {command.line for command in command_lines.COMMANDS}
+    documented = {command.line for command in command_lines.COMMANDS}
     doors = [*ROOT.glob("services/*/__main__.py"), *ROOT.glob("training/*/__main__.py"),
              ROOT / "inference_api" / "__main__.py"]  # fmt: skip
     lines = {f"python -m {'.'.join(path.parent.relative_to(ROOT).parts)}" for path in doors}
     assert len(lines) > 6
-    assert lines - told == set()
+    assert lines - documented == set()
     jobs = [
         path.stem for path in ROOT.glob("training/*.py") if "__main__" in path.read_text(encoding="utf-8")
     ]
     assert len(jobs) == 7
     assert [job for job in jobs
-            if not {f"python training/{job}.py", f"python -m training.{job}"} & told] == []  # fmt: skip
+            if not {f"python training/{job}.py", f"python -m training.{job}"} & documented] == []  # fmt: skip
 
 
 def test_a_command_is_told_as_it_tells_itself(command_lines: ModuleType) -> None:

@@ -102,8 +102,8 @@ def test_a_job_knows_rays_id_of_it_and_is_told_while_it_runs(
     says = "from training.jobs.environment import submission_id; print(submission_id(), flush=True)"
     job = jobs.submit(f"{sys.executable} -c '{says}; import time; time.sleep(300)'")
     wait_for(lambda: job in jobs.log(job).split())
-    told = jobs_under_way(stack.settings.ray_url, token_headers())
-    assert [line.startswith(f"  {job}, since 20") for line in told] == [False, True]
+    listed = jobs_under_way(stack.settings.ray_url, token_headers())
+    assert [line.startswith(f"  {job}, since 20") for line in listed] == [False, True]
     assert stack.shell(f"ray job stop {job}").returncode == 0
     assert jobs_under_way(stack.settings.ray_url, token_headers()) == ()
 

@@ -23,7 +23,7 @@ def uniform_pairs(rng: np.random.Generator, n: int) -> NDArray[np.float64]:
     return rng.uniform(-np.pi, np.pi, (n, 2))
 
 
-class Asked(NamedTuple):
+class Received(NamedTuple):
     """What a source was asked."""
 
     image_png: bytes
@@ -39,11 +39,11 @@ class FakeSampleSource(SampleSource):
 
     def __init__(self, draw: Draw = uniform_pairs, *, ready: bool = True) -> None:
         self.draw, self.ready = draw, ready
-        self.requests: list[Asked] = []
+        self.requests: list[Received] = []
 
     def answer(self, picture: Picture, query: SampleQuery, model: str | None = None) -> SampleBatch:
         png = picture if isinstance(picture, bytes) else encode_png(picture)
-        self.requests.append(Asked(png, query, model))
+        self.requests.append(Received(png, query, model))
         if not self.ready:
             raise SamplerUnavailableError("no model is ready")
         if model not in (None, MODEL):
@@ -57,5 +57,5 @@ class FakeSampleSource(SampleSource):
         confidence = rng.random(query.n, dtype=np.float32)
         passed = confidence >= (query.min_confidence or 0.0)
         kept = samples[passed]
-        told = confidence[passed] if query.min_confidence else None
-        return SampleBatch(kept, MODEL, 0, DIGEST, query.seed, query.n - len(kept), 0.0, confidence=told)
+        shown = confidence[passed] if query.min_confidence else None
+        return SampleBatch(kept, MODEL, 0, DIGEST, query.seed, query.n - len(kept), 0.0, confidence=shown)

@@ -19,5 +19,5 @@ class IntoApp(httpx.BaseTransport, httpx.AsyncBaseTransport):
 
     async def handle_async_request(self, request: httpx.Request) -> httpx.Response:
         content = await request.aread()
-        told = httpx.Request(request.method, request.url, headers=request.headers, content=content)
-        return await anyio.to_thread.run_sync(self.handle_request, told)
+        forwarded = httpx.Request(request.method, request.url, headers=request.headers, content=content)
+        return await anyio.to_thread.run_sync(self.handle_request, forwarded)

@@ -15,7 +15,7 @@ class CountingRegistry(FakeRegistry):
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
-        self.asked = 0
+        self.calls = 0
         self.downloads = 0
 
     def add(self, bundle: Path, *aliases: str, name: str = MODEL, digest: str | None = None) -> int:
@@ -43,5 +43,5 @@ class CountingRegistry(FakeRegistry):
         return super().download(version, folder)
 
     def _check_there(self) -> None:
-        self.asked += 1
+        self.calls += 1
         super()._check_there()

@@ -126,25 +126,27 @@ def test_a_picture_that_shows_next_to_nothing_is_as_novel_as_can_be_and_no_plan_
 ) -> None:
     # Some litres before a wall.
     camera = DepthCamera.of_field(64, 48, 12.0, looking((1.06, 0.0, 0.4), (0.0, 0.0, 0.4)))
-    told = camera_of(camera.matrix, **{name: getattr(camera, name) for name in ("fx", "fy", "cx", "cy")})
+    camera_values = camera_of(
+        camera.matrix, **{name: getattr(camera, name) for name in ("fx", "fy", "cx", "cy")}
+    )
     depth = np.full((48, 64), 200, np.uint16)
-    found = score(api, depth, told)
+    found = score(api, depth, camera_values)
     assert found["scenario"]["novelty"] > 0.9
     assert "little-in-reach" in codes(found)
-    plan = ask(api, "/plan", [depth], [told], **PAGES["/plan"]).json()
+    plan = ask(api, "/plan", [depth], [camera_values], **PAGES["/plan"]).json()
     assert plan["status"] == "refused"
     assert "of the space that the arm can reach" in plan["reason"]
-    taken = ask(api, "/plan", [depth], [told], **PAGES["/plan"], min_confidence="0.1").json()
+    taken = ask(api, "/plan", [depth], [camera_values], **PAGES["/plan"], min_confidence="0.1").json()
     assert taken["status"] == "solved"
 
 
 @pytest.mark.parametrize("value", [65535, 10001, 19])
 def test_what_no_depth_camera_reads_is_no_reading(api: ApiClient, value: int) -> None:
-    hole, told = score(api, holed(0)), score(api, holed(value))
-    assert (told["confidence"], told["unseen"]) == (hole["confidence"], hole["unseen"])
-    np.testing.assert_allclose(told["unseen"][1:], [0.454, 0.751], atol=1e-3)
-    np.testing.assert_allclose(told["confidence"][1:], [0.984, 0.957], atol=1e-3)
-    assert ("out-of-range" in codes(told), "out-of-range" in codes(hole)) == (True, False)
+    hole, far = score(api, holed(0)), score(api, holed(value))
+    assert (far["confidence"], far["unseen"]) == (hole["confidence"], hole["unseen"])
+    np.testing.assert_allclose(far["unseen"][1:], [0.454, 0.751], atol=1e-3)
+    np.testing.assert_allclose(far["confidence"][1:], [0.984, 0.957], atol=1e-3)
+    assert ("out-of-range" in codes(far), "out-of-range" in codes(hole)) == (True, False)
 
 
 def test_the_unit_of_depths_can_be_said_at_every_door(api: ApiClient) -> None:
@@ -166,8 +168,8 @@ def test_the_unit_of_depths_can_be_said_at_every_door(api: ApiClient) -> None:
     ).json()
     with SamplingClient("http://localhost", transport=IntoApp(api)) as client:
         depth = DepthPictures([fifths], [RIGHT], depth_scale_m=0.0002)
-        asked = client.validity(depth, body["configurations"], PANDA)
-    np.testing.assert_array_equal(asked.confidence, np.float32(right["confidence"]))
+        scored = client.validity(depth, body["configurations"], PANDA)
+    np.testing.assert_array_equal(scored.confidence, np.float32(right["confidence"]))
     for one in (form, plain, packed):
         assert (one["confidence"], one["unseen"]) == (right["confidence"], right["unseen"])
     problem = assert_problem(api.post("/validity", json=body | {"depth_scale_m": 0.0}), 422, "invalid-value")
@@ -180,9 +182,9 @@ def test_the_unit_of_depths_can_be_said_at_every_door(api: ApiClient) -> None:
 
 def test_another_unit_without_a_word_is_told(api: ApiClient) -> None:
     found = score(api, wall(4500, 7500))
-    told = next(one for one in found["warnings"] if one["code"] == "no-surface-in-reach")
-    assert "depth_scale_m" in told["message"]
-    assert "0.0002" in told["message"]
+    warning = next(one for one in found["warnings"] if one["code"] == "no-surface-in-reach")
+    assert "depth_scale_m" in warning["message"]
+    assert "0.0002" in warning["message"]
     assert "no-surface-in-reach" not in codes(score(api, wall()))
 
 
@@ -208,8 +210,8 @@ def test_clients_are_told_of_all_of_it(api: ApiClient) -> None:
         batch = client.sample(picture, 5, seed=1, model=PANDA)
         found = client.plan(picture, PlanQuery(START, GOAL), PANDA)
         beliefs = client.validity(picture, [GOAL], PANDA)
-    told = score(api, wall(4500, 7500))["warnings"]
+    warning = score(api, wall(4500, 7500))["warnings"]
     for warnings in (batch.warnings, found.model.warnings, beliefs.model.warnings):
         assert [(one.code, one.message) for one in warnings] == [
-            (one["code"], one["message"]) for one in told
+            (one["code"], one["message"]) for one in warning
         ]

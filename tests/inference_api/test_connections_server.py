@@ -105,9 +105,9 @@ def test_the_lowest_layer_answers_with_problems(
     for line in (b"connection: close", b"x-content-type-options: nosniff", b"cache-control: no-store"):
         assert b"\r\n" + line in start
     request_id = start.partition(b"x-request-id: ")[2][:32].decode()
-    (told,) = (line for line in server.log.read_text().splitlines() if request_id in line)
-    assert told.startswith(f"INFO:     other unknown {status} ")
-    assert told.endswith(f"reason={name}")
+    (line,) = (line for line in server.log.read_text().splitlines() if request_id in line)
+    assert line.startswith(f"INFO:     other unknown {status} ")
+    assert line.endswith(f"reason={name}")
     text = httpx.get(f"{server.address}/metrics").text
     assert f'cspace_requests_total{{method="other",route="unknown",status="{status}"}}' in text
 

@@ -33,9 +33,9 @@ def exported(api: ApiClient) -> dict[str, set[str]]:
 
 
 def test_every_metric_and_label_of_the_dashboard_is_exported(exported: dict[str, set[str]]) -> None:
-    asked = {name for query in QUERIES for name in NAME.findall(query)}
-    assert asked <= set(exported)
-    assert len(asked) > 10
+    queried = {name for query in QUERIES for name in NAME.findall(query)}
+    assert queried <= set(exported)
+    assert len(queried) > 10
     for query in QUERIES:
         labels = {label for name in NAME.findall(query) for label in exported[name]} | SCRAPED
         groups = {name for group in re.findall(r"by \(([^)]*)\)", query) for name in group.split(", ")}
@@ -46,6 +46,6 @@ def test_every_metric_and_label_of_the_dashboard_is_exported(exported: dict[str,
 
 
 def test_every_metric_of_the_project_is_on_the_dashboard(exported: dict[str, set[str]]) -> None:
-    asked = " ".join(QUERIES)
+    queried = " ".join(QUERIES)
     names = {name for name in exported if name.startswith("cspace_") and "_created" not in name}
-    assert {name for name in names if name not in asked} <= {"cspace_acceptance_ratio_bucket"}
+    assert {name for name in names if name not in queried} <= {"cspace_acceptance_ratio_bucket"}

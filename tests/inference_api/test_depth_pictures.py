@@ -26,8 +26,8 @@ ROWS = WORLD.space.sample_uniform(np.random.default_rng(1), 30)
 
 
 def camera(side):
-    told = DepthCamera.of_field(64, 48, 70.0, looking((1.3, side, 0.9), (0.4, 0.0, 0.3))).to_dict()
-    return {name: told[name] for name in ("fx", "fy", "cx", "cy", "pose")}
+    values = DepthCamera.of_field(64, 48, 70.0, looking((1.3, side, 0.9), (0.4, 0.0, 0.3))).to_dict()
+    return {name: values[name] for name in ("fx", "fy", "cx", "cy", "pose")}
 
 
 def depth(near_mm):
@@ -72,10 +72,10 @@ def test_samples_come_with_confidence_and_the_unseen_share(api, bundle):
 
 def test_one_picture_shows_less_than_two(api):
     def unseen(count):
-        told = ask(
+        answer = ask(
             api, IMAGES[:count], CAMERAS[:count], "/validity", configurations=json.dumps(ROWS.tolist())
         )
-        return np.array(told.json()["unseen"])
+        return np.array(answer.json()["unseen"])
 
     one, two = unseen(1), unseen(2)
     assert (two <= one + 1e-6).all()
@@ -191,15 +191,15 @@ def test_a_way_is_planned_in_what_depth_pictures_show(api, bundle):
     goal = list(STATE)
     goal[0] += 1.2
     fields = {"start": json.dumps(STATE), "goal": json.dumps(goal), "state": json.dumps(STATE), "seed": "1"}
-    told = ask(api, page="/plan", time_limit_s="10", **fields).json()
-    assert told["status"] == "solved", told["reason"]
-    assert np.allclose([told["path"][0], told["path"][-1]], [STATE, goal], atol=1e-6)
-    assert len(told["unseen"]) == len(told["edges"]) == len(told["path"]) - 1
-    assert 0.0 <= min(told["unseen"]) <= max(told["unseen"]) <= 1.0
-    assert told["joint_space"]["kind"] == "box"
-    ends = np.asarray(told["path"], np.float32)
+    answer = ask(api, page="/plan", time_limit_s="10", **fields).json()
+    assert answer["status"] == "solved", answer["reason"]
+    assert np.allclose([answer["path"][0], answer["path"][-1]], [STATE, goal], atol=1e-6)
+    assert len(answer["unseen"]) == len(answer["edges"]) == len(answer["path"]) - 1
+    assert 0.0 <= min(answer["unseen"]) <= max(answer["unseen"]) <= 1.0
+    assert answer["joint_space"]["kind"] == "box"
+    ends = np.asarray(answer["path"], np.float32)
     alternative = bundle.predict(as_read(bundle, state=STATE), ends)[0]
-    edges = np.asarray(told["edges"])
+    edges = np.asarray(answer["edges"])
     assert (edges <= alternative[1:] + 1e-5).all()
     assert (edges <= alternative[:-1] + 1e-5).all()
 

@@ -78,8 +78,8 @@ def test_numbers_in_json_are_the_same(api):
 
 
 def test_the_metadata_tell_the_inputs_and_what_is_unseen(api):
-    told = api.get("/v2/models/panda-sampler").json()
-    inputs = {one["name"]: (one["datatype"], one["shape"]) for one in told["inputs"]}
+    metadata = api.get("/v2/models/panda-sampler").json()
+    inputs = {one["name"]: (one["datatype"], one["shape"]) for one in metadata["inputs"]}
     assert inputs == {
         "depth": ("UINT16", [-1, -1, -1]),
         "intrinsics": ("FP64", [-1, 4]),
@@ -88,7 +88,7 @@ def test_the_metadata_tell_the_inputs_and_what_is_unseen(api):
         "depth_scale_m": ("FP64", [1]),
         "configurations": ("FP32", [-1, 7]),
     }
-    assert [one["name"] for one in told["outputs"]][:3] == ["samples", "confidence", "unseen"]
+    assert [one["name"] for one in metadata["outputs"]][:3] == ["samples", "confidence", "unseen"]
     planar = api.get("/v2/models/pretrained").json()
     assert [one["name"] for one in planar["inputs"]] == ["image"]
     assert "unseen" not in [one["name"] for one in planar["outputs"]]
@@ -126,7 +126,9 @@ WRONG = [
 ]
 
 
-@pytest.mark.parametrize(("view", "message"), WRONG, ids=[f"{n} {told}" for n, (_, told) in enumerate(WRONG)])
+@pytest.mark.parametrize(
+    ("view", "message"), WRONG, ids=[f"{n} {message}" for n, (_, message) in enumerate(WRONG)]
+)
 def test_what_cannot_be_seen_is_told(api, view, message):
     answer = ask(api, view, n=3)
     assert answer.status_code == 400

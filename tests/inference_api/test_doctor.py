@@ -30,8 +30,8 @@ def api(panda_api: ApiClient) -> ApiClient:
 
 
 def ask(api: ApiClient, camera: DepthCamera = CAMERA, **fields: str) -> httpx.Response:
-    told = {name: value for name, value in camera.to_dict().items() if name not in ("width", "height")}
-    data = {"model": PANDA, "camera": json.dumps(told), "state": json.dumps(STATE), **fields}
+    values = {name: value for name, value in camera.to_dict().items() if name not in ("width", "height")}
+    data = {"model": PANDA, "camera": json.dumps(values), "state": json.dumps(STATE), **fields}
     return api.post("/doctor", files=[("image", encode_depth(PICTURE))], data=data)
 
 
@@ -94,10 +94,10 @@ def test_a_diagnosis_ends_where_the_client_has_left() -> None:
 
 
 def test_the_client_reads_a_diagnosis(api: ApiClient) -> None:
-    told = {
+    camera_values = {
         name: value for name, value in CAMERA.to_dict().items() if name not in ("width", "height", "pose")
     }
-    shown = DepthPictures([PICTURE], [told | {"pose": MISPLACED}], np.array(STATE))
+    shown = DepthPictures([PICTURE], [camera_values | {"pose": MISPLACED}], np.array(STATE))
     with SamplingClient("http://localhost", 30.0, transport=IntoApp(api)) as client:
         found = client.doctor(shown, PANDA)
     assert [one.code for one in found.verdicts] == ["extrinsics"]

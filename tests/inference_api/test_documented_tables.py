@@ -44,9 +44,9 @@ def test_the_table_of_metrics_is_that_of_a_real_app_labels_included(api: ApiClie
 
 def test_the_settings_that_help_names_are_documented() -> None:
     command = [sys.executable, "-m", "inference_api", "--help"]
-    told = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    process = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
     text = (ROOT / "docs" / "operations.md").read_text(encoding="utf-8")
     # Long lines of help are broken at dashes, not at underscores.
-    named = set(re.findall(r"\bCSPACE_\w+", told.stdout))
+    named = set(re.findall(r"\bCSPACE_\w+", process.stdout))
     assert len(named) > 8
     assert {name for name in named if f"| `{name}` |" not in text} == set()

@@ -135,12 +135,12 @@ def test_forwarded_addresses_count_behind_trusted_proxies_only(start_api: StartA
 def test_a_page_of_an_allowed_site_asks_and_reads_the_answer(named: ApiClient) -> None:
     site = {"host": "localhost:8000", "origin": "https://site.example"}
     wish = {"access-control-request-method": "POST", "access-control-request-headers": "authorization"}
-    asked = named.options("/sample", headers=site | wish)
-    assert asked.status_code == 200
-    assert "POST" in asked.headers["access-control-allow-methods"]
-    assert asked.headers["access-control-allow-headers"] == "authorization"
+    preflight = named.options("/sample", headers=site | wish)
+    assert preflight.status_code == 200
+    assert "POST" in preflight.headers["access-control-allow-methods"]
+    assert preflight.headers["access-control-allow-headers"] == "authorization"
     for answer in (
-        asked,
+        preflight,
         named.post("/sample", files={"image": PNG}, data={"n": "1"}, headers=site),
         named.post("/sample", headers=site),
     ):

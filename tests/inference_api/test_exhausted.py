@@ -84,9 +84,9 @@ LOADS = {"CSPACE_API_LOAD_PLANNER": "1"}
 def test_a_server_with_little_address_space_answers_all_but_plans(tmp_path):
     picture = (Path(__file__).parents[2] / "docs" / "images" / "scenario.png").read_bytes()
     ends = {"start": json.dumps([1.5, 0.5]), "goal": json.dumps([-1.5, 0.5])}
-    asked = {"files": {"image": picture}, "timeout": 60}
+    options = {"files": {"image": picture}, "timeout": 60}
     with server_process(tmp_path, LOADS, python=limited(tmp_path, "-v 600000")) as server:
         assert httpx.get(f"{server.address}/health/ready", timeout=10).status_code == 200
-        plan = httpx.post(f"{server.address}/plan", data=ends, **asked)
+        plan = httpx.post(f"{server.address}/plan", data=ends, **options)
         assert_problem(plan, 503, "out-of-resources")
-        assert httpx.post(f"{server.address}/sample", **asked).status_code == 200
+        assert httpx.post(f"{server.address}/sample", **options).status_code == 200

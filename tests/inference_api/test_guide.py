@@ -45,8 +45,8 @@ def api(tmp_path: Path, site: Path) -> Iterator[ApiClient]:
 
 
 def test_the_guide_is_its_first_page_and_every_file_below(api: ApiClient) -> None:
-    asked = api.get("/guide")
-    assert (asked.status_code, asked.headers["location"]) == (307, "guide/")
+    page = api.get("/guide")
+    assert (page.status_code, page.headers["location"]) == (307, "guide/")
     assert api.get("/guide/").text == "<h1>the first page</h1>"
     assert api.get("/guide/results/quality.html").text == "<h1>quality</h1>"
     assert api.get("/guide/theme.js").headers["content-type"].startswith("text/javascript")

@@ -115,12 +115,12 @@ def test_stages_samples_and_acceptance_are_those_of_the_answers(
     found = scrape(own_api)
     for stage in STAGES:
         assert value(found, "cspace_stage_seconds_count", stage=stage) == 2
-        told = sum(answer["timing_ms"][stage] for answer in answers) / 1e3
-        assert value(found, "cspace_stage_seconds_sum", stage=stage) == pytest.approx(told)
+        total = sum(answer["timing_ms"][stage] for answer in answers) / 1e3
+        assert value(found, "cspace_stage_seconds_sum", stage=stage) == pytest.approx(total)
     assert value(found, "cspace_samples_requested_total") == 100
     assert value(found, "cspace_samples_returned_total") == sum(len(a["samples"]) for a in answers)
-    told = sum(answer["acceptance"] for answer in answers)
-    assert value(found, "cspace_acceptance_ratio_sum") == pytest.approx(told)
+    total = sum(answer["acceptance"] for answer in answers)
+    assert value(found, "cspace_acceptance_ratio_sum") == pytest.approx(total)
     assert value(found, "cspace_fallback_answers_total") == 0
 
 

@@ -25,8 +25,8 @@ def half_of_a_request(*headers: str) -> bytes:
 def key_and_file(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
     """A key from the real command."""
     command = [sys.executable, "-m", "inference_api.keys", "robot"]
-    told = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
-    shown, line = told.stdout.splitlines()
+    process = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    shown, line = process.stdout.splitlines()
     path = tmp_path_factory.mktemp("keys") / "keys"
     path.write_text(line + "\n")
     return shown.rpartition(" ")[2], path
@@ -98,8 +98,8 @@ def test_a_server_with_little_patience(tmp_path: Path, bundles: dict[str, Path])
 
 def test_all_addresses_without_keys_is_refused_with_a_remedy() -> None:
     command = [sys.executable, "-m", "inference_api", "--port", "0", "--host", "0.0.0.0"]  # noqa: S104
-    told = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=60)
-    assert told.returncode == 2
-    assert "CSPACE_API_KEYS_FILE" in told.stderr
-    assert "--allow-unauthenticated" in told.stderr
-    assert "Traceback" not in told.stderr
+    process = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=60)
+    assert process.returncode == 2
+    assert "CSPACE_API_KEYS_FILE" in process.stderr
+    assert "--allow-unauthenticated" in process.stderr
+    assert "Traceback" not in process.stderr

@@ -107,5 +107,5 @@ def test_slow_bodies_of_one_key_leave_places_for_another(tmp_path: Path, bundles
         assert lives(server.address)
         refused = [one_answer(link) for link in links if not is_quiet(link)]
         assert len(refused) == 16
-        told = httpx.get(f"{server.address}/metrics", headers=bearer).text
-        assert 'cspace_failures_total{reason="overloaded"} 16.0' in told
+        metrics = httpx.get(f"{server.address}/metrics", headers=bearer).text
+        assert 'cspace_failures_total{reason="overloaded"} 16.0' in metrics

@@ -29,20 +29,20 @@ def ask(api: ApiClient, **fields: Any):
 
 
 def test_a_way_comes_back_with_what_is_believed_of_it(api):
-    told = ask(api).json()
-    assert told["status"] == "solved"
-    assert told["reason"] is None
-    assert np.allclose(told["path"][0], PROBLEM.start, atol=1e-6)
-    assert np.allclose(told["path"][-1], PROBLEM.goal, atol=1e-6)
-    assert len(told["edges"]) == len(told["path"]) - 1
-    assert 0.0 < told["confidence"] <= min(told["edges"])
-    assert told["least_sure"]["confidence"] == pytest.approx(min(told["edges"]), abs=1e-6)
-    assert told["unseen"] is None
-    assert (told["ways"], told["seed"]) == (4, "3")
-    assert told["model"]["robot"] == robot_digest(WORLD)
-    assert set(told["timing_ms"]) == {"decode", "encode", "search", "score", "total"}
-    lengths = WORLD.space.distance(told["path"][:-1], told["path"][1:])
-    assert told["length_rad"] == pytest.approx(lengths.sum())
+    answer = ask(api).json()
+    assert answer["status"] == "solved"
+    assert answer["reason"] is None
+    assert np.allclose(answer["path"][0], PROBLEM.start, atol=1e-6)
+    assert np.allclose(answer["path"][-1], PROBLEM.goal, atol=1e-6)
+    assert len(answer["edges"]) == len(answer["path"]) - 1
+    assert 0.0 < answer["confidence"] <= min(answer["edges"])
+    assert answer["least_sure"]["confidence"] == pytest.approx(min(answer["edges"]), abs=1e-6)
+    assert answer["unseen"] is None
+    assert (answer["ways"], answer["seed"]) == (4, "3")
+    assert answer["model"]["robot"] == robot_digest(WORLD)
+    assert set(answer["timing_ms"]) == {"decode", "encode", "search", "score", "total"}
+    lengths = WORLD.space.distance(answer["path"][:-1], answer["path"][1:])
+    assert answer["length_rad"] == pytest.approx(lengths.sum())
 
 
 def test_a_form_has_the_same_answer_and_a_seed_gives_the_same_way(api):
@@ -59,8 +59,8 @@ def test_a_form_has_the_same_answer_and_a_seed_gives_the_same_way(api):
 def test_all_ways_that_are_sure_enough_come_where_they_are_asked_for(api):
     plain = ask(api).json()
     assert plain["alternatives"] is None
-    told = ask(api, alternatives=True).json()
-    ways = told["alternatives"]
+    answer = ask(api, alternatives=True).json()
+    ways = answer["alternatives"]
     assert {name: ways[0][name] for name in ("path", "confidence", "edges")} == {
         name: plain[name] for name in ("path", "confidence", "edges")
     }
@@ -74,11 +74,11 @@ def test_all_ways_that_are_sure_enough_come_where_they_are_asked_for(api):
 
 def test_a_way_that_is_not_sure_enough_is_refused_with_the_reason(api):
     sure = ask(api).json()["confidence"]
-    told = ask(api, min_confidence=min(1.0, sure + 1e-3)).json()
-    assert (told["status"], told["path"], told["edges"]) == ("refused", [], [])
-    assert told["confidence"] == sure
-    assert f"{sure:.3f}" in told["reason"]
-    assert len(told["least_sure"]["configuration"]) == 2
+    answer = ask(api, min_confidence=min(1.0, sure + 1e-3)).json()
+    assert (answer["status"], answer["path"], answer["edges"]) == ("refused", [], [])
+    assert answer["confidence"] == sure
+    assert f"{sure:.3f}" in answer["reason"]
+    assert len(answer["least_sure"]["configuration"]) == 2
 
 
 def test_what_does_not_fit_is_told_by_its_field(api):
@@ -105,7 +105,7 @@ def test_a_model_without_a_head_and_one_of_another_robot_do_not_plan(api):
 
 
 def test_a_server_without_compiled_code_says_so(api, monkeypatch):
-    def missing(*asked):
+    def missing(*arguments):
         raise ModuleNotFoundError("No module named 'numba'", name="numba")
 
     monkeypatch.setattr("cspace.plan.seen_checkers", missing)

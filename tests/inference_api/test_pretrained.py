@@ -60,12 +60,12 @@ def test_it_tells_how_it_was_made(bundle: Bundle) -> None:
 def test_its_validity_head_lets_free_samples_pass(bundle: Bundle) -> None:
     threshold = bundle.spec.confidence_threshold
     assert threshold is not None
-    free, asked = [], SCENARIOS * SAMPLES
+    free, count = [], SCENARIOS * SAMPLES
     for index, scenario in enumerate(random_scenarios(Split.DEMO, 12, SCENARIOS)):
         found = bundle.sample(render(scenario), SAMPLES, index)
         free.append(CollisionChecker(scenario).valid_batch(found.samples))
     assert np.concatenate(free).mean() > 0.99
-    assert sum(map(len, free)) == asked
+    assert sum(map(len, free)) == count
 
 
 def test_its_samples_are_free_more_often_than_uniform_ones(bundle: Bundle) -> None:
@@ -98,9 +98,9 @@ def test_that_of_the_arm_in_space_tells_how_it_was_made_and_what_it_promises(pan
     assert provenance.command == "python training/cluster_train.py --preset panda"
     assert re.fullmatch(r"[0-9a-f]{40}", provenance.git_commit)
     assert provenance.git_dirty is False
-    told = provenance.metrics
-    assert told["promise/samples_collide/scenes"] == 100.0
-    assert told["promise/samples_collide/measured"] <= told["promise/samples_collide/at_most"] <= 0.06
+    metrics = provenance.metrics
+    assert metrics["promise/samples_collide/scenes"] == 100.0
+    assert metrics["promise/samples_collide/measured"] <= metrics["promise/samples_collide/at_most"] <= 0.06
 
 
 @pytest.mark.parametrize("least", [None, 0.0])

@@ -47,12 +47,12 @@ def ask(kind: str, transport: Any, question: str, *values: Any, **options: Any) 
 def test_beliefs_are_those_of_the_model(api, kind):
     found = ask(kind, IntoApp(api), "validity", picture(), ROWS, CAREFUL)
     form = {"model": CAREFUL, "configurations": json.dumps(ROWS.tolist())}
-    told = api.post("/validity", files={"image": encode_png(picture())}, data=form).json()
-    assert np.allclose(found.confidence, told["confidence"], atol=1e-6)
+    answer = api.post("/validity", files={"image": encode_png(picture())}, data=form).json()
+    assert np.allclose(found.confidence, answer["confidence"], atol=1e-6)
     assert found.unseen is None
-    assert found.threshold == told["threshold"] == 0.45
+    assert found.threshold == answer["threshold"] == 0.45
     assert (found.model.model_name, found.model.robot) == ("cspace-sampler", robot_digest(WORLD))
-    assert found.model.novelty == pytest.approx(told["scenario"]["novelty"], abs=1e-5)
+    assert found.model.novelty == pytest.approx(answer["scenario"]["novelty"], abs=1e-5)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -105,22 +105,22 @@ def answer(api) -> dict[str, Any]:
 
 def changed(answer: dict[str, Any], **changes: Any) -> httpx.MockTransport:
     """A server that gives this answer with something in it changed."""
-    told = copy.deepcopy(answer)
+    answer = copy.deepcopy(answer)
     for name, value in changes.items():
-        part = told["model"] if name in told["model"] else told
-        part[name] = value(told) if callable(value) else value
-    return httpx.MockTransport(lambda request: httpx.Response(200, json=told))
+        part = answer["model"] if name in answer["model"] else answer
+        part[name] = value(answer) if callable(value) else value
+    return httpx.MockTransport(lambda request: httpx.Response(200, json=answer))
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
         ({"status": "found"}, "status"),
-        ({"path": lambda told: told["path"][:-1]}, "no whole way"),
-        ({"path": lambda told: [*told["path"][:-1], [0.0, 0.0]]}, "leads elsewhere"),
-        ({"path": lambda told: [[9.0, 0.0], *told["path"][1:]]}, "limits"),
-        ({"path": lambda told: [[*row, 0.0] for row in told["path"]]}, "no whole way"),
-        ({"path": []}, "no whole way"),
+        ({"path": lambda answer: answer["path"][:-1]}, "no complete path"),
+        ({"path": lambda answer: [*answer["path"][:-1], [0.0, 0.0]]}, "leads elsewhere"),
+        ({"path": lambda answer: [[9.0, 0.0], *answer["path"][1:]]}, "limits"),
+        ({"path": lambda answer: [[*row, 0.0] for row in answer["path"]]}, "no complete path"),
+        ({"path": []}, "no complete path"),
         ({"confidence": 1.5}, "confidence"),
         ({"edges": ["1"]}, "edges"),
         ({"edges": [True]}, "edges"),
@@ -128,9 +128,9 @@ def changed(answer: dict[str, Any], **changes: Any) -> httpx.MockTransport:
         ({"path": [[float(10**300)], 10**400]}, "plan"),
         ({"least_sure": {}}, "least_sure"),
         ({"next_view": {"camera": 1, "sees": 0.5}}, "next_view"),
-        ({"alternatives": [{"path": [], "confidence": 1.0, "edges": []}]}, "no whole way"),
+        ({"alternatives": [{"path": [], "confidence": 1.0, "edges": []}]}, "no complete path"),
         ({"alias_confirmed": "yes"}, "alias_confirmed"),
-        ({"unseen": [0.5] * 99}, "no whole way"),
+        ({"unseen": [0.5] * 99}, "no complete path"),
         ({"seed": 4}, "another seed"),
         ({"seed": "4"}, "another seed"),
         ({"seed": "-3"}, "seed"),
@@ -138,7 +138,7 @@ def changed(answer: dict[str, Any], **changes: Any) -> httpx.MockTransport:
         ({"name": "other"}, "another model"),
         ({"digest": "none"}, "digest"),
         ({"joint_space": {"kind": "torus", "dim": 99, "unit": "rad"}}, "joint space"),
-        ({"status": "refused"}, "a way that was not found"),
+        ({"status": "refused"}, "a path although none was found"),
     ],
 )
 def test_an_answer_that_can_not_be_is_no_plan(answer, changes, words):

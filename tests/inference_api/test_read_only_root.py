@@ -80,9 +80,9 @@ def plans_at(address: str) -> None:
         assert time.monotonic() - began < 60
         time.sleep(0.2)
     picture = (ROOT / "docs" / "images" / "scenario.png").read_bytes()
-    asked = {"start": "[1.5, 0.5]", "goal": "[-1.5, 0.5]"}
+    fields = {"start": "[1.5, 0.5]", "goal": "[-1.5, 0.5]"}
     began = time.monotonic()
-    answer = httpx.post(f"{address}/plan", files={"image": picture}, data=asked, timeout=100)
+    answer = httpx.post(f"{address}/plan", files={"image": picture}, data=fields, timeout=100)
     assert answer.status_code == 200, answer.text
     # Compiling would take most of a minute.
     assert time.monotonic() - began < 10

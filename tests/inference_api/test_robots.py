@@ -85,11 +85,11 @@ def test_the_list_tells_robot_limits_and_camera_of_what_is_loaded_and_of_what_is
     registry.add(write_tiny_bundle(tmp_path / "limited", LIMITED))
     models, world = listed(start_api(registry)), PlanarWorld(LIMITED)
     assert [models[f"{MODEL_NAME}/{number}"]["loaded"] for number in (1, 2)] == [True, False]
-    told = models[f"{MODEL_NAME}/2"]
-    assert told["robot"] == robot_digest(world)
-    assert told["world"] == json.loads(json.dumps(world.to_dict()))
-    assert told["joint_space"] == world.space.to_dict()
-    assert "self_collision" not in told["world"]["robot"]
+    entry = models[f"{MODEL_NAME}/2"]
+    assert entry["robot"] == robot_digest(world)
+    assert entry["world"] == json.loads(json.dumps(world.to_dict()))
+    assert entry["joint_space"] == world.space.to_dict()
+    assert "self_collision" not in entry["world"]["robot"]
     for reference in (f"{MODEL_NAME}/1", "pretrained"):
         assert models[reference]["robot"] == TWO
         assert models[reference]["world"] == json.loads(json.dumps(PlanarWorld().to_dict()))
@@ -115,8 +115,8 @@ def test_a_version_of_an_older_release_or_with_strange_tags_is_listed_without(
         registry._versions[MODEL_NAME][-1] = replace(version, tags=tags)
     models = listed(start_api(registry))
     for number, (_, robot) in enumerate(STRANGE, 1):
-        told = models[f"{MODEL_NAME}/{number}"]
-        assert (told["robot"], told["world"], told["joint_space"]) == (robot, None, None)
+        entry = models[f"{MODEL_NAME}/{number}"]
+        assert (entry["robot"], entry["world"], entry["joint_space"]) == (robot, None, None)
 
 
 def server(folder: Path, shipped: Path, registry: CountingRegistry | None, name: str) -> ApiSettings:

@@ -89,8 +89,8 @@ def test_a_seed_may_be_a_number_or_a_decimal_string(api: ApiClient, png: bytes) 
 def test_a_seed_is_drawn_and_returned_when_absent(api: ApiClient, png: bytes) -> None:
     image = base64.b64encode(png).decode()
     for absent in ({}, {"seed": None, "start": None, "goal": None}):
-        asked = {"image": image, "n": 5, **absent}
-        first, second = (api.post("/sample", json=asked).json() for _ in range(2))
+        body = {"image": image, "n": 5, **absent}
+        first, second = (api.post("/sample", json=body).json() for _ in range(2))
         assert first["seed"] != second["seed"]
         again = ask(api, png, n="5", seed=first["seed"]).json()
         assert again["samples"] == first["samples"]
@@ -172,9 +172,9 @@ def test_too_few_within_the_budget_are_told_and_never_padded(
 
 def test_without_a_confidence_the_models_own_threshold_holds(api: ApiClient, png: bytes) -> None:
     fields = {"n": "50", "seed": "3", "model": "cspace-sampler@careful"}
-    own, asked = ask(api, png, **fields).json(), ask(api, png, min_confidence="0.45", **fields).json()
+    own, explicit = ask(api, png, **fields).json(), ask(api, png, min_confidence="0.45", **fields).json()
     everything = ask(api, png, min_confidence="0", **fields).json()
-    assert own["samples"] == asked["samples"] != everything["samples"]
+    assert own["samples"] == explicit["samples"] != everything["samples"]
     assert min(own["confidence"]) >= 0.45 > min(everything["confidence"])
 
 

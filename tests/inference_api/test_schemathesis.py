@@ -62,5 +62,5 @@ def test_other_fields_beside_a_real_picture_are_answered_as_documented(
     answer = case.call_and_validate(base_url=address, checks=CHECKS, timeout=20)
     if answer.status_code == 200 and answer.headers["content-type"] == "application/json":
         body = answer.json()
-        asked = case.body.get("n", 300)
-        assert len(body["samples"]) + body["shortfall"] == int(asked)
+        count = case.body.get("n", 300)
+        assert len(body["samples"]) + body["shortfall"] == int(count)

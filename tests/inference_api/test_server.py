@@ -105,9 +105,9 @@ def test_a_taken_port_is_an_error_with_a_remedy(address: str) -> None:
 def test_a_wrong_setting_ends_the_start_with_a_message_and_2() -> None:
     command = [sys.executable, "-m", "inference_api", "--port", "0"]
     environment = {"CSPACE_MODEL_POLL_S": "soon", "HOME": "/nonexistent"}
-    told = subprocess.run(
+    process = subprocess.run(
         command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False, timeout=60
     )
-    assert told.returncode == 2
-    assert "CSPACE_MODEL_POLL_S" in told.stderr
-    assert "Traceback" not in told.stderr
+    assert process.returncode == 2
+    assert "CSPACE_MODEL_POLL_S" in process.stderr
+    assert "Traceback" not in process.stderr

@@ -41,16 +41,21 @@ def listed(api: ApiClient) -> dict[str, tuple[bool, bool, str]]:
 
 def test_the_first_is_loaded_and_the_default_and_others_come_when_asked_for(api: ApiClient) -> None:
     assert listed(api) == {"pretrained": (True, True, TWO), THREE_NAME: (False, False, THREE)}
-    told = ask(api, model=THREE_NAME).json()["model"]
-    assert (told["name"], told["version"], told["robot"], told["fallback"]) == (THREE_NAME, 0, THREE, False)
+    model = ask(api, model=THREE_NAME).json()["model"]
+    assert (model["name"], model["version"], model["robot"], model["fallback"]) == (
+        THREE_NAME,
+        0,
+        THREE,
+        False,
+    )
     assert listed(api)[THREE_NAME] == (True, False, THREE)
 
 
 def test_a_name_without_a_registered_model_is_answered_by_what_is_shipped_of_its_robot(
     api: ApiClient, registry: CountingRegistry, tmp_path: Path
 ) -> None:
-    told = ask(api, model="three-link-sampler").json()["model"]
-    assert (told["name"], told["fallback"]) == (THREE_NAME, True)
+    model = ask(api, model="three-link-sampler").json()["model"]
+    assert (model["name"], model["fallback"]) == (THREE_NAME, True)
     for wrong in (
         "three-link-sampler/1",
         "three-link-sampler@champion",
@@ -63,8 +68,8 @@ def test_a_name_without_a_registered_model_is_answered_by_what_is_shipped_of_its
     )
     # That there was none is remembered for a moment.
     until(lambda: ask(api, model="three-link-sampler").json()["model"]["fallback"] is False)
-    told = ask(api, model="three-link-sampler").json()["model"]
-    assert (told["name"], told["version"]) == ("three-link-sampler", 1)
+    model = ask(api, model="three-link-sampler").json()["model"]
+    assert (model["name"], model["version"]) == ("three-link-sampler", 1)
 
 
 @pytest.mark.parametrize("has_registry", [False, True])
@@ -73,8 +78,8 @@ def test_a_server_of_another_robot_stands_on_its_own_shipped_model(
 ) -> None:
     own = settings(tmp_path, folders, "three-link-sampler")
     with running(create_app(own, registry if has_registry else None)) as api:
-        told = ask(api).json()["model"]
-        assert (told["name"], told["robot"], told["fallback"]) == (THREE_NAME, THREE, True)
+        model = ask(api).json()["model"]
+        assert (model["name"], model["robot"], model["fallback"]) == (THREE_NAME, THREE, True)
         assert listed(api)[THREE_NAME] == (True, True, THREE)
 
 

@@ -74,9 +74,9 @@ def test_a_request_is_one_trace_with_its_stages_under_the_clients_own_span(
     assert services == {"lab-7"}
     (served,) = [span for span in spans if span.parent_span_id.hex() == PARENT]
     assert served.trace_id.hex() == TRACE
-    told = attributes(served)
-    assert told["cspace.request_id"] == "robot-1.7"
-    assert (told["cspace.model"], told["cspace.seed"]) == ("pretrained/0", str(2**64 - 1))
+    values = attributes(served)
+    assert values["cspace.request_id"] == "robot-1.7"
+    assert (values["cspace.model"], values["cspace.seed"]) == ("pretrained/0", str(2**64 - 1))
     stages = [span for span in spans if span.parent_span_id == served.span_id]
     assert [span.name for span in stages] == ["decode", "encode", "generate"]
     assert all(served.start_time_unix_nano <= span.start_time_unix_nano for span in stages)

@@ -37,7 +37,7 @@ def test_it_answers_by_default_and_ends_by_itself_with_all_its_processes(
             assert named.status_code == 503
             ready = client.get("/health/ready").json()
             assert (ready["status"], ready["registry"]) == ("ready", "unreachable")
-            told = named.text + server.log.read_text() + client.get("/models", timeout=60).text
+            texts = named.text + server.log.read_text() + client.get("/models", timeout=60).text
             children = psutil.Process(server.process.pid).children(recursive=True)
             server.process.terminate()
             began_s = time.monotonic()
@@ -45,7 +45,7 @@ def test_it_answers_by_default_and_ends_by_itself_with_all_its_processes(
             assert time.monotonic() - began_s < END_S
         # The tracker of multiprocessing ends behind its server.
         assert psutil.wait_procs(children, timeout=5)[1] == []
-    told += server.log.read_text()
-    assert place not in told
-    assert "secret" not in told
-    assert str(tmp_path) not in told.replace(server.address, "")
+    texts += server.log.read_text()
+    assert place not in texts
+    assert "secret" not in texts
+    assert str(tmp_path) not in texts.replace(server.address, "")

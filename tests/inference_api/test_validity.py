@@ -57,13 +57,13 @@ def test_every_form_of_the_question_has_the_bundle_s_own_answer(api, expected):
     for answer in answers:
         assert answer.status_code == 200, answer.text
         assert answer.json()["confidence"] == expected.tolist()
-    told = answers[0].json()
-    assert told["unseen"] is None
-    assert told["threshold"] == 0.45
-    assert 0.0 <= told["scenario"]["novelty"] <= 1.0
-    assert told["joint_space"] == {"kind": "torus", "dim": 2, "unit": "rad"}
-    assert (told["model"]["version"], told["model"]["robot"]) == (5, TWO)
-    assert set(told["timing_ms"]) == {"decode", "encode", "score", "total"}
+    body = answers[0].json()
+    assert body["unseen"] is None
+    assert body["threshold"] == 0.45
+    assert 0.0 <= body["scenario"]["novelty"] <= 1.0
+    assert body["joint_space"] == {"kind": "torus", "dim": 2, "unit": "rad"}
+    assert (body["model"]["version"], body["model"]["robot"]) == (5, TWO)
+    assert set(body["timing_ms"]) == {"decode", "encode", "score", "total"}
 
 
 def test_an_array_holds_two_columns_and_the_rest_is_in_headers(api, expected):

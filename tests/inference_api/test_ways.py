@@ -40,12 +40,12 @@ def ask(api, headers=None, **fields):
 
 
 def test_samples_come_in_the_order_of_the_ways_and_say_which(api):
-    told = ask(api).json()
-    assert len(told["samples"]) == len(told["ways"]) == len(told["confidence"]) == 50
-    assert np.allclose(told["samples"][0], PROBLEM.start, atol=1e-6)
-    assert told["ways"][0] == 0
-    assert max(told["ways"]) > 0
-    assert ask(api).json()["samples"] == told["samples"]
+    answer = ask(api).json()
+    assert len(answer["samples"]) == len(answer["ways"]) == len(answer["confidence"]) == 50
+    assert np.allclose(answer["samples"][0], PROBLEM.start, atol=1e-6)
+    assert answer["ways"][0] == 0
+    assert max(answer["ways"]) > 0
+    assert ask(api).json()["samples"] == answer["samples"]
 
 
 def test_an_npy_holds_the_same_samples(api):

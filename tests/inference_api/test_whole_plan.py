@@ -19,8 +19,8 @@ def plan(api, monkeypatch, capsys):
 
     def run(*arguments: str) -> tuple[int, str, str]:
         code = command.main([*WHOLE, *arguments])
-        told = capsys.readouterr()
-        return code, told.out, told.err
+        output = capsys.readouterr()
+        return code, output.out, output.err
 
     return run
 
@@ -37,10 +37,10 @@ def test_a_way_is_told_judged_in_the_scene_and_drawn(plan, tmp_path):
 
 def test_a_way_as_json_says_whether_it_is_free(plan):
     code, out, _ = plan(*CAREFUL, "--json", "--ways", "3")
-    told = json.loads(out)
-    assert (told["status"], told["ways"]) == ("solved", 3)
-    assert len(told["path"]) == len(told["edges"]) + 1
-    assert told["in_truth"]["free"] == (told["in_truth"]["clearance_m"] > 0.0) == (code == 0)
+    report = json.loads(out)
+    assert (report["status"], report["ways"]) == ("solved", 3)
+    assert len(report["path"]) == len(report["edges"]) + 1
+    assert report["in_truth"]["free"] == (report["in_truth"]["clearance_m"] > 0.0) == (code == 0)
 
 
 def test_what_is_not_sure_enough_is_told_with_the_reason_and_returns_1(plan, tmp_path):

@@ -1,7 +1,7 @@
 import pytest
 
 from cspace.errors import BundleError, ConfigError, ModelNotFoundError, ScenarioError
-from services.command_errors import tell_error
+from services.command_errors import report_error
 
 
 @pytest.mark.parametrize(
@@ -14,10 +14,10 @@ from services.command_errors import tell_error
     ],
 )
 def test_the_exit_code_is_that_of_the_errors_kind(error, code, capsys):
-    assert tell_error(error, ConfigError, ModelNotFoundError) == code
+    assert report_error(error, ConfigError, ModelNotFoundError) == code
     assert capsys.readouterr() == ("", "error: no\n")
 
 
 def test_a_program_tells_its_name(capsys):
-    assert tell_error(ConfigError("no"), program="search") == 1
+    assert report_error(ConfigError("no"), program="search") == 1
     assert capsys.readouterr().err == "search: no\n"

@@ -26,16 +26,16 @@ def shifted():
 
 def test_a_right_view_ends_with_0_and_notes(tmp_path, capsys):
     assert main([file_of(tmp_path, VIEW)]) == 0
-    told = capsys.readouterr().out
-    assert told.startswith("nothing wrong was found\nnote: picture 0")
+    output = capsys.readouterr().out
+    assert output.startswith("nothing wrong was found\nnote: picture 0")
 
 
 def test_a_mistake_ends_with_3_a_remedy_a_pose_and_a_picture(tmp_path, capsys):
     wrong = file_of(tmp_path, shifted())
     assert main([wrong]) == 3
-    told = capsys.readouterr().out
-    assert told.startswith("extrinsics (picture 0): the arm is seen ")
-    assert "do: calibrate again or take the suggested pose" in told
+    output = capsys.readouterr().out
+    assert output.startswith("extrinsics (picture 0): the arm is seen ")
+    assert "do: calibrate again or take the suggested pose" in output
     assert main([wrong, "--json", "--picture", str(tmp_path / "seen.png")]) == 3
     found = json.loads(capsys.readouterr().out)
     assert [one["code"] for one in found["findings"]] == ["extrinsics"]

@@ -79,11 +79,11 @@ def test_a_scene_that_came_over_the_network_opens_no_file(file: Path) -> None:
 def test_data_of_an_arm_have_the_usual_amounts_of_arms(
     file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked = []
-    monkeypatch.setattr("training.data.generate.generate", lambda config, _: asked.append(config))
+    requested = []
+    monkeypatch.setattr("training.data.generate.generate", lambda config, _: requested.append(config))
     command = ["generate", str(tmp_path / "data"), "--arm", str(file)]
     assert data_command(command) == data_command([*command, "--scenario-count", "3000"]) == 0
-    first, second = asked
+    first, second = requested
     assert (first.scenario_count, first.extra_image_count, first.proposals_per_scenario) == (600, 0, 384)
     assert (second.scenario_count, second.extra_image_count) == (3000, 0)
 

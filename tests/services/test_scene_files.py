@@ -195,10 +195,10 @@ class _Source:
     """Has one model."""
 
     def __init__(self, model: str) -> None:
-        self.model, self.asked = model, []
+        self.model, self.models = model, []
 
     def answer(self, picture, query, model=None):
-        self.asked.append(model)
+        self.models.append(model)
         if model != self.model:
             raise SamplerModelError("the sampling endpoint refused the request: No such model")
         samples = np.tile(np.array([[-1.0, 0.5]], dtype=np.float32), (query.n, 1))

@@ -38,18 +38,18 @@ def trained(tmp_path_factory, server):
 
 def test_the_model_is_the_arms_own_and_states_what_was_measured_of_it(trained):
     result, bundle, *_ = trained
-    spec, told = bundle.spec, bundle.spec.provenance.metrics
+    spec, metrics = bundle.spec, bundle.spec.provenance.metrics
     assert result["model"] == "panda-sampler"
     assert spec.world == WORLD
     assert spec.provenance.config["preset"] == "panda_quick"
     assert {"vae", "validity", "gate", "local-0", "local-1"} <= set(result["trials"])
     for kind in ("samples", "uniform"):
-        one = {name.rpartition("/")[2]: value for name, value in told.items() if f"/{kind}_" in name}
+        one = {name.rpartition("/")[2]: value for name, value in metrics.items() if f"/{kind}_" in name}
         assert (one["scenes"], one["measured_scenes"]) == (10.0, 10.0)
         assert 1.0 / 11.0 <= one["at_most"] <= 1.0
         assert 0.0 <= one["measured"] <= 1.0
-    assert (told["plans/fitted"], told["plans/measured"]) == (5.0, 2.0)
-    assert 0.0 <= told["plans/measured_collide"] <= 1.0
+    assert (metrics["plans/fitted"], metrics["plans/measured"]) == (5.0, 2.0)
+    assert 0.0 <= metrics["plans/measured_collide"] <= 1.0
     assert spec.plan_calibration is not None
     assert spec.plan_calibration[1] > 0.0
 
@@ -59,7 +59,7 @@ def test_its_data_are_labelled_configurations_of_arrays_of_space(trained):
     dataset = open_dataset(manifest.parent)
     assert dataset.images.shape == (6, *WORLD.sensor.picture_shape)
     assert len(dataset.free) + len(dataset.collision) == 6 * 80
-    assert len(dataset.told) == 4
+    assert len(dataset.attributes) == 4
 
 
 def test_samples_lie_within_the_limits_and_tell_what_no_camera_saw(trained):
@@ -82,8 +82,8 @@ def recordings(folder, count=5):
         names = [f"scene-{index}-{number}.png" for number in range(len(view.pictures))]
         for name, picture in zip(names, view.pictures, strict=True):
             (folder / name).write_bytes(picture)
-        told = {"pictures": names, "cameras": view.cameras, "state": view.state}
-        (folder / f"scene-{index}.json").write_text(json.dumps(told))
+        values = {"pictures": names, "cameras": view.cameras, "state": view.state}
+        (folder / f"scene-{index}.json").write_text(json.dumps(values))
         rows = WORLD.space.sample_uniform(np.random.default_rng(index), 80)
         free = checker_of(scene).valid_batch(rows)
         np.save(folder / f"scene-{index}.npy", rows[free])
@@ -101,4 +101,4 @@ def test_recordings_of_ones_own_train_a_version_that_promises_nothing(server, tm
     assert bundle.spec.world.body == WORLD.body
     assert bundle.spec.world.scenes is None
     assert bundle.spec.provenance.metrics == {}
-    assert bundle.tells_unseen
+    assert bundle.reports_unseen

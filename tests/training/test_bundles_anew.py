@@ -52,9 +52,9 @@ def test_narrower_limits_are_kept_to(source, tmp_path):
     assert len(samples) == 500
     assert after.spec.world.space.contains(samples).all()
     assert before.spec.world.body != after.spec.world.body
-    told = after.spec.provenance.config["limits_narrowed"]
-    assert told["source_digest"] == before.digest
-    assert told["trained_lower"] == [-3.0, -3.0]
+    note = after.spec.provenance.config["limits_narrowed"]
+    assert note["source_digest"] == before.digest
+    assert note["trained_lower"] == [-3.0, -3.0]
 
 
 def test_wider_limits_are_refused(source, tmp_path, capsys):
@@ -99,8 +99,8 @@ def test_proposals_are_mixed_again(source, tmp_path, capsys):
     spec = after.spec
     assert before.spec.passing_share is None
     assert 0.0 < spec.passing_share <= 1.0
-    told = capsys.readouterr().out
-    assert f"uniform_share {spec.uniform_share}, threshold {spec.confidence_threshold}" in told
+    output = capsys.readouterr().out
+    assert f"uniform_share {spec.uniform_share}, threshold {spec.confidence_threshold}" in output
     assert spec.provenance.metrics["proposals/head_us"] > 0.0
     assert spec.provenance.config["proposals_fitted_again"]["source_digest"] == before.digest
     assert proposals.main(command) == 1

@@ -102,8 +102,8 @@ def test_an_own_robot_goes_from_its_file_to_a_version_and_a_verdict(name, server
     counts = ("--scenario-count", "24", "--extra-image-count", "24", "--free-per-scenario", "64")
     run(server, tmp_path, "-m", "training.data", "generate", str(data), "--robot", str(robot), *counts)
     settings = ("--preset", "smoke", "--set", f"data_folder={data}")
-    told = run(server, tmp_path, str(ROOT / "training" / "cluster_train.py"), *settings)
-    result = json.loads(told.rpartition("RESULT ")[2].splitlines()[0])
+    output = run(server, tmp_path, str(ROOT / "training" / "cluster_train.py"), *settings)
+    result = json.loads(output.rpartition("RESULT ")[2].splitlines()[0])
     bundle = bundle_of(server, result["model"], result["version"], tmp_path / "bundle")
     assert bundle.spec.world == read_scene_file(robot).world
     assert bundle.spec.world.scenes == DiscScenes(**{key: _tuple(value) for key, value in FAMILY.items()})

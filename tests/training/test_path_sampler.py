@@ -126,8 +126,8 @@ def test_the_command_may_be_given_again_and_names_no_machine(source: Path, tmp_p
         assert done.returncode == 0, done.stderr
         digests.add(Bundle.load(tmp_path / "paths").digest)
     assert len(digests) == 1
-    told = Bundle.load(tmp_path / "paths").spec.provenance.command
-    assert told == f"python -m training.path_sampler {source} paths"
+    recorded = Bundle.load(tmp_path / "paths").spec.provenance.command
+    assert recorded == f"python -m training.path_sampler {source} paths"
     assert main([str(PRETRAINED_FOLDER), str(tmp_path / "paths")]) == 1
 
 

@@ -13,11 +13,11 @@ from cspace.space import Standardisation
 from cspace.world import World
 from training.clusters.calibration import (
     CANDIDATES,
-    choose_promised,
+    choose_bounded,
     choose_threshold,
+    collision_bound,
     fit_plan_calibration,
     known_quantiles,
-    make_promise,
     planned,
     validation_scores,
 )
@@ -152,20 +152,20 @@ def _with_plan_calibration(draft: Bundle, config: HeadConfig, spec: BundleSpec) 
 
 
 def _with_threshold(draft: Bundle, config: HeadConfig, spec: BundleSpec) -> BundleSpec:
-    threshold, share, promised = config.threshold, config.uniform_share, config.promise
-    if threshold is not None and share is not None and promised is None:
+    threshold, share, bound = config.threshold, config.uniform_share, config.promise
+    if threshold is not None and share is not None and bound is None:
         return spec
-    scenarios = THRESHOLD_SCENARIOS if promised is None else promised.scenarios
+    scenarios = THRESHOLD_SCENARIOS if bound is None else bound.scenarios
     learned, uniform = validation_scores(draft, spec.world, scenarios)
-    fixed = threshold is not None or promised is not None
-    if threshold is None and promised is not None:
-        threshold = choose_promised(learned, promised.at_most)
+    fixed = threshold is not None or bound is not None
+    if threshold is None and bound is not None:
+        threshold = choose_bounded(learned, bound.at_most)
     elif threshold is None:
         threshold = choose_threshold(learned, config.target_precision)
-    if promised is not None:
+    if bound is not None:
         kinds = {"samples": learned, "uniform": uniform}
-        told = [make_promise(scenes, threshold).metrics(kind) for kind, scenes in kinds.items()]
-        spec = replace(spec, provenance=replace(spec.provenance, metrics=told[0] | told[1]))
+        metrics = [collision_bound(scenes, threshold).metrics(kind) for kind, scenes in kinds.items()]
+        spec = replace(spec, provenance=replace(spec.provenance, metrics=metrics[0] | metrics[1]))
     if share is not None:
         return replace(spec, confidence_threshold=threshold, uniform_share=share)
     return fit_proposals(draft, threshold, config.target_acceptance, fixed=fixed).stated_in(spec)

@@ -54,8 +54,8 @@ def write_fitted(source: Bundle, folder: Path, spec: BundleSpec, name: str, note
         BundleError: the parts do not make a bundle; nothing is left behind.
         StorageError: the folder exists or cannot be written.
     """
-    told = {f"{name}_fitted_again": {**note, "source_digest": source.digest}}
-    provenance = replace(spec.provenance, config={**spec.provenance.config, **told})
+    entry = {f"{name}_fitted_again": {**note, "source_digest": source.digest}}
+    provenance = replace(spec.provenance, config={**spec.provenance.config, **entry})
     golden = GoldenCase.from_npz((source.folder / GOLDEN_FILE).read_bytes())
     return write_bundle(folder, replace(spec, provenance=provenance), graphs_of(source.folder), golden)
 
@@ -154,9 +154,9 @@ def validation_scores(
     uniform: list[Scored] = []
     for scene in (Scene(stage, index) for index in range(scenarios)):
         picture = bundle.prepare(scene.image)
-        drawn = bundle.sample(picture, samples, scene.sampler_seed(STREAM), min_confidence=0.0).samples
+        generated = bundle.sample(picture, samples, scene.sampler_seed(STREAM), min_confidence=0.0).samples
         anywhere = scene.space.to_float32(scene.space.sample_uniform(scene.rng(STREAM), samples))
-        for group, rows in ((learned, drawn), (uniform, anywhere)):
+        for group, rows in ((learned, generated), (uniform, anywhere)):
             group.append(Scored(bundle.score(picture, rows), scene.checker.valid_batch(rows)))
     return learned, uniform
 
@@ -167,8 +167,8 @@ MOST = 0.9
 
 
 @dataclass(frozen=True, slots=True)
-class Promise:
-    """What is promised of one kind of configurations, and what came of it in scenes that had no part in it.
+class CollisionBound:
+    """A bound on the collisions of one kind of configurations, and what was measured in other scenes.
 
     Args:
         at_most: bound on the expected share of what passes that collides.
@@ -188,7 +188,7 @@ class Promise:
 
     def metrics(self, kind: str) -> dict[str, float]:
         """As a bundle's provenance holds it."""
-        told = {
+        values = {
             "at_most": self.at_most,
             "at_most_in_nine_of_ten_scenes": self.in_most,
             "scenes": float(self.scenes),
@@ -196,11 +196,11 @@ class Promise:
             "measured_violations": self.violations,
             "measured_scenes": float(self.others),
         }
-        return {f"promise/{kind}_collide/{name}": value for name, value in told.items()}
+        return {f"promise/{kind}_collide/{name}": value for name, value in values.items()}
 
 
-def choose_promised(scenes: Sequence[Scored], at_most: float) -> float:
-    """The lowest threshold that would promise as little as is wanted, by the scenes that choose.
+def choose_bounded(scenes: Sequence[Scored], at_most: float) -> float:
+    """The lowest threshold whose bound is small enough, by the scenes that choose.
 
     Args:
         scenes: all of them, samples of the bundle.
@@ -213,12 +213,12 @@ def choose_promised(scenes: Sequence[Scored], at_most: float) -> float:
     return next((one for one in FINE if _bound(_risks(choosing, one)) <= at_most), FINE[-1])
 
 
-def make_promise(scenes: Sequence[Scored], threshold: float) -> Promise:
+def collision_bound(scenes: Sequence[Scored], threshold: float) -> CollisionBound:
     """What holds at a threshold that the other scenes decided nothing of."""
     made, others = np.sort(_risks(scenes[1::3], threshold)), _risks(scenes[2::3], threshold)
     place = math.ceil((len(made) + 1) * MOST)
     in_most = float(made[place - 1]) if place <= len(made) else 1.0
-    return Promise(
+    return CollisionBound(
         at_most=_bound(made),
         in_most=in_most,
         scenes=len(made),
@@ -240,7 +240,7 @@ def _risks(scenes: Sequence[Scored], threshold: float) -> NDArray[np.float64]:
 
 # Of problems, apart from those that the evaluator draws.
 SEED = 46
-# A path is judged at half of what planners look at.
+# Paths are checked at half of the resolution of planners.
 _FINER = 0.5
 # How hard (a, b) is pulled to (0, 1), in plans.
 _PULL = 4.0
@@ -249,7 +249,7 @@ _LEAST = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Planned:
-    """The surest paths of validation problems.
+    """The best paths of validation problems.
 
     Args:
         cost: (n,) of each, see :mod:`cspace.planning.cost`.
@@ -282,14 +282,14 @@ class PlanCalibration:
 
     def metrics(self) -> dict[str, float]:
         """As a bundle's provenance holds it."""
-        told = {
+        values = {
             "fitted": float(self.fitted),
             "measured": float(self.measured),
             "measured_collide": self.collide,
             "measured_calibration_error": self.error,
             "measured_calibration_error_of_exp_minus_doubt": self.plain_error,
         }
-        return {f"plans/{name}": value for name, value in told.items()}
+        return {f"plans/{name}": value for name, value in values.items()}
 
     def stated_in(self, spec: BundleSpec) -> BundleSpec:
         """A bundle's description with what was fitted."""
@@ -298,16 +298,16 @@ class PlanCalibration:
 
 
 def planned(bundle: Bundle, world: World, problems: int) -> Planned:
-    """Plan in so many validation problems, of all solvable families in turn, and judge what comes of it.
+    """Plan in so many validation problems, of all solvable families in turn, and check the paths.
 
     Searches end by their own effort and not by a clock, so that the same seed gives the same bundle.
     """
-    shop = simulator_of(world)
-    families, measures = shop.families.solvable, shop.measures
+    simulator = simulator_of(world)
+    families, measures = simulator.families.solvable, simulator.measures
     costs, free = [], []
     for number in range(problems):
         family, index = families[number % len(families)], number // len(families)
-        problem = shop.problem(family, Split.VALIDATION, SEED, index)
+        problem = simulator.problem(family, Split.VALIDATION, SEED, index)
         start, goal = (tuple(float(angle) for angle in end) for end in (problem.start, problem.goal))
         query = PlanQuery(start, goal, number, 0.0, math.inf)
         found = bundle.plan(bundle.prepare(picture_of(problem.scenario)), query)
@@ -327,10 +327,10 @@ def fit_plan_calibration(plans: Planned) -> PlanCalibration | None:
     cost, free = np.maximum(plans.cost, _LEAST), plans.free
 
     def loss(parameters: NDArray[np.float64]) -> float:
-        sure = confidence_of_cost(cost[fits], (parameters[0], parameters[1]))
-        sure = np.clip(sure, _LEAST, 1.0 - _LEAST)
+        confidence = confidence_of_cost(cost[fits], (parameters[0], parameters[1]))
+        confidence = np.clip(confidence, _LEAST, 1.0 - _LEAST)
         pull = _PULL * (parameters[0] ** 2 + (parameters[1] - 1.0) ** 2)
-        return float(pull - np.where(free[fits], np.log(sure), np.log1p(-sure)).sum())
+        return float(pull - np.where(free[fits], np.log(confidence), np.log1p(-confidence)).sum())
 
     found = minimize(loss, np.array([0.0, 1.0]), method="L-BFGS-B", bounds=[(-10.0, 10.0), (0.05, 10.0)])
     parameters = (float(found.x[0]), float(found.x[1]))

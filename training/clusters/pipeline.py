@@ -396,7 +396,7 @@ def _run(job: Job[TrainConfig]) -> TrainResult:
             config = config.model_copy(update={"robot_name": named})
         model = registered_name(job, dataset.world, config.robot_name, path=False)
         log_start(run, job.config, dataset)
-        job.tell(world_tag(dataset.world, config.robot_name))
+        job.add_tags(world_tag(dataset.world, config.robot_name))
         require_encoder(job, dataset)
         data = cluster_data(job, dataset)
         vae, head = train_on_pictures(job, dataset)
@@ -440,6 +440,6 @@ def _register(job: Job[TrainConfig], model: str, dataset: Dataset, bundle: Bundl
             model, bundle.folder, job.run.run_id, bundle.digest, tags, alias=ALIAS_CHALLENGER
         ),
     )
-    job.tell({TAG_MODEL: str(version)})
+    job.add_tags({TAG_MODEL: str(version)})
     _LOG.info("registry: %s version %d, alias %s", model, version.number, ALIAS_CHALLENGER)
     return version.number

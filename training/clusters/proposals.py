@@ -77,7 +77,7 @@ def _node_cost(node: onnx.NodeProto, shapes: Mapping[str, tuple[int, ...]]) -> f
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 # Samples that are kept of a scene, and what may be drawn for them, as a request may.
 KEPT = 500
-DRAWN = BUDGET * KEPT
+SAMPLED = BUDGET * KEPT
 # As many as a request draws.
 ROWS = 300
 # A uniform angle, on the core of graph_costs.
@@ -200,8 +200,8 @@ class Choice:
             "kept_us": self.cost_s,
             "kept_by_generator_alone_us": self.alone_s,
         }
-        told = {f"proposals/{name}": round(1e6 * value, 3) for name, value in micro.items()}
-        provenance = replace(spec.provenance, metrics={**spec.provenance.metrics, **told})
+        costs_us = {f"proposals/{name}": round(1e6 * value, 3) for name, value in micro.items()}
+        provenance = replace(spec.provenance, metrics={**spec.provenance.metrics, **costs_us})
         return replace(
             spec,
             confidence_threshold=self.threshold,
@@ -219,15 +219,15 @@ def choose_proposals(
     Args:
         pools: proposals in validation scenarios.
         costs: of a proposal.
-        thresholds: rising; the generator alone is judged at the first, a mixture at the lowest that makes it
-            as precise.
+        thresholds: rising; the generator alone is measured at the first, a mixture at the lowest that makes
+            it as precise.
         target_acceptance: mean share of all proposals that is to pass, 0 to 1.
     """
-    alone = judged(pools, costs, 0.0, thresholds[0])
+    alone = evaluate(pools, costs, 0.0, thresholds[0])
     chosen = (0.0, thresholds[0], alone)
     for share in SHARES[1:]:
         for threshold in thresholds:
-            found = judged(pools, costs, share, threshold)
+            found = evaluate(pools, costs, share, threshold)
             if found.passing.mean() < target_acceptance:
                 break
             if found.as_precise_as(alone):
@@ -260,19 +260,19 @@ def first_turn(passing: NDArray[np.float64], turn_rows: float) -> float:
     return found
 
 
-def judged(pools: Sequence[Pool], costs: Costs, share: float, threshold: float) -> Outcome:
+def evaluate(pools: Sequence[Pool], costs: Costs, share: float, threshold: float) -> Outcome:
     """A mixture at a threshold in all scenes."""
     rows: list[SampleQuality | None] = []
     missing, passing = [], []
     for pool in pools:
-        drawn, scored = pool.mixed(share)
+        proposals, scored = pool.mixed(share)
         passes = scored.confidence >= threshold
-        kept = drawn[passes][:KEPT]
+        kept = proposals[passes][:KEPT]
         missing.append(1.0 - len(kept) / KEPT)
         passing.append(float(passes.mean()))
         enough = len(kept) >= _FEWEST
         rows.append(pool.scene.quality(kept.astype(np.float64), pool.held_out) if enough else None)
-    told = bool(pools) and pools[0].scene.measures.coverage_share is not None
+    has_coverage = bool(pools) and pools[0].scene.measures.coverage_share is not None
     precision, coverage, energy = (
         np.array([nothing if row is None else getattr(row, name) for row in rows], dtype=np.float64)
         for name, nothing in (("precision", 1.0), ("coverage", 0.0), ("energy", 0.0))
@@ -281,7 +281,9 @@ def judged(pools: Sequence[Pool], costs: Costs, share: float, threshold: float) 
     # A request draws no more than its budget, however few pass.
     cost_s = float(np.mean((1.0 + EXTRA) * costs.of_one(share) / np.maximum(shares, 1.0 / BUDGET)))
     nothing = np.zeros(len(pools))
-    return Outcome(precision, coverage if told else nothing, energy, np.array(missing), shares, cost_s)
+    return Outcome(
+        precision, coverage if has_coverage else nothing, energy, np.array(missing), shares, cost_s
+    )
 
 
 def proposal_pools(bundle: Bundle, world: World, scenarios: int) -> list[Pool]:
@@ -290,13 +292,14 @@ def proposal_pools(bundle: Bundle, world: World, scenarios: int) -> list[Pool]:
     found = []
     for scene in (Scene(stage, index) for index in range(scenarios)):
         picture, seed = bundle.prepare(scene.image), scene.sampler_seed(STREAM)
-        drawn = bundle.sample(picture, DRAWN, seed, min_confidence=0.0, tell_confidence=False).samples
-        uniform = scene.space.to_float32(scene.space.sample_uniform(scene.rng(STREAM), DRAWN))
+        generated = bundle.sample(picture, SAMPLED, seed, min_confidence=0.0, report_confidence=False).samples
+        uniform = scene.space.to_float32(scene.space.sample_uniform(scene.rng(STREAM), SAMPLED))
         scored = [
-            Scored(bundle.score(picture, rows), scene.checker.valid_batch(rows)) for rows in (drawn, uniform)
+            Scored(bundle.score(picture, rows), scene.checker.valid_batch(rows))
+            for rows in (generated, uniform)
         ]
         held_out = scene.free(KEPT, scene.rng(STREAM + 2))
-        found.append(Pool(scene, held_out, drawn, scored[0], uniform, scored[1]))
+        found.append(Pool(scene, held_out, generated, scored[0], uniform, scored[1]))
     return found
 
 

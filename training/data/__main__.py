@@ -17,7 +17,7 @@ from cspace.dataset import Dataset, open_dataset
 from cspace.errors import ConfigError, CspaceError, ScenarioError, StorageError
 from cspace.strict_json import refused
 from cspace.worlds import add_world_options, described_world
-from services.command_errors import tell_error
+from services.command_errors import report_error
 from services.scene_files import given_scenes, read_scene_file
 from training.data.config import USUAL_OF_ARMS, DatasetConfig, PathDatasetConfig
 from training.data.merge import merge
@@ -35,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         made = options.run(options)
     except CspaceError as error:
-        return tell_error(error, ConfigError, ScenarioError)
+        return report_error(error, ConfigError, ScenarioError)
     print(describe(made) if isinstance(made, Dataset) else made)
     return 0
 

@@ -335,7 +335,7 @@ def depth_mm(message: Any) -> NDArray[np.uint16]:
     return rounded_mm(depth, METRES) if kind == "f4" else depth.astype(np.uint16)
 
 
-def told_info(info: Any) -> dict[str, Any]:
+def camera_info(info: Any) -> dict[str, Any]:
     """The parts of a CameraInfo that say how its pictures are read, as plain values."""
     return {
         "width": int(info.width),

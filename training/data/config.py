@@ -73,8 +73,8 @@ class GeneratedConfig(BaseModel):
     @property
     def key(self) -> str:
         """Twelve hex digits that change with every field that changes the data (not with their sharding)."""
-        told = self.model_dump(mode="json", exclude={"shard_size", "robot_name"}) | self._versions()
-        return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:12]
+        content = self.model_dump(mode="json", exclude={"shard_size", "robot_name"}) | self._versions()
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
 
     def _versions(self) -> dict[str, int]:
         """Of what changes the data and is no setting."""
@@ -119,7 +119,7 @@ class PathDatasetConfig(GeneratedConfig):
 
     scenario_count: int = Field(4000, ge=1)
     narrow_share: float = Field(
-        0.5, ge=0, le=1, description="of scenarios, with a narrow passage on every way"
+        0.5, ge=0, le=1, description="of scenarios, with a narrow passage on every path"
     )
     pairs_per_scenario: int = Field(8, ge=1)
     points_per_path: int = Field(64, ge=2)

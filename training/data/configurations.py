@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.dataset import TOLD, Dataset, write_dataset
+from cspace.dataset import ATTRIBUTES, Dataset, write_dataset
 from cspace.errors import DatasetError
 from cspace.simulator import Checker, Proposals, Split, scenario_rng
 from cspace.world import Arrays
@@ -105,7 +105,7 @@ class ConfigurationRecipe:
             images=images.rows,
             free=kept["free"],
             collision=kept["collision"] if collided else None,
-            told={name: kept[name] for name in TOLD if name in kept},
+            attributes={name: kept[name] for name in ATTRIBUTES if name in kept},
             scenes={name: np.stack(kept[name]) for name in known},
             extra_images=extras.rows if len(extras.rows) else None,
             generator=config.model_dump(mode="json"),
@@ -125,8 +125,8 @@ def _split(arrays: Arrays) -> dict[str, list[NDArray[Any]]]:
     found = {name: list(array) for name, array in arrays.items() if name not in rows}
     sides = [clearance > 0.0 for clearance in arrays["clearance"]]
     for side, wanted in (("free", True), ("collision", False)):
-        for name, told in zip(rows, (side, f"{side}_clearance", f"{side}_origin"), strict=True):
-            found[told] = [one[free == wanted] for one, free in zip(arrays[name], sides, strict=True)]
+        for name, key in zip(rows, (side, f"{side}_clearance", f"{side}_origin"), strict=True):
+            found[key] = [one[free == wanted] for one, free in zip(arrays[name], sides, strict=True)]
     return found
 
 

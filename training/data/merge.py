@@ -38,7 +38,7 @@ def merge(parts: Sequence[Dataset], folder: Path) -> Dataset:
         images=_joined(parts, kept, "images"),
         free=[part.free_of(row) for part, row in pairs],
         collision=None if first.collision is None else [part.collision_of(row) for part, row in pairs],
-        told={name: [part.told_of(name, row) for part, row in pairs] for name in first.told},
+        attributes={name: [part.attribute_of(name, row) for part, row in pairs] for name in first.attributes},
         paths=_paths(parts, kept) if "paths" in first.arrays else None,
         scenes={name: _joined(parts, kept, name) for name in _geometry(first)} or None,
         extra_images=_distinct(np.concatenate(extras)) if extras else None,
@@ -54,7 +54,7 @@ def _require_alike(first: Dataset, part: Dataset) -> None:
             )
 
     alike("another world", first.world.to_dict(), part.world.to_dict())
-    # Scenarios that judge must not come among those that are learned from.
+    # Scenarios of evaluations must not come among those that are learned from.
     split = first.manifest.generator.get("split"), part.manifest.generator.get("split")
     if None not in split:
         alike("another split", *split)
@@ -70,9 +70,9 @@ def _geometry(part: Dataset) -> list[str]:
 
 def _digests(part: Dataset) -> list[bytes]:
     """One of each scenario, by its picture and its geometry."""
-    told = [part.images, *(part.arrays[name] for name in _geometry(part))]
+    arrays_of_scenario = [part.images, *(part.arrays[name] for name in _geometry(part))]
     return [
-        hashlib.sha256(b"".join(rows[row].tobytes() for rows in told)).digest()
+        hashlib.sha256(b"".join(rows[row].tobytes() for rows in arrays_of_scenario)).digest()
         for row in range(part.scenario_count)
     ]
 

@@ -29,7 +29,7 @@ def found_pictures(folder: Path) -> list[Path]:
         DatasetError: a view is none.
     """
     views = sorted(folder.glob("*.json"))
-    named = {name for view in views for name in _told(view).pictures}
+    named = {name for view in views for name in _read_view(view).pictures}
     others = (path for path in folder.glob("*.png") if path.name not in named)
     return sorted([*views, *folder.glob("*.view"), *others])
 
@@ -49,9 +49,9 @@ def read_own_picture(path: Path, world: World) -> NDArray[np.uint8]:
 
 
 def _view(path: Path) -> bytes:
-    told = _told(path)
-    files = [_bytes(path.with_name(name)) for name in told.pictures]
-    return pack_view(files, told.cameras, told.state, told.depth_scale_m)
+    view = _read_view(path)
+    files = [_bytes(path.with_name(name)) for name in view.pictures]
+    return pack_view(files, view.cameras, view.state, view.depth_scale_m)
 
 
 def _is_name(name: str) -> str:
@@ -70,7 +70,7 @@ class _View:
     depth_scale_m: Annotated[object, LEFT_OUT] = None
 
 
-def _told(path: Path) -> _View:
+def _read_view(path: Path) -> _View:
     data = _bytes(path)
     try:
         values = parse_json(data)
@@ -170,7 +170,7 @@ def _refuse_strays(source: Path, pictures: list[Path]) -> None:
     known = {
         picture.with_suffix(ending).name for picture in pictures for ending in (".npy", COLLISION_ENDING)
     }
-    known |= {name for one in pictures if one.suffix == ".json" for name in _told(one).pictures}
+    known |= {name for one in pictures if one.suffix == ".json" for name in _read_view(one).pictures}
     strays = sorted(path.name for path in source.glob("*.npy") if path.name not in known)
     if strays:
         raise DatasetError(

@@ -32,11 +32,11 @@ from training.data.bag import (
     Bag,
     Series,
     TransformTree,
+    camera_info,
     depth_mm,
     is_depth,
     opened,
     stamp_of,
-    told_info,
 )
 
 _LOG = logging.getLogger(__name__)
@@ -147,14 +147,14 @@ def import_recording(
     """
     if folder.exists():
         raise StorageError("the folder exists", expected="a new folder", got=str(folder))
-    asked = options or RecordingOptions()
+    settings = options or RecordingOptions()
     skipped: Counter[str] = Counter()
     warnings: Counter[str] = Counter()
     digest = None
     with replacing(folder, "the import") as beside:
         (beside / "views").mkdir(parents=True)
-        with opened(source, asked.time_limit_s) as bag:
-            taking = _Taking(bag, asked, world, skipped, warnings)
+        with opened(source, settings.time_limit_s) as bag:
+            taking = _Taking(bag, settings, world, skipped, warnings)
             views = taking.views(beside / "views")
         if not views:
             raise DatasetError(
@@ -242,8 +242,8 @@ class _Taking:
             topics = [topic for topic, message in first.items() if message is not None and is_depth(message)]
         return self._chosen("depth images", "--depth", self._options.depth, topics)
 
-    def _chosen(self, what: str, option: str, asked: str | None, topics: Sequence[str]) -> str:
-        found = [topic for topic in topics if asked in (None, topic)]
+    def _chosen(self, what: str, option: str, requested: str | None, topics: Sequence[str]) -> str:
+        found = [topic for topic in topics if requested in (None, topic)]
         if len(found) != 1:
             raise DatasetError(
                 f"{self._bag.name} has no topic of {what} to choose"
@@ -269,9 +269,9 @@ class _Taking:
         others: set[str] = set()
         for topic, message in self._bag.messages(*topics):
             if topic == info:
-                told = told_info(message)
-                if not self._infos or self._infos[-1][1] != told:
-                    self._infos.append((stamp_of(message.header), told))
+                values = camera_info(message)
+                if not self._infos or self._infos[-1][1] != values:
+                    self._infos.append((stamp_of(message.header), values))
             elif topic == joints:
                 others |= self._add_state(message)
             else:
@@ -308,13 +308,13 @@ class _Taking:
         if not self._infos:
             return "no camera info"
         before = [info for since, info in self._infos if since <= stamp]
-        told = {"camera_info": before[-1] if before else self._infos[0][1], "pose": pose.tolist()}
+        camera_values = {"camera_info": before[-1] if before else self._infos[0][1], "pose": pose.tolist()}
         try:
             picture = depth_mm(message)
             if not in_range(picture).any():
                 return "no reading"
-            camera, distortion = read_pinhole(told, picture.shape)
-            file = pack_view([encode_depth(picture)], [told], None if state is None else list(state))
+            camera, distortion = read_pinhole(camera_values, picture.shape)
+            file = pack_view([encode_depth(picture)], [camera_values], None if state is None else list(state))
             image = None
             if self._world is not None:
                 examined = self._world.examine_picture(file)
@@ -373,7 +373,7 @@ def add_recording_options(parser: argparse.ArgumentParser) -> None:
         parser.add_argument(f"--{name}", metavar="TOPIC", help=f"topic of the {words}")
     for name, words in (
         ("every", "least time between pictures that are taken"),
-        ("tolerance", "how far the stamps of a picture, a joint state and a transform may be apart"),
+        ("tolerance", "how far the stamps of a picture, a joint state and a transform may differ"),
         ("time-limit", "for the import"),
     ):
         default = getattr(usual, f"{name.replace('-', '_')}_s")
@@ -385,7 +385,7 @@ def add_recording_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(options: argparse.Namespace) -> Imported:
-    asked = RecordingOptions(
+    recording_options = RecordingOptions(
         base=options.base,
         depth=options.depth,
         camera_info=options.camera_info,
@@ -395,4 +395,6 @@ def _run(options: argparse.Namespace) -> Imported:
         most=options.most,
         time_limit_s=options.time_limit,
     )
-    return import_recording(options.source, options.folder, world=described(options), options=asked)
+    return import_recording(
+        options.source, options.folder, world=described(options), options=recording_options
+    )

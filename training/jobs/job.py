@@ -117,7 +117,7 @@ class Job(Generic[Config]):
         children: child run by trial.
         name: under which it can be submitted again; None for a job that only its run names.
         start_run_id: of the job whose weights its trials start from; None where they start from nothing.
-        told: tags that all of its runs have.
+        extra_tags: tags that all of its runs have.
     """
 
     config: Config
@@ -128,7 +128,7 @@ class Job(Generic[Config]):
     children: dict[str, str]
     name: str | None = None
     start_run_id: str | None = None
-    told: dict[str, str] = field(default_factory=dict)
+    extra_tags: dict[str, str] = field(default_factory=dict)
 
     @classmethod
     def start(
@@ -239,7 +239,11 @@ class Job(Generic[Config]):
         """A trial's run, made here so that a retried trial and a resumed job continue it."""
         if name not in self.children:
             title, parent = f"{name}, {job_label(self.config, self.name)}", self.run.run_id
-            tags = shown_tags(self.config, self.name, name.partition("-")[0]) | self.told | {TAG_TRIAL: name}
+            tags = (
+                shown_tags(self.config, self.name, name.partition("-")[0])
+                | self.extra_tags
+                | {TAG_TRIAL: name}
+            )
             run = self.tracking.start(EXPERIMENT, title, parent, tags, key=f"{parent}/{name}")
             self.children[name] = run.run_id
             _record(self.folder, self.config, self.children, self.name, self.start_run_id)
@@ -255,9 +259,9 @@ class Job(Generic[Config]):
         start = self.start_run_id
         return None if start is None else require_folder(job_folder(self.environment, start))
 
-    def tell(self, tags: Mapping[str, str]) -> None:
+    def add_tags(self, tags: Mapping[str, str]) -> None:
         """Tags for the run and for its children, those that are there and those to come."""
-        self.told.update(tags)
+        self.extra_tags.update(tags)
         self.run.tags(tags)
         for run_id in self.children.values():
             self.tracking.note(run_id, tags=tags)

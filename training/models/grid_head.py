@@ -112,10 +112,10 @@ class GridEncoder(nn.Module):
 
     def forward(self, pictures: Tensor) -> tuple[Tensor, Tensor]:
         """Features, and what the deepest scale says on the whole."""
-        told = self._channels(pictures)
-        axes = [torch.linspace(-1.0, 1.0, size // 2) for size in told.shape[2:]]
-        places = torch.stack(torch.meshgrid(*axes, indexing="ij")).to(told.device).unsqueeze(0)
-        fine = self.fine(self.into(told) + self.where(places))
+        channels = self._channels(pictures)
+        axes = [torch.linspace(-1.0, 1.0, size // 2) for size in channels.shape[2:]]
+        places = torch.stack(torch.meshgrid(*axes, indexing="ij")).to(channels.device).unsqueeze(0)
+        fine = self.fine(self.into(channels) + self.where(places))
         middle = self.middle(self.down(functional.relu(fine)))
         deep = self.deep(self.deeper(functional.relu(middle)))
         middle = self.middle_again(middle + _doubled(self.out_of_deep(functional.relu(deep))))
@@ -127,8 +127,8 @@ class GridEncoder(nn.Module):
         free, out = (code < _HALF).float(), (code > 1.0 - _HALF).float()
         unread = ((code - self.no_reading).abs() < _HALF).float()
         hidden = 1.0 - free - out - unread
-        told = functional.avg_pool3d(torch.cat([free, unread, out, hidden, hidden * code], dim=1), 2)
-        return torch.cat([-functional.max_pool3d(-near, 2), told], dim=1)
+        pooled = functional.avg_pool3d(torch.cat([free, unread, out, hidden, hidden * code], dim=1), 2)
+        return torch.cat([-functional.max_pool3d(-near, 2), pooled], dim=1)
 
 
 def _doubled(features: Tensor) -> Tensor:
@@ -196,8 +196,8 @@ class GridHead(nn.Module):
         self.register_buffer("volumes", functional.normalize(self.radii**3, p=1.0, dim=0))
         self.names = nn.Parameter(0.1 * torch.randn(self.groups, _NAMES))
         # Features, place, place in the voxel, direction, three margins, five of sight, share unseen, name.
-        told = config.width + 3 + 3 + 3 + 3 + 5 + 1 + _NAMES
-        self.group = nn.Sequential(mlp(told, hidden, 1, hidden), nn.ReLU())
+        inputs = config.width + 3 + 3 + 3 + 3 + 5 + 1 + _NAMES
+        self.group = nn.Sequential(mlp(inputs, hidden, 1, hidden), nn.ReLU())
         self.hazard = nn.Linear(hidden, 1)
         nn.init.constant_(self.hazard.bias, _RARE)
         self.whole = mlp(2 * hidden + 3, hidden, 1, 1)
@@ -229,10 +229,10 @@ class GridHead(nn.Module):
         scene = None if scenes == 1 else torch.arange(scenes, device=frames.device).repeat_interleave(count)
         margins, unseen = self.at_spheres(pictures, frames, scene)
         near, sight = margins[self.members].amin(dim=1), unseen[self.members].mean(dim=1)
-        told = [*self._at_groups(pictures, frames, scene), *_told(near), sight.unsqueeze(0)]
+        inputs = [*self._at_groups(pictures, frames, scene), *_margin_features(near), sight.unsqueeze(0)]
         features = self._features(table, frames, scene).T.reshape(-1, *near.shape)
         named = self.names.T.unsqueeze(-1).expand(-1, -1, near.shape[1])
-        inner = self._inner(torch.cat([features, *told, named]))
+        inner = self._inner(torch.cat([features, *inputs, named]))
         hazards = _through(self.hazard, inner)[0]
         # The sum of all volumes may be above 1 by rounding.
         share = (unseen * self.volumes).sum(dim=0).clamp(max=1.0)
@@ -278,28 +278,32 @@ class GridHead(nn.Module):
         free, out = (code < 0.5 / 255.0).float(), (code > 254.5 / 255.0).float()
         unread = ((code - self.encoder.no_reading).abs() < 0.5 / 255.0).float()
         hidden = 1.0 - free - out - unread
-        ways = self.group_ways @ frames
-        return [self.group_places @ frames, inside, ways, free, unread, out, hidden, hidden * code]
+        directions = self.group_ways @ frames
+        return [self.group_places @ frames, inside, directions, free, unread, out, hidden, hidden * code]
 
-    def _inner(self, told: Tensor) -> Tensor:
+    def _inner(self, inputs: Tensor) -> Tensor:
         """What is made of all that is told of groups, (k, G, n) to (H, G, n)."""
         first, bent, second = (self.group.get_submodule(f"0.{number}") for number in range(3))
-        return functional.relu(_through(second, bent(_through(first, told))))
+        return functional.relu(_through(second, bent(_through(first, inputs))))
 
     def _clear(self, inner: Tensor, hazards: Tensor, unseen: Tensor) -> Tensor:
         """Log probability that nothing is touched, as far as it is learned, (n,)."""
         together = torch.logsumexp(hazards, dim=0)
         worst = hazards.amax(dim=0)
         sums = torch.stack([together / 4.0, worst / 4.0, unseen])
-        told = torch.cat([inner.amax(dim=1), inner.mean(dim=1), sums])
-        return functional.logsigmoid(-together - self.whole(told.T).squeeze(-1))
+        features = torch.cat([inner.amax(dim=1), inner.mean(dim=1), sums])
+        return functional.logsigmoid(-together - self.whole(features.T).squeeze(-1))
 
     def _past_the_seen(self, margins: Tensor) -> Tensor:
         """Log probability that the surface seen is not touched: by the two least margins alone, (n,)."""
         least = -torch.topk(-margins.T, 2, dim=1).values
         first = least[:, :1]
-        told = [(least / _FAR_M).clamp(-1.0, 1.0), torch.tanh(first / _SHARP_M), torch.tanh(first / _NEAR_M)]
-        return functional.logsigmoid(self.seen(torch.cat(told, dim=1)).squeeze(-1))
+        features = [
+            (least / _FAR_M).clamp(-1.0, 1.0),
+            torch.tanh(first / _SHARP_M),
+            torch.tanh(first / _NEAR_M),
+        ]
+        return functional.logsigmoid(self.seen(torch.cat(features, dim=1)).squeeze(-1))
 
 
 def _through(layer: nn.Module, inner: Tensor) -> Tensor:
@@ -309,7 +313,7 @@ def _through(layer: nn.Module, inner: Tensor) -> Tensor:
     return found.reshape(-1, *inner.shape[1:])
 
 
-def _told(margins: Tensor) -> list[Tensor]:
+def _margin_features(margins: Tensor) -> list[Tensor]:
     """(G, n) m to three of (1, G, n)."""
     scales = [
         (margins / _FAR_M).clamp(-1.0, 1.2),
@@ -320,7 +324,7 @@ def _told(margins: Tensor) -> list[Tensor]:
 
 
 def _rows(arm: GridArm, moving: Tensor) -> dict[str, Tensor]:
-    """What takes frames to points: spheres that move and groups and groups in voxels, groups in m, ways."""
+    """What takes frames to points: spheres that move and groups and groups in voxels, groups in m, axes."""
     links, groups = buffer(arm.links, torch.long), buffer(arm.group_links, torch.long)
     spheres, centres = buffer(arm.spheres_m[:, :3]), buffer(arm.group_spheres_m[:, :3])
     count, step = len(arm.axes) + 1, 1.0 / arm.voxel_m

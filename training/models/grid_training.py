@@ -17,7 +17,7 @@ from training.models.modules import TrialModule
 from training.models.settings import GridConfig, ValidityConfig
 
 # Of what is 1 at most, so that its logarithm's complement is finite.
-_ALMOST_SURE = -1e-6
+_MAX_LOG_FREE = -1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,8 +125,8 @@ def head_losses(prediction: HeadPrediction, batch: GridBatch) -> dict[str, Tenso
         hits = batch.hits.float()
         losses["hazard_loss"] = functional.binary_cross_entropy_with_logits(prediction.hazards, hits)
         clear, known = ~batch.hits.any(dim=-1), torch.ones_like(known)
-    sure = prediction.clear.clamp(max=_ALMOST_SURE)
-    each = -torch.where(clear, sure, torch.log(-torch.expm1(sure)))
+    log_free = prediction.clear.clamp(max=_MAX_LOG_FREE)
+    each = -torch.where(clear, log_free, torch.log(-torch.expm1(log_free)))
     losses["validity_loss"] = (each * known).sum() / known.sum().clamp(min=1)
     return losses
 

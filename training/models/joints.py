@@ -107,14 +107,14 @@ class Joints(nn.Module):
         beyond = beyond - 2.0 * self.width * torch.floor(beyond / (2.0 * self.width))
         return torch.where(self.limited, self.lower + self.width - (beyond - self.width).abs(), angles)
 
-    def way(self, start: Tensor, end: Tensor) -> Tensor:
-        """From one to the other, the shorter way round on circles; (..., d) rad."""
+    def difference(self, start: Tensor, end: Tensor) -> Tensor:
+        """The difference from one to the other, the shorter way round on circles; (..., d) rad."""
         plain = end - start
         round_circles = torch.remainder(plain + torch.pi, 2.0 * torch.pi) - torch.pi
         return round_circles if self.is_torus else torch.where(self.limited, plain, round_circles)
 
-    def between(self, start: Tensor, end: Tensor, share: Tensor) -> Tensor:
-        """Points at shares (b, 1) of :meth:`way`; (b, d) rad."""
+    def interpolate(self, start: Tensor, end: Tensor, share: Tensor) -> Tensor:
+        """Points at shares (b, 1) of :meth:`difference`; (b, d) rad."""
         wrapped = losses.wrapped_interpolation(end, start, share)
         if self.is_torus:
             return wrapped
@@ -180,15 +180,15 @@ class Points:
         x, y, z = (self.places[:, axis].clamp(0.0, float(self.counts[axis] - 1)).long() for axis in range(3))
         return self._number(x, y, z) + channel * self.voxels
 
-    def between(
-        self, table: Tensor, channel: int = 0, told: Callable[[Tensor], Tensor] | None = None
+    def interpolate(
+        self, table: Tensor, channel: int = 0, transform: Callable[[Tensor], Tensor] | None = None
     ) -> Tensor:
         """Trilinear between voxels, (p, n, C), of a table (p X Y Z, C) or of one of its channels.
 
         Args:
             table: rows of all voxels.
             channel: which, where several lie one behind the other.
-            told: what becomes of rows (p, n, C) before they are mixed; None for themselves.
+            transform: what becomes of rows (p, n, C) before they are mixed; None for themselves.
         """
         firsts, shares = [], []
         for axis in range(3):
@@ -203,7 +203,7 @@ class Points:
         def along(axis: int, at: Tensor) -> Tensor:
             if axis == 3:
                 rows = functional.embedding(at, table)
-                return rows if told is None else told(rows)
+                return rows if transform is None else transform(rows)
             low = along(axis + 1, at)
             return low + shares[axis] * (along(axis + 1, at + steps[axis]) - low)
 

@@ -55,8 +55,8 @@ class SpaceLookups(nn.Module):
         places = self.places(configurations.reshape(-1, dim)).reshape(scenes, count, 3, self.groups)
         points = Points(places.transpose(1, 2).reshape(scenes, 3, -1), self.counts, 2)
         table = pictures.reshape(-1, 1)
-        near, known = points.between(table), points.between(table, 1, self._known)
-        return self.told(torch.cat([near, known], dim=-1).reshape(scenes, count, self.groups, -1))
+        near, known = points.interpolate(table), points.interpolate(table, 1, self._known)
+        return self.features(torch.cat([near, known], dim=-1).reshape(scenes, count, self.groups, -1))
 
     def places(self, configurations: Tensor) -> Tensor:
         """Centres of the groups, (n, d) rad to (n, 3, G) in voxels from the grid's lowest corner."""
@@ -65,11 +65,11 @@ class SpaceLookups(nn.Module):
         return places
 
     def read(self, codes: Tensor) -> Tensor:
-        """Stored voxels (..., 2) uint8 to (..., 3): what :meth:`told` takes of them."""
+        """Stored voxels (..., 2) uint8 to (..., 3): what :meth:`features` takes of them."""
         shares = codes.to(self.radii.dtype) / 255.0
         return torch.cat([shares[..., :1], self._known(shares[..., 1:])], dim=-1)
 
-    def told(self, read: Tensor) -> Tensor:
+    def features(self, read: Tensor) -> Tensor:
         """(..., G, 3): distance as a share of the farthest, unseen, depth; to (..., values)."""
         margins = read[..., :1] * self.scale_m - self.radii
         scales = [margins / _FAR_M, torch.tanh(margins / _NEAR_M)]
@@ -103,7 +103,7 @@ class SpaceReader(nn.Module):
     def forward(self, ids: Tensor, configurations: Tensor) -> Tensor:
         """What the picture of each id says at its configuration."""
         points = Points(self.lookups.places(configurations), self.lookups.counts, scenes=ids)
-        return self.lookups.told(points.between(self.voxels, told=self.lookups.read))
+        return self.lookups.features(points.interpolate(self.voxels, transform=self.lookups.read))
 
 
 class ArmLookups(nn.Module):

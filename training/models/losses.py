@@ -48,8 +48,8 @@ def wrapped_interpolation(real: Tensor, fake: Tensor, share: Tensor) -> Tensor:
         fake: (b, d) rad.
         share: (b, 1) in [0, 1].
     """
-    way = torch.remainder(real - fake + torch.pi, 2.0 * torch.pi) - torch.pi
-    return fake + share * way
+    difference = torch.remainder(real - fake + torch.pi, 2.0 * torch.pi) - torch.pi
+    return fake + share * difference
 
 
 def straight_interpolation(real: Tensor, fake: Tensor, share: Tensor) -> Tensor:

@@ -244,7 +244,7 @@ class WganGpModule(AdversarialModule):
         wasserstein = losses.critic_loss(real_values, fake_values)
         penalty = losses.gradient_penalty(
             lambda points: self.values(self.critic, points.unsqueeze(1), batch).squeeze(1),
-            self._between(batch.configurations, fake),
+            self._interpolated(batch.configurations, fake),
             one_sided=self.config.penalty == "one_sided",
         )
         loss = wasserstein + self.config.penalty_weight * penalty
@@ -263,11 +263,11 @@ class WganGpModule(AdversarialModule):
         self.latest["generator_loss"] = loss.detach()
         return loss
 
-    def _between(self, real: Tensor, fake: Tensor) -> Tensor:
+    def _interpolated(self, real: Tensor, fake: Tensor) -> Tensor:
         one = fake[:, int(torch.randint(fake.shape[1], (1,), generator=self.rng, device=self.device))]
         share = self.uniform(len(real), 1)
         if self.config.critic_features == "torus":
-            return self.joints.between(one, real, share)
+            return self.joints.interpolate(one, real, share)
         return losses.straight_interpolation(real, one, share)
 
 

@@ -283,10 +283,13 @@ class FlowModule(PointModule):
         batch = self.samples.draw(self.config.batch_size, self.rng)
         base = self.joints.from_torus((2.0 * self.uniform(*batch.points.shape) - 1.0) * torch.pi)
         time = self.uniform(len(base), 1)
-        at, way = self.joints.between(base, batch.points, time), self.joints.way(base, batch.points)
+        at, difference = (
+            self.joints.interpolate(base, batch.points, time),
+            self.joints.difference(base, batch.points),
+        )
         features = self.condition(batch).features(self.joints)
         found = self.net.velocity(at, time, features, self.look(batch)(at))
-        loss = (found - way).square().sum(dim=1).mean()
+        loss = (found - difference).square().sum(dim=1).mean()
         self.descend(loss)
         self.latest = {"flow_loss": loss.detach()}
 
@@ -349,8 +352,8 @@ class PathGanModule(PointModule, AdversarialModule):
 
         wasserstein = losses.critic_loss(value(batch.points), value(fake))
         share = self.uniform(len(fake), 1)
-        between = self.joints.between(fake, batch.points, share)
-        penalty = losses.gradient_penalty(value, between, one_sided=self.config.penalty == "one_sided")
+        interpolated = self.joints.interpolate(fake, batch.points, share)
+        penalty = losses.gradient_penalty(value, interpolated, one_sided=self.config.penalty == "one_sided")
         self.latest |= {"wasserstein_estimate": -wasserstein.detach(), "gradient_penalty": penalty.detach()}
         return wasserstein + self.config.penalty_weight * penalty
 

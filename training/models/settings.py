@@ -119,7 +119,9 @@ class GlobalConfig(GanConfig):
 class GridConfig(Section):
     """What a head that reads arrays of space has beside the sizes of others."""
 
-    groups: int = Field(64, ge=1, description="of the arm's spheres, base included, whose hazards are told")
+    groups: int = Field(
+        64, ge=1, description="of the arm's spheres, base included, whose hazards are predicted"
+    )
     width: int = Field(20, ge=4, multiple_of=4, description="channels of the finest features")
     middle: int = Field(40, ge=4, multiple_of=4)
     deep: int = Field(64, ge=4, multiple_of=4)
@@ -153,7 +155,7 @@ class PointConfig(Section):
 
     hidden: int = Field(256, ge=1)
     layers: int = Field(3, ge=1)
-    place: bool = Field(default=False, description="whether a sample is asked for at a place along the path")
+    place: bool = Field(default=False, description="whether a sample is requested at a place along the path")
     lookups: LookupConfig = LookupConfig()
     jitter_rad: float = Field(0.0, ge=0, description="standard deviation that is added to the samples")
     batch_size: int = Field(512, ge=2)

@@ -17,7 +17,7 @@ from cspace.errors import CspaceError, InputError
 from cspace.files import replacing
 from cspace.worlds.spatial.benchmark import LIMITS_RAD, write_problems
 from cspace.worlds.spatial.world import shipped
-from services.command_errors import tell_error
+from services.command_errors import report_error
 from training.motionbench.archive import SHA256, read_archive
 from training.motionbench.download import downloaded
 
@@ -37,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             counts = Counter(one.family for one in found)
             print(f"{path}: {', '.join(f'{name} {count}' for name, count in counts.items())}")
     except CspaceError as error:
-        return tell_error(error, InputError)
+        return report_error(error, InputError)
     return 0
 
 

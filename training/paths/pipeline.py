@@ -110,7 +110,7 @@ def _run(job: Job[PathTrainConfig]) -> PathTrainResult:
         dataset = _data(config, job.environment.data_folder)
         log_configuration(run, config)
         run.dataset(dataset.folder.name, dataset.digest, str(dataset.folder), "training")
-        job.tell(world_tag(source.spec.world, named))
+        job.add_tags(world_tag(source.spec.world, named))
         arrays = path_arrays(source, dataset, config.points)
         outcomes = _train(job, arrays, guides)
         histories = {outcome.name: read_progress(outcome.checkpoint).history for outcome in outcomes}

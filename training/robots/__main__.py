@@ -14,7 +14,7 @@ from typing import Any
 
 from cspace.errors import ConfigError, CspaceError, ScenarioError
 from cspace.files import replacing
-from services.command_errors import tell_error
+from services.command_errors import report_error
 from training.robots.chain import Limits
 from training.robots.covering import Allowances
 from training.robots.importing import Request, import_robot
@@ -34,7 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with replacing(picture, "the report's picture") as beside:
             draw(imported, beside)
     except CspaceError as error:
-        return tell_error(error, ConfigError, ScenarioError)
+        return report_error(error, ConfigError, ScenarioError)
     print("\n".join(lines_of(imported)))
     print(f"written to {options.out}; the report is in {values.name} and {picture.name}")
     return 0
@@ -54,7 +54,7 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("--name", help=named)
     one.add_argument("--srdf", type=Path, help="with the pairs that need no check; default: beside the URDF")
     one.add_argument("--tip", metavar="LINK", help="whose frame is the tool's; default: the last link")
-    for name, value, told in (
+    for name, value, help_text in (
         (
             "--lock",
             "JOINT=VALUE",
@@ -65,9 +65,9 @@ def parser() -> argparse.ArgumentParser:
         ("--xacro", "NAME=VALUE", "an argument of xacro"),
         ("--without", "LINK", "leave out the shapes of a link and of all behind it"),
     ):
-        one.add_argument(name, action="append", default=[], metavar=value, help=told)
-    apart = "a pair that is held apart whatever the SRDF says"
-    one.add_argument("--keep", action="append", default=[], nargs=2, metavar="LINK", help=apart)
+        one.add_argument(name, action="append", default=[], metavar=value, help=help_text)
+    keep_help = "a pair that is held apart whatever the SRDF says"
+    one.add_argument("--keep", action="append", default=[], nargs=2, metavar="LINK", help=keep_help)
     waits = "where the arm waits, rad; default: the middle of its limits"
     one.add_argument("--ready", metavar="A,B,...", help=waits)
     outside = "of the surface outside the spheres; default 2"

@@ -131,9 +131,9 @@ def cover(solids: Sequence[Solid], allowances: Allowances, rng: np.random.Genera
 def measure(solids: Sequence[Solid], spheres: Floats, rng: np.random.Generator) -> Fit:
     """How well spheres (K, 4) cover a union of solids."""
     missed = gaps_m(union_surface(solids, _FRESH_POINTS, rng), spheres)
-    drawn = rng.normal(size=(len(spheres), 400, 3))
-    drawn /= np.linalg.norm(drawn, axis=-1, keepdims=True)
-    shells = (spheres[:, None, :3] + spheres[:, None, 3:] * drawn).reshape(-1, 3)
+    directions = rng.normal(size=(len(spheres), 400, 3))
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    shells = (spheres[:, None, :3] + spheres[:, None, 3:] * directions).reshape(-1, 3)
     shells = shells[gaps_m(shells, spheres) > -1e-9]
     excess = np.maximum(-union_depth_m(solids, shells), 0.0)
     return Fit(

@@ -24,7 +24,7 @@ _SEED = 20261123
 _DIGITS = 5
 # As MoveIt's setup assistant counts a pair that always collides.
 ALWAYS_SHARE = 0.95
-_DRAWN = 4000
+_SAMPLES = 4000
 _PICTURE_POINTS = 600
 # Of measured fits, for points between those that the cover was made for.
 _TOLERANCE_M = 0.0005
@@ -79,8 +79,8 @@ class Imported:
     srdf: Path | None
 
 
-def import_robot(request: Request, tell: Callable[[str], None] = lambda _: None) -> Imported:
-    """The arm that a request describes; ``tell`` takes each part's name before its spheres are sought.
+def import_robot(request: Request, report: Callable[[str], None] = lambda _: None) -> Imported:
+    """The arm that a request describes; ``report`` takes each part's name before its spheres are sought.
 
     Raises:
         ScenarioError: a file is missing or wrong, the robot is no serial arm, or it cannot wait there.
@@ -89,8 +89,8 @@ def import_robot(request: Request, tell: Callable[[str], None] = lambda _: None)
     srdf = request.srdf or find_srdf(request.urdf)
     disabled = {} if srdf is None else read_disabled_pairs(srdf)
     chain = read_chain(description, request.tip, request.locked, request.limits)
-    asked = {name for pair in request.kept for name in pair} | set(request.without)
-    if unknown := sorted(asked - set(description.links)):
+    mentioned = {name for pair in request.kept for name in pair} | set(request.without)
+    if unknown := sorted(mentioned - set(description.links)):
         known = f"some of {sorted(description.links)}"
         raise ScenarioError("links are unknown", expected=known, got=str(unknown))
     # First, for spheres take a while.
@@ -98,7 +98,7 @@ def import_robot(request: Request, tell: Callable[[str], None] = lambda _: None)
     solids, notes = _solids(description, chain, request)
     parts, fits, surfaces = [], {}, {}
     for name, own in solids.items():
-        tell(name)
+        report(name)
         number, frame = chain.frames[name]
         where, allowed = description.at("link", name), request.allowances.of(own)
         spheres, fits[name] = _spheres(own, where, allowed)
@@ -196,7 +196,7 @@ def _touching(
     those that nearly always do are not.
     """
     space, rng = arm.space, np.random.default_rng(_SEED)
-    sampled = rng.uniform(space.lower, space.upper, (_DRAWN, arm.dim))
+    sampled = rng.uniform(space.lower, space.upper, (_SAMPLES, arm.dim))
     found = []
     for first, second in combinations(arm.parts, 2):
         names, pair = (first.name, second.name), frozenset((first.name, second.name))

@@ -97,7 +97,7 @@ class TrialCallback(lightning.Callback):
             return
         if first or last or self.step % self.rhythm.log_every_steps == 0:
             self._log(pl_module)
-        self.stopped = not last and self._asked_to_stop()
+        self.stopped = not last and self._should_stop()
         if last or self.stopped or self.step % self.rhythm.checkpoint_every_steps == 0:
             self._checkpoint(pl_module)
         trainer.should_stop = self.stopped
@@ -120,7 +120,7 @@ class TrialCallback(lightning.Callback):
         """The last metrics."""
         return {name: value for name, value in self.history[-1].items() if name != "step"}
 
-    def _asked_to_stop(self) -> bool:
+    def _should_stop(self) -> bool:
         now = time.monotonic()
         if now - self.looked_s < STOP_LOOK_EVERY_S:
             return False
@@ -204,7 +204,7 @@ def fit_tracked(
     settings: TrialSettings,
     resources: ResourceConfig,
     tracking_uri: str,
-    **told: Any,
+    **extra_parameters: Any,
 ) -> Metrics | None:
     """Train a trial's module, from its last checkpoint on where it has one.
 
@@ -217,7 +217,7 @@ def fit_tracked(
         settings: by which it is trained.
         resources: how often it logs and checkpoints.
         tracking_uri: of the tracking server.
-        told: further parameters of its run, such as its share of the data.
+        extra_parameters: further parameters of its run, such as its share of the data.
 
     Returns:
         The last metrics; None where the job is being stopped.
@@ -236,7 +236,7 @@ def fit_tracked(
         start_from(trial.start, module)
         _LOG.info("%s: starts from the weights of %s", label, trial.start)
     run = MlflowTracking(tracking_uri, spool_folder=trial.spool).resume(trial.run_id)
-    parameters = _parameters(trial, module, settings) | told
+    parameters = _parameters(trial, module, settings) | extra_parameters
     shown = _show(run, parameters)
     try:
         metrics = fit(label, module, settings.steps, rhythm, run, folder, trial.stop.exists)

@@ -294,7 +294,7 @@ def _run_all(
                 ended, _ = ray.wait(list(waiting), num_returns=1, timeout=LOOK_EVERY_S)
                 for reference in ended:
                     failed += _failure(reference)
-                    _tell_end(waiting.pop(reference), len(trials) - len(waiting), len(trials))
+                    _log_end(waiting.pop(reference), len(trials) - len(waiting), len(trials))
                 if stopped and not ended:
                     break
     finally:
@@ -323,7 +323,7 @@ def _failure(reference: "ray.ObjectRef[Any]") -> list[str]:
     return []
 
 
-def _tell_end(trial: TrialRequest, ended: int, count: int) -> None:
+def _log_end(trial: TrialRequest, ended: int, count: int) -> None:
     state = "stopped" if trial.stop.exists() else "failed"
     state = state if read_outcome(trial) is None else "finished"
     _LOG.info("%s (%s): %s; %d of %d trials have ended", trial.name, trial.job, state, ended, count)

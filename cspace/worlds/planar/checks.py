@@ -204,7 +204,7 @@ def _distances(joints: NDArray[np.float64], places: NDArray[np.float64]) -> NDAr
     """Of places (n, 2) to the nearest of the arms' links (k, j, 2), (n,) m."""
     begins, ends = joints[:, :-1].reshape(-1, 2), joints[:, 1:].reshape(-1, 2)
     along = ends - begins
-    apart = places[:, None] - begins
-    shares = np.clip((apart * along).sum(axis=2) / (along * along).sum(axis=1), 0.0, 1.0)
-    found: NDArray[np.float64] = np.linalg.norm(apart - shares[..., None] * along, axis=2).min(axis=1)
+    offsets = places[:, None] - begins
+    shares = np.clip((offsets * along).sum(axis=2) / (along * along).sum(axis=1), 0.0, 1.0)
+    found: NDArray[np.float64] = np.linalg.norm(offsets - shares[..., None] * along, axis=2).min(axis=1)
     return found

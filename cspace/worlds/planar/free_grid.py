@@ -43,12 +43,12 @@ def distance_to_false(
 
 @dataclass(frozen=True, eq=False)
 class PathTree:
-    """The cheapest way from every cell to the goal's.
+    """The cheapest route from every cell to the goal's.
 
     Args:
         space: the joint space, cut into cells of equal size.
-        costs: (cells, ...) of the way from each cell, rad times weight; inf where there is none.
-        parents: (cells, ...) number of the next cell on the way; -1 at the goal and where there is none.
+        costs: (cells, ...) of the route from each cell, rad times weight; inf where there is none.
+        parents: (cells, ...) number of the next cell on the route; -1 at the goal and where there is none.
     """
 
     space: JointSpace
@@ -56,7 +56,7 @@ class PathTree:
     parents: NDArray[np.int64]
 
     def path(self, start: ArrayLike) -> NDArray[np.float64] | None:
-        """Centres of the cells from that of ``start`` (d,) to the goal's, (k, d) rad; None without a way."""
+        """Centres of the cells from ``start`` (d,) to the goal, (k, d) rad; None without a route."""
         at = int(np.ravel_multi_index(cell_of(self.space, self.costs.shape, start), self.costs.shape))
         if not np.isfinite(self.costs.flat[at]):
             return None
@@ -96,12 +96,12 @@ def cell_of(space: JointSpace, cells: tuple[int, ...], configuration: ArrayLike)
 
 
 def paths_to(space: JointSpace, weights: NDArray[np.float64], goal: ArrayLike) -> PathTree:
-    """The tree of all ways to a goal.
+    """The tree of all routes to a goal.
 
     Args:
         space: the joint space.
-        weights: (cells, ...) cost of a rad in each cell, above 0; inf where no way may pass.
-        goal: (d,) rad; a goal in a cell where no way may pass has none.
+        weights: (cells, ...) cost of a rad in each cell, above 0; inf where no route may pass.
+        goal: (d,) rad; a goal in a cell where no route may pass has none.
     """
     shape = weights.shape
     steps = np.array([step for step in itertools.product((-1, 0, 1), repeat=len(shape)) if any(step)])
@@ -166,7 +166,7 @@ def cells_per_joint(dim: int, fine: int = FINE_CELLS) -> int:
 
 @dataclass(frozen=True)
 class FreeGrid:
-    """A scenario's joint space cut into equal cells, each judged at its centre.
+    """A scenario's joint space cut into equal cells, each checked at its centre.
 
     Args:
         scenario: whose free space.
@@ -272,7 +272,7 @@ def _shifts(face: NDArray[np.int64]) -> list[NDArray[np.int64]]:
 
 # Cells a joint for two joints; more joints get as many in all.
 PATH_CELLS = 256
-# A way keeps off obstacles up to here, where it costs up to twice as much.
+# A route keeps off obstacles up to here, where it costs up to twice as much.
 MARGIN_RAD = 0.12
 RESOLUTION_RAD = 0.00314
 
@@ -325,13 +325,13 @@ class PathFinder:
     def path_from(self, start: ArrayLike) -> NDArray[np.float64] | None:
         """A free path (k, d) rad from ``start`` (d,) to the goal; None where the grid has none.
 
-        Every edge is free at the resolution. A way of the grid whose cells are free and whose edges are not
+        Every edge is free at the resolution. A route of the grid whose cells are free and whose edges are not
         is no path, so that a passage finer than a cell may be missed; one that is found is always free.
         """
-        way = self._tree.path(start)
-        if way is None:
+        path = self._tree.path(start)
+        if path is None:
             return None
-        corners = np.concatenate([[self._space.wrap(start)], way[1:-1], [self._goal]])
+        corners = np.concatenate([[self._space.wrap(start)], path[1:-1], [self._goal]])
         return shortcut(corners, self._edges_free)
 
     def _edges_free(self, starts: NDArray[np.float64], ends: NDArray[np.float64]) -> NDArray[np.bool_]:

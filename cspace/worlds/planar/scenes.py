@@ -80,7 +80,7 @@ class DiscScenes(Record):
 
 @validated(ScenarioError)
 class GivenScenes(Record):
-    """Scenes that somebody gave: some to train with, others to judge by.
+    """Scenes that somebody gave: some to train with, others to evaluate by.
 
     Args:
         train: for each scene its discs: x, y, radius in m.

@@ -41,8 +41,8 @@ class PlanarSimulator:
         """Uniform and disconnected; narrow where the grid is as fine as its passages."""
         narrow = (Family.NARROW,) if resolves_narrow(self.world.body) else ()
         solvable = (Family.UNIFORM, *narrow)
-        told = "unknown discs" if self.world.scenes is None else self.world.scenes.words
-        return Families((*solvable, Family.DISCONNECTED), solvable, solvable[-1], _NOTE, told)
+        words = "unknown discs" if self.world.scenes is None else self.world.scenes.words
+        return Families((*solvable, Family.DISCONNECTED), solvable, solvable[-1], _NOTE, words)
 
     @property
     def measures(self) -> Measures:
@@ -59,7 +59,7 @@ class PlanarSimulator:
             resolution_rad=0.0314,
             coverage_share=0.8,
             margins={"precision": 0.02, "coverage": 0.03, "edr": 0.1, "planning_success": 0.1},
-            path_margins={"planning_success": 0.1, f"{self.families.telling}_edge_checks_ratio": 1.0},
+            path_margins={"planning_success": 0.1, f"{self.families.decisive}_edge_checks_ratio": 1.0},
             free_share=0.69,
         )
 

@@ -154,17 +154,17 @@ class PlanarWorld:
         if scenes is None:
             raise ScenarioError(
                 "the data set holds no scenes",
-                expected="obstacles, by which samples can be judged",
+                expected="obstacles, by which samples can be checked",
                 got="pictures and configurations alone",
             )
         return replace(self, scenes=scenes)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
-        told: dict[str, Any] = {"kind": KIND, "robot": self.body.to_dict(), "camera": self.sensor.to_dict()}
+        values: dict[str, Any] = {"kind": KIND, "robot": self.body.to_dict(), "camera": self.sensor.to_dict()}
         if self.scenes != DiscScenes():
-            told["scenes"] = None if self.scenes is None else self.scenes.to_dict()
-        return told
+            values["scenes"] = None if self.scenes is None else self.scenes.to_dict()
+        return values
 
 
 # The types of its parts.
@@ -181,9 +181,9 @@ def read(values: Mapping[str, Any]) -> PlanarWorld:
     """
     members = {"scenes": DiscScenes().to_dict(), **values}
     parts = read_object(_Parts, members, "the world", ScenarioError)
-    told = parts.scenes
-    kind: type[Scenes] = GivenScenes if isinstance(told, dict) and "train" in told else DiscScenes
-    scenes = None if told is None else read_object(kind, told, "the scenes", ScenarioError)
+    given = parts.scenes
+    kind: type[Scenes] = GivenScenes if isinstance(given, dict) and "train" in given else DiscScenes
+    scenes = None if given is None else read_object(kind, given, "the scenes", ScenarioError)
     return PlanarWorld(PlanarArm.from_dict(parts.robot), parts.camera, scenes)
 
 

@@ -15,7 +15,7 @@ from pydantic import Field
 
 from cspace.errors import DatasetError, ImageError, ScenarioError
 from cspace.files import replacing
-from cspace.simulator import Asked, Problem, Split, Taken
+from cspace.simulator import Problem, ProblemRequest, Split, Taken
 from cspace.strict_json import Record, parse_json, read_object, validated
 from cspace.world import Image, World
 from cspace.worlds.spatial.arm import SerialArm
@@ -226,23 +226,23 @@ class SpatialPartlySeen:
         """Of MotionBenchMaker's sets."""
         return len(NUMBERS[split]) if family.startswith(PREFIX) else None
 
-    def problem(self, asked: Asked, family: str, index: int, pictures: int) -> Problem | None:
+    def problem(self, request: ProblemRequest, family: str, index: int, pictures: int) -> Problem | None:
         """See :func:`from_both_sides`; the arm waits at the start.
 
         That of MotionBenchMaker's problems has the wider limits of the benchmark.
         """
         world = with_benchmark_limits(self.world) if family.startswith(PREFIX) else self.world
-        layout, start, goal, number = _found(world, asked, family, index)
+        layout, start, goal, number = _found(world, request, family, index)
         ends = np.array([start, goal])
         if not CollisionChecker(world.body, layout.obstacles).valid_batch(ends).all():
             return None
         rng = np.random.default_rng([25, pictures, *family.removeprefix(PREFIX).encode(), *number])
-        scene = from_both_sides(rng, viewed(world, pictures), layout, ends[0], asked.aim)
+        scene = from_both_sides(rng, viewed(world, pictures), layout, ends[0], request.aim)
         try:
             world.examined(scene.view())
         except ImageError:
             return None
-        return Problem(scene, ends[0], ends[1], family, seed=asked.seed)
+        return Problem(scene, ends[0], ends[1], family, seed=request.seed)
 
     def checkers(self, problem: Problem, image: Image, taken: Taken) -> Sequence[CollisionChecker]:
         """Where unseen space is occupied, room is made for the arm at the start, where it stands."""
@@ -266,7 +266,7 @@ class SpatialPartlySeen:
         centres = sphere_centres_batch(rows, arrays)[:, arrays.links > 0]
         return np.asarray(lookup(image, self.world.sensor.grid, centres).unseen.mean(axis=1))
 
-    def judge(self, problem: Problem) -> MeshChecker | None:
+    def mesh_checker(self, problem: Problem) -> MeshChecker | None:
         """By convex hulls of the Panda's meshes; None for other arms as well."""
         scene = cast("SpatialScene", problem.scenario)
         meshes = _meshes(scene.world.body)
@@ -350,14 +350,14 @@ _Found = tuple[Layout, tuple[float, ...], tuple[float, ...], tuple[int, ...]]
 
 
 @lru_cache(maxsize=4)
-def _found(world: SpatialWorld, asked: Asked, family: str, index: int) -> _Found:
+def _found(world: SpatialWorld, request: ProblemRequest, family: str, index: int) -> _Found:
     """Scene, start, goal and what pictures of the problem are seeded with."""
     if family.startswith(PREFIX):
-        one = _bench(asked.split, asked.folder, family.removeprefix(PREFIX))[index]
+        one = _bench(request.split, request.folder, family.removeprefix(PREFIX))[index]
         return one.layout(world.body), one.start, one.goal, (one.number,)
-    drawn = draw_problem(world.body, scenes_of(world), asked.split, asked.seed, index, family)
-    start, goal = (tuple(float(angle) for angle in end) for end in (drawn.start, drawn.goal))
-    return drawn.layout, start, goal, (*asked.split.encode(), asked.seed, index)
+    problem = draw_problem(world.body, scenes_of(world), request.split, request.seed, index, family)
+    start, goal = (tuple(float(angle) for angle in end) for end in (problem.start, problem.goal))
+    return problem.layout, start, goal, (*request.split.encode(), request.seed, index)
 
 
 @lru_cache(maxsize=16)

@@ -340,12 +340,12 @@ def _lost_share(depth_mm: NDArray[np.uint16]) -> float:
 
 def _looks(view: DepthView) -> str:
     """Where the cameras are, where they look, and how far they read, for an error."""
-    told = []
+    lines = []
     for picture, camera in zip(view.pictures, view.cameras, strict=True):
         pose, read = camera.matrix, picture[in_range(picture)]
         place, ahead = (", ".join(f"{one:.2f}" for one in pose[:3, column]) for column in (3, 2))
-        told.append(f"a camera at ({place}) m that looks along ({ahead}) and reads {np.median(read):.0f} mm")
-    return "; ".join(told)
+        lines.append(f"a camera at ({place}) m that looks along ({ahead}) and reads {np.median(read):.0f} mm")
+    return "; ".join(lines)
 
 
 def _unit_remedy(view: DepthView) -> str:

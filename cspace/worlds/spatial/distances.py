@@ -176,15 +176,15 @@ def grid_distance(x, y, z, grid):  # type: ignore[no-untyped-def]
     w = min(max(w - 0.5, 0.0), values.shape[2] - 1.001)
     i, j, k = int(u), int(v), int(w)
     u, v, w = u - i, v - j, w - k
-    low = _between(values[i, j, k], values[i, j, k + 1], w)
-    low += v * (_between(values[i, j + 1, k], values[i, j + 1, k + 1], w) - low)
-    high = _between(values[i + 1, j, k], values[i + 1, j, k + 1], w)
-    high += v * (_between(values[i + 1, j + 1, k], values[i + 1, j + 1, k + 1], w) - high)
+    low = _lerp(values[i, j, k], values[i, j, k + 1], w)
+    low += v * (_lerp(values[i, j + 1, k], values[i, j + 1, k + 1], w) - low)
+    high = _lerp(values[i + 1, j, k], values[i + 1, j, k + 1], w)
+    high += v * (_lerp(values[i + 1, j + 1, k], values[i + 1, j + 1, k + 1], w) - high)
     return low + u * (high - low)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _between(first, second, share):  # type: ignore[no-untyped-def]
+def _lerp(first, second, share):  # type: ignore[no-untyped-def]
     return first + share * (second - first)
 
 

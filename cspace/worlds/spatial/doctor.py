@@ -174,9 +174,9 @@ def _of_readings(shot: _Shot) -> Iterable[Finding]:
 def _of_arm(
     shot: _Shot, arm: SerialArm, spheres: NDArray[np.float64], check_cancelled: CheckCancelled
 ) -> Diagnosis:
-    told = arm_match(shot.depth_m, shot.camera, spheres, check_cancelled)
-    if told.pixels < _FEW_PIXELS or told.agree < _DISAGREES:
-        instead = _instead(shot, spheres, told, check_cancelled)
+    stated = arm_match(shot.depth_m, shot.camera, spheres, check_cancelled)
+    if stated.pixels < _FEW_PIXELS or stated.agree < _DISAGREES:
+        instead = _instead(shot, spheres, stated, check_cancelled)
         if instead is not None:
             return instead
     fit = fit_pose(shot.depth_m, shot.camera, spheres, check_cancelled)
@@ -185,45 +185,45 @@ def _of_arm(
         and any(fit.shift_m > shift_m and fit.after_m < closer * fit.before_m for shift_m, closer in _OFF)
         and fit.match.pixels >= _FEW_PIXELS
         # What slides the arm to where it was not in view fits something else.
-        and fit.told.rendered >= _AS_MANY * fit.match.rendered
+        and fit.stated.rendered >= _AS_MANY * fit.match.rendered
         and fit.match.agree >= _EXPLAINS
-        and fit.match.quality > fit.told.quality
+        and fit.match.quality > fit.stated.quality
     ):
         return _off(shot, fit.camera, fit.before_m, fit.after_m)
     inner = np.column_stack([spheres[:, :3], np.maximum(spheres[:, 3] - _RIM_M, 1e-3)])
     moving = arm_match(shot.depth_m, shot.camera, inner[arm.sphere_links() > 1], check_cancelled)
-    for match in (moving, told):
+    for match in (moving, stated):
         if match.pixels < _FEW_PIXELS or match.through < _SEEN_THROUGH:
             continue
         seen = f"{match.through:.0%} of the pixels that should show the arm see through it"
         remedy = "check that `state` is of the moment of the picture and in rad, and the camera's pose"
         effect = "the arm's readings count as obstacles, and what is behind it as the arm"
         return Diagnosis((Finding("arm-elsewhere", seen, effect, remedy, (shot.number,)),))
-    if told.rendered >= 2 * _FEW_PIXELS and told.blank > _BLANK_ARM:
-        seen = f"{told.blank:.0%} of the pixels that should show the arm read nothing"
+    if stated.rendered >= 2 * _FEW_PIXELS and stated.blank > _BLANK_ARM:
+        seen = f"{stated.blank:.0%} of the pixels that should show the arm read nothing"
         remedy = "look at the picture: the arm may be too dark or shiny, or the lens covered"
         return Diagnosis((Finding("holes", seen, "surfaces are missed", remedy, (shot.number,)),))
-    if told.pixels < _FEW_PIXELS:
+    if stated.pixels < _FEW_PIXELS:
         return Diagnosis((), (f"picture {shot.number}: too little of the arm in view to test the pose",))
-    noted = f"the arm is where `state` and the pose say, on {told.agree:.0%} of {told.pixels} pixels"
+    noted = f"the arm is where `state` and the pose say, on {stated.agree:.0%} of {stated.pixels} pixels"
     return Diagnosis((), (f"picture {shot.number}: {noted}",))
 
 
 def _instead(
-    shot: _Shot, spheres: NDArray[np.float64], told: ArmMatch, check_cancelled: CheckCancelled
+    shot: _Shot, spheres: NDArray[np.float64], stated: ArmMatch, check_cancelled: CheckCancelled
 ) -> Diagnosis | None:
     """The usual mistake that explains where the arm is seen, if one does."""
     tried: list[tuple[float, Diagnosis]] = []
     for code, (what, remedy, turned) in _INSTEAD.items():
         camera = replace(shot.camera, pose=pose_of(turned(shot.camera.matrix)))
         found = arm_match(shot.depth_m, camera, spheres, check_cancelled)
-        if _explains(found, told):
+        if _explains(found, stated):
             seen = f"{what}: so the arm is seen where it is on {found.agree:.0%} of its pixels"
             one = Finding(code, seen, _WRONG_PLACE, remedy, (shot.number,))
             tried.append((found.quality, Diagnosis((one,), (), (_suggested(shot, camera),))))
     for words, scale in _SCALES.items():
         found = arm_match(shot.depth_m * scale, shot.camera, spheres, check_cancelled)
-        if _explains(found, told):
+        if _explains(found, stated):
             remedy = f"multiply depth_scale_m by {scale:g} (send {1e-3 * scale:g} if none was sent)"
             one = Finding(
                 "depth-unit",
@@ -236,9 +236,9 @@ def _instead(
     return max(tried, key=lambda one: one[0])[1] if tried else None
 
 
-def _explains(found: ArmMatch, told: ArmMatch) -> bool:
+def _explains(found: ArmMatch, stated: ArmMatch) -> bool:
     enough = found.pixels >= max(2 * _FEW_PIXELS, 0.3 * found.rendered) and found.agree >= _EXPLAINS
-    return enough and found.quality > told.quality + _BETTER
+    return enough and found.quality > stated.quality + _BETTER
 
 
 def _off(shot: _Shot, camera: DepthCamera, before_m: float, after_m: float) -> Diagnosis:
@@ -255,12 +255,12 @@ def _off(shot: _Shot, camera: DepthCamera, before_m: float, after_m: float) -> D
 
 
 def _suggested(shot: _Shot, camera: DepthCamera) -> SuggestedPose:
-    told, found = shot.camera.matrix, camera.matrix
+    stated, found = shot.camera.matrix, camera.matrix
     return SuggestedPose(
         shot.number,
         camera.pose,
-        float(np.linalg.norm(found[:3, 3] - told[:3, 3])),
-        turn_deg(found[:3, :3] @ told[:3, :3].T),
+        float(np.linalg.norm(found[:3, 3] - stated[:3, 3])),
+        turn_deg(found[:3, :3] @ stated[:3, :3].T),
     )
 
 

@@ -60,16 +60,16 @@ def arm_match(
     inner = _eroded(np.isfinite(rendered))
     read = inner & (depth_m > 0.0)
     gap = (depth_m - rendered)[read]
-    told = gap[gap > -AGREES_M]
-    if not len(told):
+    valid_gap = gap[gap > -AGREES_M]
+    if not len(valid_gap):
         return ArmMatch(int(inner.sum()), 0, 0.0, 0.0, 1.0 - len(gap) / max(int(inner.sum()), 1), 0.0)
     return ArmMatch(
         int(inner.sum()),
-        len(told),
-        float((told < AGREES_M).mean()),
-        float((told > BEHIND_M).mean()),
+        len(valid_gap),
+        float((valid_gap < AGREES_M).mean()),
+        float((valid_gap > BEHIND_M).mean()),
         1.0 - len(gap) / int(inner.sum()),
-        float((np.clip(1.0 - (told / AGREES_M) ** 2, 0.0, None) ** 2).mean()),
+        float((np.clip(1.0 - (valid_gap / AGREES_M) ** 2, 0.0, None) ** 2).mean()),
     )
 
 
@@ -83,7 +83,7 @@ class PoseFit:
         before_m: median distance of these readings from the arm's surface, as told.
         after_m: likewise with the pose.
         points: how many these are.
-        told: match of the arm as told.
+        stated: match of the arm as told.
         match: match with the pose.
     """
 
@@ -92,7 +92,7 @@ class PoseFit:
     before_m: float
     after_m: float
     points: int
-    told: ArmMatch
+    stated: ArmMatch
     match: ArmMatch
 
 
@@ -227,9 +227,9 @@ def _to_surface(
     centres = spheres[:, :3]
     square = (points**2).sum(axis=1)[:, None] + (centres**2).sum(axis=1) - 2.0 * points @ centres.T
     nearest = np.argmin(np.sqrt(np.maximum(square, 0.0)) - spheres[:, 3], axis=1)
-    apart = points - centres[nearest]
-    away = np.linalg.norm(apart, axis=1)
-    return away - spheres[nearest, 3], apart / np.maximum(away, 1e-9)[:, None]
+    offsets = points - centres[nearest]
+    away = np.linalg.norm(offsets, axis=1)
+    return away - spheres[nearest, 3], offsets / np.maximum(away, 1e-9)[:, None]
 
 
 def _eroded(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -169,7 +169,7 @@ class Solving:
         iterations: most steps from each of them.
         place_m: largest distance of the tool to its place.
         turn_rad: largest angle between the tool's rotation, or its z axis, and what is asked for.
-        apart_rad: solutions are distinct that differ by more than this in some joint.
+        distinct_rad: solutions are distinct that differ by more than this in some joint.
 
     Raises:
         ScenarioError: a count is below 1 or a tolerance is not above 0.
@@ -179,10 +179,10 @@ class Solving:
     iterations: int = 60
     place_m: float = 0.001
     turn_rad: float = 0.0174
-    apart_rad: float = 0.1
+    distinct_rad: float = 0.1
 
     def __post_init__(self) -> None:
-        tolerances = (self.place_m, self.turn_rad, self.apart_rad)
+        tolerances = (self.place_m, self.turn_rad, self.distinct_rad)
         if min(self.starts, self.iterations) < 1 or not all(0.0 < one < np.inf for one in tolerances):
             raise ScenarioError(
                 "the solving of poses does not fit",
@@ -242,7 +242,7 @@ def solve_pose(
         np.asarray(space.upper, dtype=np.float64),
         np.asarray(space.periodic, dtype=np.bool_),
     )
-    tolerance = (solving.place_m, solving.turn_rad, solving.apart_rad)
+    tolerance = (solving.place_m, solving.turn_rad, solving.distinct_rad)
     starts = space.sample_uniform(rng, solving.starts)
     found: NDArray[np.float64] = _solve_all(starts, place, wanted, mode, chain, solving.iterations, tolerance)
     return space.wrap(found)
@@ -251,7 +251,9 @@ def solve_pose(
 def _wanted(approach: ArrayLike | None, rotation: ArrayLike | None) -> tuple[NDArray[np.float64], int]:
     """The rotation that is asked for, of which an approach is the last column, and how much of it counts."""
     if approach is not None and rotation is not None:
-        raise ScenarioError("the tool's pose is told twice", expected="an approach or a rotation", got="both")
+        raise ScenarioError(
+            "the tool's pose is given twice", expected="an approach or a rotation", got="both"
+        )
     wanted = np.eye(3)
     if approach is not None:
         along = np.asarray(approach, dtype=np.float64)

@@ -35,7 +35,7 @@ class Description:
 
 
 class RobotMeshes:
-    """An arm's meshes, loaded once, for the judges of many scenes.
+    """An arm's meshes, loaded once, for the checkers of many scenes.
 
     Args:
         arm: whose joints are meant, and whose parts that can touch are held apart.
@@ -67,7 +67,7 @@ class RobotMeshes:
         self._check_motion(description)
 
     def among(self, obstacles: Obstacles) -> "MeshChecker":
-        """The judge of a scene."""
+        """The checker of a scene."""
         return MeshChecker(self, obstacles)
 
     def configuration(self, row: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -167,8 +167,8 @@ class MeshChecker:
         self._data = meshes.model.createData()
         self._shapes = self._geometry.createData()
         # Else coal 3.0 stops early and misses one collision of hulls in some thousands, up to 25 mm deep.
-        for asked in self._shapes.collisionRequests:
-            asked.enable_contact = True
+        for request in self._shapes.collisionRequests:
+            request.enable_contact = True
         # What it walks are the bounds of shapes in a tree; it keeps references to all three.
         self._broad = self._pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(
             meshes.model, self._geometry, self._shapes
@@ -232,7 +232,7 @@ def _libraries() -> tuple[Any, Any]:
         import pinocchio  # noqa: PLC0415 # an extra
     except ImportError as error:
         raise ScenarioError(
-            "meshes cannot judge",
+            "meshes cannot check",
             expected="the extra spatial",
             got=f"no {error.name}",
             remedy="pip install -c constraints.txt '.[spatial]'",

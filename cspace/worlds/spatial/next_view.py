@@ -60,7 +60,7 @@ def best_view(
 def hemisphere(world: SpatialWorld, focus_m: NDArray[np.float64]) -> list[DepthCamera]:
     """Cameras that look at a point (3,) m from where the cameras of the world's training stood.
 
-    Others see more where the arm is not in the way, but a model is unsure of what it has not learned to read.
+    Others see more where the arm is not in the way, but a model is uncertain there.
     """
     views, found = world.sensor.views, []
     sides = np.radians(np.linspace(*views.side_deg, _SIDES))
@@ -104,7 +104,7 @@ def seen_shares(
 ) -> NDArray[np.float64]:
     """How surely a camera would see each place (n, 3) m, (n,): 0 beside its picture and behind surfaces.
 
-    Hidden space may hide what is behind it in turn: the more of it the ray crosses, the surer.
+    Hidden space may hide what is behind it in turn: the more of it the ray crosses, the more likely.
     """
     ahead = camera.shows(camera.project(places))
     to_camera = camera.matrix[:3, 3] - places[ahead]

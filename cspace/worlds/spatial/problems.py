@@ -53,7 +53,7 @@ class PathLimits:
         steps = (self.range_rad, self.search_rad, self.shortcut_rad, self.final_rad, self.step_rad)
         if not counts or not all(0.0 < one < np.inf for one in steps):
             raise ScenarioError(
-                "the limits of a search for ways do not fit",
+                "the limits of a path search do not fit",
                 expected="counts of 0 or more and steps above 0 rad",
                 got=str(self)[:300],
             )
@@ -90,7 +90,7 @@ def find_path(
     found: list[NDArray[np.float64]] = []
     for index in range(limits.tries):
         states = limits.states if index == 0 else limits.states // 4
-        raw = _raw_way(checker, ends, rng, limits, states)
+        raw = _raw_path(checker, ends, rng, limits, states)
         if raw is None:
             break
         short = checker.shortened(raw, rng, limits.shortcuts, limits.shortcut_rad)
@@ -104,7 +104,7 @@ def find_path(
     return None
 
 
-def _raw_way(
+def _raw_path(
     checker: CollisionChecker,
     ends: NDArray[np.float64],
     rng: np.random.Generator,
@@ -136,7 +136,7 @@ SHARES = (0.5, 0.3, 0.2)
 CONE_RAD = float(np.radians(25.0))
 MAX_DRAWS = 60
 # Ends that are tried in a scene before the next one, and the least distance between their tools.
-_ENDS, _APART_M = 4, 0.15
+_ENDS, _MIN_DISTANCE_M = 4, 0.15
 _HOME_SIGMA_RAD, _HOMES = 0.25, 24
 # Of the tool's origin, and how many places in a region are looked at.
 _ROOM_M, _PLACES = 0.02, 64
@@ -202,20 +202,20 @@ def draw_problem(
         )
     # A child, for the scene is drawn from the same three values.
     (rng,) = scenario_rng(split, seed, index).spawn(1)
-    drawn = _any_kind(rng)
+    any_kind = _any_kind(rng)
     rejected = 0
     for number in range(MAX_DRAWS):
         scene_seed = seed if number == 0 else int(rng.integers(2**62))
         layout = draw_layout(scenes, split, scene_seed, index, family)
         ends = Ends(CollisionChecker(arm, layout.obstacles), layout.regions, rng)
         for _ in range(_ENDS):
-            found = _attempt(ends, kind or drawn, limits)
+            found = _attempt(ends, kind or any_kind, limits)
             if found is not None:
                 path, is_trivial = found
-                return SpatialProblem(layout, path[0], path[-1], kind or drawn, path, is_trivial, rejected)
+                return SpatialProblem(layout, path[0], path[-1], kind or any_kind, path, is_trivial, rejected)
             rejected += 1
     raise ScenarioError(
-        f"no problem of the kind {kind or drawn} was found",
+        f"no problem of the kind {kind or any_kind} was found",
         expected=f"one in {MAX_DRAWS} scenes of {family or 'any family'}",
         got="none",
         remedy="other scenes, or another arm",
@@ -269,7 +269,7 @@ class Ends:
             return None
         home = self.home if state is None else lambda: state
         start = {"reach_in": home, "between": self.reaching, "carry": self.elsewhere}[kind]()
-        if start is None or not self.are_apart(start, goal):
+        if start is None or not self.are_distant(start, goal):
             return None
         if kind == "carry":
             start, goal = goal, start
@@ -306,10 +306,10 @@ class Ends:
         places = np.stack([away * np.cos(bearing), away * np.sin(bearing), height], axis=1)
         return self._with_tool_at(places, np.array([0.0, 0.0, -1.0]))
 
-    def are_apart(self, start: NDArray[np.float64], goal: NDArray[np.float64]) -> bool:
+    def are_distant(self, start: NDArray[np.float64], goal: NDArray[np.float64]) -> bool:
         """Whether the tool has some way to go."""
         first, second = self.arm.tool_frames(np.stack([start, goal]))[:, :3, 3]
-        return bool(np.linalg.norm(first - second) >= _APART_M)
+        return bool(np.linalg.norm(first - second) >= _MIN_DISTANCE_M)
 
     def _with_tool_at(
         self, places: NDArray[np.float64], approach: NDArray[np.float64]
@@ -350,11 +350,11 @@ def _in_cone(rng: np.random.Generator, axis: NDArray[np.float64], angle_rad: flo
 ORIGIN_SHARES = (0.2, 0.25, 0.15, 0.2)
 NEAR_M, NEAR_SIGMA_RAD = 0.06, 0.05
 # About an end are half of them near by, half farther away; beside a path they are near.
-END_SIGMAS_RAD, WAY_SIGMA_RAD = (0.12, 0.3), 0.1
+END_SIGMAS_RAD, PATH_SIGMA_RAD = (0.12, 0.3), 0.1
 GOALS = 4
 # Of the obstacles, that a mistaken planner knows; its paths are looked at where they are.
 KNOWN_SHARES, MISTAKEN_SIGMA_RAD = (0.0, 0.4, 0.8), 0.03
-# One short way to each goal is enough to be beside.
+# One short path to each goal is enough to be beside.
 _LIMITS = PathLimits(states=1500, tries=1, shortcuts=40, polish=0, step_rad=0.2)
 
 
@@ -381,7 +381,7 @@ def draw_proposals(
     ends = _ends(checker, regions, start, rng)
     sigmas = np.asarray(END_SIGMAS_RAD)[rng.integers(len(END_SIGMAS_RAD), size=counts[1])]
     about = _about(checker, ends, sigmas, rng)
-    beside = _about(checker, _along(checker, ends, rng), np.full(counts[2], WAY_SIGMA_RAD), rng)
+    beside = _about(checker, _along(checker, ends, rng), np.full(counts[2], PATH_SIGMA_RAD), rng)
     mistaken = _about(checker, _mistaken(checker, ends, rng), np.full(counts[3], MISTAKEN_SIGMA_RAD), rng)
     rows = (anywhere, near, about, beside, mistaken)
     origins = np.repeat(np.arange(len(rows), dtype=np.uint8), [len(part) for part in rows])
@@ -395,8 +395,8 @@ def _ends(
     rng: np.random.Generator,
 ) -> NDArray[np.float64]:
     """Where the arm waits, and goals, (k, d) rad, at least one."""
-    drawn = Ends(checker, regions, rng)
-    found = [drawn.home() if start is None else start, *(drawn.reaching() for _ in range(GOALS))]
+    sampler = Ends(checker, regions, rng)
+    found = [sampler.home() if start is None else start, *(sampler.reaching() for _ in range(GOALS))]
     known = [one for one in found if one is not None]
     return np.stack(known) if known else checker.space.sample_uniform(rng, 1)
 
@@ -405,8 +405,8 @@ def _along(
     checker: CollisionChecker, ends: NDArray[np.float64], rng: np.random.Generator
 ) -> NDArray[np.float64]:
     """States of paths from the first end to the others, (n, d) rad; the ends where there is no path."""
-    ways = [find_path(checker, ends[0], goal, rng, _LIMITS) for goal in ends[1:]]
-    return np.concatenate([ends, *(path for path in ways if path is not None)])
+    paths = [find_path(checker, ends[0], goal, rng, _LIMITS) for goal in ends[1:]]
+    return np.concatenate([ends, *(path for path in paths if path is not None)])
 
 
 def _mistaken(

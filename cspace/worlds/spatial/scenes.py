@@ -51,8 +51,8 @@ def draw_layout(
         )
     rng = scenario_rng(split, seed, index)
     shares = np.array(scenes.shares) / sum(scenes.shares)
-    drawn = FAMILIES[int(rng.choice(len(FAMILIES), p=shares))]
-    name = drawn if family is None else family
+    any_family = FAMILIES[int(rng.choice(len(FAMILIES), p=shares))]
+    name = any_family if family is None else family
     for _ in range(_MAX_DRAWS):
         found = _attempt(scenes, rng, name)
         if found is not None:

@@ -92,7 +92,7 @@ def _corners(shape: Box | Cylinder) -> NDArray[np.float64]:
     return np.asarray(own @ pose[:3, :3].T + pose[:3, 3])
 
 
-_NOTE = "A family is what stands about the arm; every problem has a way that was found in the scene as it is."
+_NOTE = "A family is what stands about the arm; every problem has a path through the true scene."
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,7 +207,7 @@ class SpatialSimulator:
         return Problem(scene, found.start, found.goal, family, seed=seed, rejected=found.rejected)
 
     def obstruction(self, problem: Problem) -> str | None:
-        """Start or goal in collision; whether a way is there nobody knows."""
+        """Start or goal in collision; whether there is a path nobody knows."""
         ends = np.stack([problem.start, problem.goal])
         clearance = self.checker(problem.scenario).clearance(ends)
         for name, clearance_m in zip(("start", "goal"), clearance, strict=True):

@@ -60,7 +60,7 @@ class DepthView:
 
 def write_view(view: DepthView) -> bytes:
     """The view file of a view."""
-    cameras = [_told(camera) for camera in view.cameras]
+    cameras = [_camera_values(camera) for camera in view.cameras]
     state = None if view.state is None else list(view.state)
     return pack_view([encode_depth(picture) for picture in view.pictures], cameras, state)
 
@@ -86,17 +86,17 @@ def read_view(data: bytes, space: JointSpace, check_cancelled: CheckCancelled | 
         ImageError: it is none, a picture or a camera is none, they do not fit each other, no picture has a
             reading, or the state lies outside of the arm's limits.
     """
-    told = unpack_view(data)
+    file = unpack_view(data)
     check_cancelled = check_cancelled or (lambda: None)
     pictures, cameras = [], []
-    for one in told.pictures:
-        pictures.append(read_depth(one, told.depth_scale_m, check_cancelled))
+    for one in file.pictures:
+        pictures.append(read_depth(one, file.depth_scale_m, check_cancelled))
         check_cancelled()
-    for number, values in enumerate(told.cameras):
+    for number, values in enumerate(file.cameras):
         camera, distortion = read_pinhole(values, pictures[number].shape)
         pictures[number] = undistorted(pictures[number], camera, distortion, check_cancelled)
         cameras.append(camera)
-    return DepthView(tuple(pictures), tuple(cameras), state_of(told.state, space))
+    return DepthView(tuple(pictures), tuple(cameras), state_of(file.state, space))
 
 
 _UNIT = (
@@ -125,7 +125,7 @@ def state_of(values: object, space: JointSpace) -> tuple[float, ...] | None:
     return tuple(space.admitted(angles, "the state does not fit the robot", ImageError).tolist())
 
 
-def _told(camera: DepthCamera) -> dict[str, Any]:
+def _camera_values(camera: DepthCamera) -> dict[str, Any]:
     return {name: value for name, value in camera.to_dict().items() if name in (*PINHOLE, "pose")}
 
 
@@ -155,10 +155,10 @@ def view_of_tensors(tensors: Arrays, space: JointSpace) -> DepthView:
     """
     scale = tensors[SCALE].tolist()[0] if SCALE in tensors else None
     pictures = tuple(in_mm(np.ascontiguousarray(one, dtype=np.uint16), scale) for one in tensors[DEPTH])
-    told = zip(tensors[INTRINSICS].tolist(), tensors[POSES].tolist(), pictures, strict=True)
+    rows = zip(tensors[INTRINSICS].tolist(), tensors[POSES].tolist(), pictures, strict=True)
     cameras = tuple(
         read_pinhole({**dict(zip(PINHOLE, numbers, strict=True)), "pose": pose}, picture.shape)[0]
-        for numbers, pose, picture in told
+        for numbers, pose, picture in rows
     )
     state = tensors[STATE].tolist() if STATE in tensors else None
     return DepthView(pictures, cameras, state_of(state, space))

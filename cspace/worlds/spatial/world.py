@@ -250,7 +250,7 @@ class SpatialWorld:
         if data.scenes is None:
             raise ScenarioError(
                 "the data set holds no scenes",
-                expected="obstacles, by which samples can be judged",
+                expected="obstacles, by which samples can be checked",
                 got="pictures and configurations alone",
             )
         return replace(self, scenes=data.scenes)

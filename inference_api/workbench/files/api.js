@@ -4,7 +4,7 @@
  * @typedef {{title: string, detail: string, expected?: string, got?: string, remedy?: string, type?: string}} Problem
  */
 
-/** An error that the server told. */
+/** An error that the server reports. */
 export class ApiProblem extends Error {
   /**
    * @param {number} status
@@ -58,14 +58,14 @@ export async function ask(path, body) {
   } catch {
     throw new ApiAway("the server does not answer");
   }
-  throw new ApiProblem(answer.status, await told(answer), retryAfter(answer));
+  throw new ApiProblem(answer.status, await problemOf(answer), retryAfter(answer));
 }
 
 /**
  * @param {Response} answer
  * @returns {Promise<Problem>}
  */
-async function told(answer) {
+async function problemOf(answer) {
   try {
     const body = await answer.json();
     if (typeof body.title === "string") return body;

@@ -15,11 +15,11 @@ import { ENDS, buttonOf, byId, inputOf, selectOf } from "./svg.js";
 const NUMBERS = /** @type {const} */ ([
   ["count", "n", 1, 2000, true],
   ["plan-limit", "limit", 0.01, 10, false],
-  ["plan-ways", "ways", 1, 64, true],
+  ["plan-paths", "paths", 1, 64, true],
   ["plan-budget", "budget", 1, 20000, true],
 ]);
 /** Fields of confidences: empty for the model's own. */
-const CONFIDENCES = /** @type {const} */ ([["confidence", "confidence"], ["plan-sure", "sure"]]);
+const CONFIDENCES = /** @type {const} */ ([["confidence", "confidence"], ["plan-min-confidence", "minConfidence"]]);
 const CHOICES = /** @type {const} */ ([["planner", "planner"], ["feed", "feed"]]);
 const SEEDS = /** @type {const} */ ([["seed", "seed"], ["plan-seed", "planSeed"]]);
 
@@ -76,7 +76,7 @@ export class Controls {
     }
     const ground = selectOf("ground");
     ground.addEventListener("change", () => {
-      for (const side of bench.sides()) side.drawn.ground = null;
+      for (const side of bench.sides()) side.shown.ground = null;
       bench.change({ ground: /** @type {"truth" | "prediction" | "none"} */ (ground.value) });
     });
     byId("family-form", HTMLFormElement).addEventListener("submit", (event) => {
@@ -122,7 +122,7 @@ export class Controls {
     offer(this.others, this.others.disabled ? "no other model of this robot" : "none", models, chosen);
   }
 
-  /** The server has told what it can do. */
+  /** The server has reported what it can do. */
   ready() {
     const { about } = this.bench;
     buttonOf("plan").title = about.plans ? "" : "this server cannot plan";
@@ -145,7 +145,7 @@ export class Controls {
     const { state, chosen } = this.bench;
     this.joints.forEach(({ show }, row) => show(state[ENDS[row]]));
     const disc = state.picture ? undefined : state.discs[chosen];
-    byId("disc-told", HTMLOutputElement).textContent = disc
+    byId("disc-status", HTMLOutputElement).textContent = disc
       ? `disc ${chosen + 1}: x ${disc.x.toFixed(2)}, y ${disc.y.toFixed(2)}, r ${disc.r.toFixed(2)} m`
       : state.picture ? "uploaded picture, no discs" : "no disc selected";
     buttonOf("remove-disc").disabled = !disc;
@@ -286,13 +286,13 @@ function jointRow(words, low, high, moved) {
   const row = entry("label", "", "joint");
   const slider = entry("input");
   Object.assign(slider, { type: "range", min: low, max: high, step: 0.01 });
-  const told = entry("output");
+  const output = entry("output");
   slider.addEventListener("input", () => moved(Math.min(high - 1e-6, Math.max(low, Number(slider.value)))));
-  row.append(words, slider, told);
+  row.append(words, slider, output);
   const show = (/** @type {number} */ angle) => {
     slider.value = String(angle);
-    told.textContent = degrees(angle);
-    slider.setAttribute("aria-valuetext", told.textContent);
+    output.textContent = degrees(angle);
+    slider.setAttribute("aria-valuetext", output.textContent);
   };
   return { row, show };
 }

@@ -1,4 +1,4 @@
-// Samples and truth for what is shown, asked for again whenever it changes, one question at a time.
+// Samples and truth for what is shown, requested again whenever it changes, one request at a time.
 
 /** @import {Ground} from "./torus-view.js" */
 
@@ -8,12 +8,12 @@ import { ApiAway, ApiProblem, ask } from "./api.js";
 export const MEASURE = "interaction-to-samples";
 
 /**
- * @typedef {object} Asked  Made again for every round.
+ * @typedef {object} Requests  Made again for every round.
  * @property {object} sample  The body of POST /sample.
  * @property {((samples: number[][]) => object) | null} truth  The body for the truth; null where it is not known.
  * @property {(() => object) | null} prediction  The body of POST /validity; null where it is not shown.
  *
- * @typedef {object} Heard
+ * @typedef {object} Handlers
  * @property {(answer: any, tookMs: number) => void} samples
  * @property {(answer: any, samples: number[][]) => void} truth  Of these samples; others may be shown by now.
  * @property {(answer: any) => void} prediction
@@ -23,15 +23,15 @@ export const MEASURE = "interaction-to-samples";
 
 export class Live {
   /**
-   * @param {() => Promise<Asked>} asked
-   * @param {Heard} heard
+   * @param {() => Promise<Requests>} makeRequests
+   * @param {Handlers} handlers
    */
-  constructor(asked, heard) {
-    this.asked = asked;
-    this.heard = heard;
+  constructor(makeRequests, handlers) {
+    this.makeRequests = makeRequests;
+    this.handlers = handlers;
     /** When the oldest change was made that no samples are there for; null for none. @type {number | null} */
     this.since = null;
-    /** What is asked beside the samples, which do not wait for it. @type {(() => Promise<void>) | null} */
+    /** What is requested beside the samples, which do not wait for it. @type {(() => Promise<void>) | null} */
     this.beside = null;
     this.running = { samples: false, beside: false };
   }
@@ -48,14 +48,14 @@ export class Live {
   async run(which, loop) {
     if (this.running[which]) return;
     this.running[which] = true;
-    this.heard.busy(true);
+    this.handlers.busy(true);
     try {
       await loop();
     } catch (error) {
-      this.heard.failed(error);
+      this.handlers.failed(error);
     } finally {
       this.running[which] = false;
-      this.heard.busy(this.running.samples || this.running.beside);
+      this.handlers.busy(this.running.samples || this.running.beside);
     }
   }
 
@@ -63,13 +63,13 @@ export class Live {
     const since = this.since ?? performance.now();
     this.since = null;
     try {
-      const asked = await this.asked();
-      const answer = await ask("sample", asked.sample);
-      this.heard.samples(answer, performance.now() - since);
+      const requests = await this.makeRequests();
+      const answer = await ask("sample", requests.sample);
+      this.handlers.samples(answer, performance.now() - since);
       performance.measure(MEASURE, { start: since });
-      this.askBeside(asked, answer.samples);
+      this.askBeside(requests, answer.samples);
     } catch (error) {
-      this.heard.failed(error);
+      this.handlers.failed(error);
       if (error instanceof ApiAway) this.since = null;
       else if (error instanceof ApiProblem && error.retryS > 0) {
         await new Promise((done) => setTimeout(done, 1000 * error.retryS));
@@ -78,11 +78,11 @@ export class Live {
     }
   }
 
-  /** The truth and the prediction of the latest samples, one question at a time. @param {Asked} asked @param {number[][]} samples */
-  askBeside(asked, samples) {
+  /** The truth and the prediction of the latest samples, one question at a time. @param {Requests} requests @param {number[][]} samples */
+  askBeside(requests, samples) {
     this.beside = async () => {
-      if (asked.truth) this.heard.truth(await ask("workbench/truth", asked.truth(samples)), samples);
-      if (asked.prediction && this.since === null) this.heard.prediction(await ask("validity", asked.prediction()));
+      if (requests.truth) this.handlers.truth(await ask("workbench/truth", requests.truth(samples)), samples);
+      if (requests.prediction && this.since === null) this.handlers.prediction(await ask("validity", requests.prediction()));
     };
     void this.run("beside", async () => {
       while (this.beside) {

@@ -1,4 +1,4 @@
-// The page: its state, and what its parts tell each other.
+// The page: its state, and how its parts interact.
 
 /** @import {Camera, Configuration, End, Robot} from "./geometry.js" */
 /** @import {Listed} from "./models-view.js" */
@@ -20,7 +20,7 @@ import { listenToCopies } from "./take.js";
 
 const GHOSTS = 14;
 // Parts of the state that another plan belongs to.
-const PLAN = ["planSeed", "limit", "ways", "sure", "planner", "feed", "budget"];
+const PLAN = ["planSeed", "limit", "paths", "minConfidence", "planner", "feed", "budget"];
 
 class Workbench {
   constructor() {
@@ -34,7 +34,7 @@ class Workbench {
     /** @type {Camera | null} */
     this.camera = null;
     this.chosen = -1;
-    /** The model that is asked. @type {Listed | null} */
+    /** The selected model. @type {Listed | null} */
     this.listed = null;
     /** @type {Configuration | null} */
     this.peek = null;
@@ -195,12 +195,12 @@ class Workbench {
   drawNow() {
     if (!this.robot || !this.scene) return;
     const { state, robot, planner } = this;
-    const { way } = this.first;
-    const ghosts = way.length
-      ? Array.from({ length: GHOSTS }, (_, at) => along(robot, way, (at + 1) / (GHOSTS + 1)))
+    const { path } = this.first;
+    const ghosts = path.length
+      ? Array.from({ length: GHOSTS }, (_, at) => along(robot, path, (at + 1) / (GHOSTS + 1)))
       : [];
     const [moving, other] = [this.first, this.beside].map((side) =>
-      side.way.length ? along(robot, side.way, planner.player.share) : null,
+      side.path.length ? along(robot, side.path, planner.player.share) : null,
     );
     this.scene.show({
       discs: state.discs, chosen: this.chosen, start: state.start, goal: state.goal, ghosts, moving, other,
@@ -208,8 +208,8 @@ class Workbench {
       peek: this.peek, picture: state.picture ? this.pictureAddress : null,
     });
     const { start, goal } = state;
-    this.first.torus?.showEnds({ start, goal, way, moving, ...this.first.uncertainty });
-    this.beside.torus?.showEnds({ start, goal, way: this.beside.way, moving: other, ...this.beside.uncertainty });
+    this.first.torus?.showEnds({ start, goal, path, moving, ...this.first.uncertainty });
+    this.beside.torus?.showEnds({ start, goal, path: this.beside.path, moving: other, ...this.beside.uncertainty });
     for (const side of this.sides()) side.torus?.showTree(side.planned?.answer ?? null);
     this.controls.show();
   }

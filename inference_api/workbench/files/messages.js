@@ -25,11 +25,11 @@ export class Messages {
   /** @param {string} words */
   here(words) {
     if (this.away) return;
-    this.tell("here", words);
+    this.showConnection("here", words);
   }
 
   /** @param {"here" | "away" | "waiting"} state @param {string} words */
-  tell(state, words) {
+  showConnection(state, words) {
     this.connection.dataset.state = state;
     if (this.connection.textContent !== words) this.connection.textContent = words;
   }
@@ -70,12 +70,12 @@ export class Messages {
   async wait() {
     if (this.away) return;
     this.away = true;
-    this.tell("away", "The API is not reachable; retrying");
+    this.showConnection("away", "The API is not reachable; retrying");
     while (this.away) {
       await new Promise((done) => setTimeout(done, LOOK_MS));
       this.away = await ask("health/live").then(() => false, () => true);
     }
-    this.tell("here", "The API is reachable again");
+    this.showConnection("here", "The API is reachable again");
     this.again();
   }
 }
@@ -93,10 +93,10 @@ export function entry(name, text = "", kind = "") {
   return element;
 }
 
-/** @param {string} id  Of a list. @param {[string, string][]} told */
-export function showFigures(id, told) {
+/** @param {string} id  Of a list. @param {[string, string][]} figures */
+export function showFigures(id, figures) {
   byId(id).replaceChildren(
-    ...told.map(([name, value]) => {
+    ...figures.map(([name, value]) => {
       const pair = entry("div");
       pair.append(entry("dt", name), entry("dd", value));
       return pair;

@@ -1,4 +1,4 @@
-// The models that can be asked: where they come from, how they were judged, and what they are called.
+// The models that are served: where they come from, how they were evaluated, and what they are called.
 
 import { entry } from "./messages.js";
 import { byId } from "./svg.js";
@@ -18,16 +18,16 @@ const REGISTRY = {
 
 /**
  * @param {Listed[]} models
- * @param {{models: Story[], champions: Rows}} told
+ * @param {{models: Story[], champions: Rows}} details
  * @param {keyof REGISTRY} registry
  * @param {(reference: string) => void} use
  */
-export function showModels(models, told, registry, use) {
+export function showModels(models, details, registry, use) {
   byId("registry").textContent = REGISTRY[registry];
-  const champions = told.champions.length ? [folded("Champion history", told.champions, true)] : [];
+  const champions = details.champions.length ? [folded("Champion history", details.champions, true)] : [];
   byId("model-list").replaceChildren(
     ...champions,
-    ...models.map((model) => card(model, told.models.find(({ reference }) => reference === model.reference), use)),
+    ...models.map((model) => card(model, details.models.find(({ reference }) => reference === model.reference), use)),
   );
 }
 
@@ -59,8 +59,8 @@ function card(model, story, use) {
 /** What the model's place in the list tells. @param {Listed} model @returns {Rows} */
 function rowsOf({ joint_space: space, world, run_id: run, digest, loaded }) {
   const kind = space ? `${space.kind}, ${space.dim} joints` : "";
-  const told = { "joint space": kind, world: world?.kind, run, digest, loaded: loaded ? "yes" : "no" };
-  return Object.entries(told).filter(([, text]) => text);
+  const details = { "joint space": kind, world: world?.kind, run, digest, loaded: loaded ? "yes" : "no" };
+  return Object.entries(details).filter(([, text]) => text);
 }
 
 /** @param {Rows} rows */

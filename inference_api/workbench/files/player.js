@@ -1,12 +1,12 @@
-// What plays a way: a button, a slider, and how much of the way is gone.
+// Plays a path: a button, a slider, and the share of the path so far.
 
 import { buttonOf, inputOf } from "./svg.js";
 
 export class Player {
   /**
    * @param {string} button  Id of the button that plays and pauses.
-   * @param {string} slider  Id of the slider along the way.
-   * @param {number} lastsMs  How long a way takes.
+   * @param {string} slider  Id of the slider along the path.
+   * @param {number} lastsMs  How long a path takes.
    * @param {() => void} draw
    */
   constructor(button, slider, lastsMs, draw) {
@@ -24,7 +24,7 @@ export class Player {
     });
   }
 
-  /** There is a way, or there is none any more. @param {boolean} there */
+  /** There is a path, or there is none any more. @param {boolean} there */
   load(there) {
     this.loaded = there;
     this.share = 0;

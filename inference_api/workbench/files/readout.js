@@ -33,17 +33,17 @@ export class Readout {
   /** What a model's samples are like. @param {Side} side @returns {[string, string][]} */
   figures({ answer, truth }) {
     /** @type {[string, string][]} */
-    const told = [];
+    const figures = [];
     if (this.bench.about.truth && !this.bench.state.picture) {
-      told.push(["precision", percent(truth?.precision)], ["coverage", percent(truth?.coverage)]);
+      figures.push(["precision", percent(truth?.precision)], ["coverage", percent(truth?.coverage)]);
     }
-    told.push(
+    figures.push(
       ["samples", `${answer?.samples.length ?? "–"}`],
       ["accepted", percent(answer?.acceptance)],
       ["novelty", answer?.scenario.novelty?.toFixed(2) ?? "–"],
       ["shortfall", `${answer?.shortfall ?? "–"}`],
     );
-    return told;
+    return figures;
   }
 
   showNumbers() {
@@ -65,26 +65,26 @@ export class Readout {
     head.append(...sides.map((side) => header(side.title, "col")));
     const body = table.createTBody();
     rows[0].forEach(([name], at) => {
-      body.insertRow().append(header(name, "row"), ...rows.map((told) => entry("td", told[at][1])));
+      body.insertRow().append(header(name, "row"), ...rows.map((row) => entry("td", row[at][1])));
     });
   }
 
-  /** @param {boolean} confident  Whether the model tells its confidence. */
+  /** @param {boolean} confident  Whether the model has confidence. */
   showLegend(confident) {
     const { state, about } = this.bench;
     const truth = about.truth && !state.picture;
     /** @type {[string, string, string][]} */
-    const told = confident
+    const items = confident
       ? [["dots dots-1", "M7 7h0", "confidence from 0.5"], ["dots dots-2", "M7 7h0", "0.9"], ["dots dots-3", "M7 7h0", "0.99"]]
       : [["dots dots-3", "M7 7h0", "samples"]];
-    if (truth) told.push(["crosses", "M3 3l8 8m-8 0l8-8", "collides (ground truth)"]);
-    if (state.ground === "prediction") told.push(["ground ground-3", "M1 1h12v12h-12z", "predicted to collide"]);
-    else if (state.ground === "truth" && truth) told.push(["ground", "M1 1h12v12h-12z", "collision region"]);
-    const key = JSON.stringify(told);
+    if (truth) items.push(["crosses", "M3 3l8 8m-8 0l8-8", "collides (ground truth)"]);
+    if (state.ground === "prediction") items.push(["ground ground-3", "M1 1h12v12h-12z", "predicted to collide"]);
+    else if (state.ground === "truth" && truth) items.push(["ground", "M1 1h12v12h-12z", "collision region"]);
+    const key = JSON.stringify(items);
     if (key === this.legend) return;
     this.legend = key;
     byId("legend").replaceChildren(
-      ...told.map(([kind, path, words]) => {
+      ...items.map(([kind, path, words]) => {
         const item = entry("li", "");
         const sign = draw("svg", { viewBox: "0 0 14 14", "aria-hidden": "true" });
         sign.append(draw("path", { class: kind, d: path }));
@@ -102,7 +102,7 @@ export class Readout {
  * @returns {[string, string][]}
  */
 function planFigures(planned, grown) {
-  const { answer, way } = planned ?? { answer: null, way: null };
+  const { answer, verdict } = planned ?? { answer: null, verdict: null };
   const found = answer?.path.length > 1;
   /** @type {[string, string][]} */
   const own = grown
@@ -113,7 +113,7 @@ function planFigures(planned, grown) {
     ...own,
     ["length", found ? `${answer.length_rad.toFixed(2)} rad` : "–"],
     ["planned in", answer ? `${searchedMs(answer)} ms` : "–"],
-    ["collision-free (ground truth)", way ? (way.free ? "yes" : "no") : "–"],
+    ["collision-free (ground truth)", verdict ? (verdict.free ? "yes" : "no") : "–"],
   ];
 }
 

@@ -19,7 +19,7 @@ export async function openFile(bench, file) {
     return bench.change({ picture: toBase64(new Uint8Array(await file.arrayBuffer())) });
   }
   try {
-    // A server that tells the truth knows YAML, too, and the line that is wrong.
+    // A server with the ground truth reads YAML, too, and the line that is wrong.
     const ours = () => new Response(file).json().catch(() => null);
     showScene(bench, bench.about.truth ? await ask("workbench/scene-file", { text: await file.text() }) : await ours());
   } catch (error) {
@@ -52,8 +52,8 @@ function showScene(bench, values) {
   bench.showScene({ discs, start, goal, model });
 }
 
-/** Whether what a file says of its robot holds for a model's. @param {any} known @param {any} told */
-function isRobot(known, told) {
-  const same = (/** @type {string} */ name) => JSON.stringify(told[name] || null) === JSON.stringify(known[name] || null);
-  return Object.keys(told).every(same);
+/** Whether what a file says of its robot holds for a model's. @param {any} known @param {any} given */
+function isRobot(known, given) {
+  const same = (/** @type {string} */ name) => JSON.stringify(given[name] || null) === JSON.stringify(known[name] || null);
+  return Object.keys(given).every(same);
 }

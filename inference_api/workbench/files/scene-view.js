@@ -81,7 +81,7 @@ export class SceneView {
     ENDS.forEach((end, row) => {
       const places = jointPositions(this.robot, shown[end]).slice(1).map((place) => this.toDrawing(place));
       this.handles[row].forEach((handle, joint) => {
-        set(handle, { cx: places[joint].x, cy: places[joint].y, ...told(end, joint, shown[end], this.robot) });
+        set(handle, { cx: places[joint].x, cy: places[joint].y, ...sliderValues(end, joint, shown[end], this.robot) });
       });
     });
     if (shown.picture) this.picture.setAttribute("href", shown.picture);
@@ -185,7 +185,7 @@ export class SceneView {
  * @param {Configuration} configuration
  * @param {Robot} robot
  */
-function told(end, joint, configuration, robot) {
+function sliderValues(end, joint, configuration, robot) {
   return {
     "aria-label": `${end === "start" ? "Start" : "Goal"}, joint ${joint + 1}`,
     "aria-valuemin": Math.round((robot.low[joint] * 180) / Math.PI),

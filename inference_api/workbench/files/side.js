@@ -1,4 +1,4 @@
-// A model's part of the page: what it is asked, its map of the joint space, and what it has answered.
+// A model's part of the page: its requests, its map of the joint space, and what it has answered.
 
 /** @import {Configuration, Robot} from "./geometry.js" */
 /** @import {Workbench} from "./main.js" */
@@ -24,7 +24,7 @@ export class Side {
     /** @type {TorusView | null} */
     this.torus = null;
     /** @type {{samples: number[][], confidence: number[] | null, free: boolean[] | null, ground: any}} */
-    this.drawn = { samples: [], confidence: null, free: null, ground: null };
+    this.shown = { samples: [], confidence: null, free: null, ground: null };
     /** The last answers. @type {any} */
     this.answer = null;
     /** @type {any} */
@@ -32,9 +32,9 @@ export class Side {
     /** @type {Planned | null} */
     this.planned = null;
     this.failing = false;
-    this.live = new Live(() => this.asked(), {
+    this.live = new Live(() => this.requests(), {
       samples: (answer, tookMs) => this.sampled(answer, tookMs),
-      truth: (answer, samples) => this.judged(answer, samples),
+      truth: (answer, samples) => this.checked(answer, samples),
       prediction: (answer) => this.predicted(answer),
       failed: (error) => {
         this.failing = true;
@@ -57,7 +57,7 @@ export class Side {
   }
 
   /** Its path; empty where there is none. */
-  get way() {
+  get path() {
     /** @type {Configuration[]} */
     const path = this.planned?.answer.path ?? [];
     return path;
@@ -88,8 +88,8 @@ export class Side {
     this.live.changed();
   }
 
-  /** What a round of questions asks. */
-  async asked() {
+  /** The requests of a round. */
+  async requests() {
     const { model } = this;
     const { state, about, robot } = this.bench;
     const sample = await this.body("sample");
@@ -107,12 +107,12 @@ export class Side {
 
   /** The request for the samples or the path that are shown. @param {"sample" | "plan"} page */
   async body(page) {
-    const { n, seed, confidence, start, goal, planSeed, limit, ways, sure } = this.bench.state;
+    const { n, seed, confidence, start, goal, planSeed, limit, paths, minConfidence } = this.bench.state;
     const image = await this.bench.pictured();
     const fields =
       page === "sample"
-        ? { n, seed, ...asking(confidence) }
-        : { start, goal, seed: planSeed, time_limit_s: limit, ways, ...asking(sure) };
+        ? { n, seed, ...minConfidenceField(confidence) }
+        : { start, goal, seed: planSeed, time_limit_s: limit, ways: paths, ...minConfidenceField(minConfidence) };
     return { image, ...fields, ...this.model };
   }
 
@@ -131,8 +131,8 @@ export class Side {
     const { bench } = this;
     const { ground, picture } = bench.state;
     const kept = ground === "prediction" || (ground === "truth" && bench.about.truth && !picture);
-    this.drawn = { samples: answer.samples, confidence: answer.confidence, free: null, ground: kept ? this.drawn.ground : null };
-    this.torus?.show(this.drawn);
+    this.shown = { samples: answer.samples, confidence: answer.confidence, free: null, ground: kept ? this.shown.ground : null };
+    this.torus?.show(this.shown);
     this.answer = answer;
     this.failing = false;
     if (bench.sides().every((side) => !side.failing)) bench.messages.clear();
@@ -141,10 +141,10 @@ export class Side {
   }
 
   /** @param {any} answer @param {number[][]} samples */
-  judged(answer, samples) {
-    if (samples === this.drawn.samples) this.drawn.free = answer.sample_free;
-    if (this.bench.state.ground === "truth") this.drawn.ground = trueGround(answer);
-    this.torus?.show(this.drawn);
+  checked(answer, samples) {
+    if (samples === this.shown.samples) this.shown.free = answer.sample_free;
+    if (this.bench.state.ground === "truth") this.shown.ground = trueGround(answer);
+    this.torus?.show(this.shown);
     this.truth = answer;
     this.bench.readout.show();
   }
@@ -152,10 +152,10 @@ export class Side {
   /** @param {any} answer */
   predicted(answer) {
     if (this.bench.state.ground !== "prediction") return;
-    this.drawn.ground = predictedGround(answer.confidence, PREDICTION_CELLS);
-    this.torus?.show(this.drawn);
+    this.shown.ground = predictedGround(answer.confidence, PREDICTION_CELLS);
+    this.torus?.show(this.shown);
   }
 }
 
-/** The confidence that is asked for; nothing where the model knows. @param {number | null} confidence */
-export const asking = (confidence) => (confidence === null ? {} : { min_confidence: confidence });
+/** The minimum confidence as a field; none for the model default. @param {number | null} confidence */
+export const minConfidenceField = (confidence) => (confidence === null ? {} : { min_confidence: confidence });

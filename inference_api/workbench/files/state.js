@@ -4,7 +4,7 @@
 
 /**
  * @typedef {"" | "RRTConnect" | "RRT"} Planner  Which grows trees among the discs; empty for POST /plan.
- * @typedef {"uniform" | "shown" | "ways"} Feed  What trees draw: the samples that are shown, or about the model’s paths.
+ * @typedef {"uniform" | "shown" | "ways"} Feed  What trees sample from: the shown samples, or about the model’s paths.
  *
  * @typedef {object} State
  * @property {Disc[]} discs
@@ -18,11 +18,11 @@
  * @property {number | null} confidence  What samples have to score; null for the model's own threshold.
  * @property {string} planSeed  As the seed, of plans.
  * @property {number} limit  Time limit of the search, s.
- * @property {number} ways  How many are looked for.
+ * @property {number} paths  How many are looked for.
  * @property {Planner} planner
  * @property {Feed} feed
  * @property {number} budget  Iterations of a planner that grows trees.
- * @property {number | null} sure  Least confidence of a path; null for what the server asks of the model.
+ * @property {number | null} minConfidence  Of a path; null for the default of the model.
  * @property {"truth" | "prediction" | "none"} ground  What lies under the samples.
  * @property {"plane" | "models"} view
  */
@@ -50,8 +50,8 @@ export function usual() {
     confidence: null,
     planSeed: "7",
     limit: 5,
-    ways: 4,
-    sure: null,
+    paths: 4,
+    minConfidence: null,
     planner: "",
     feed: "shown",
     budget: 2000,
@@ -61,7 +61,8 @@ export function usual() {
 }
 
 /** @param {State} state */
-const planOf = ({ planSeed, limit, ways, sure }) => [planSeed, short(limit), ways, ...(sure === null ? [] : [short(sure)])].join();
+const planOf = ({ planSeed, limit, paths, minConfidence }) =>
+  [planSeed, short(limit), paths, ...(minConfidence === null ? [] : [short(minConfidence)])].join();
 /** @param {State} state */
 const searchOf = ({ planner, feed, budget }) => [planner, feed, budget].join();
 
@@ -76,21 +77,21 @@ const short = (value) => String(Number(value.toFixed(3)));
  * @param {State} state
  */
 export function toHash(state) {
-  const told = new URLSearchParams();
-  if (state.view !== "plane") told.set("view", state.view);
-  if (state.picture && state.picture.length <= MAX_PICTURE) told.set("picture", state.picture);
-  told.set("discs", state.discs.map((disc) => [disc.x, disc.y, disc.r].map(short).join(",")).join(";"));
-  told.set("start", state.start.map(short).join(","));
-  told.set("goal", state.goal.map(short).join(","));
-  for (const name of NAMES) if (state[name]) told.set(name, state[name]);
-  told.set("n", String(state.n));
-  told.set("seed", state.seed);
-  if (state.confidence !== null) told.set("confidence", short(state.confidence));
+  const fields = new URLSearchParams();
+  if (state.view !== "plane") fields.set("view", state.view);
+  if (state.picture && state.picture.length <= MAX_PICTURE) fields.set("picture", state.picture);
+  fields.set("discs", state.discs.map((disc) => [disc.x, disc.y, disc.r].map(short).join(",")).join(";"));
+  fields.set("start", state.start.map(short).join(","));
+  fields.set("goal", state.goal.map(short).join(","));
+  for (const name of NAMES) if (state[name]) fields.set(name, state[name]);
+  fields.set("n", String(state.n));
+  fields.set("seed", state.seed);
+  if (state.confidence !== null) fields.set("confidence", short(state.confidence));
   const plan = planOf(state);
-  if (plan !== planOf(usual())) told.set("plan", plan);
-  if (searchOf(state) !== searchOf(usual())) told.set("search", searchOf(state));
-  if (state.ground !== "truth") told.set("ground", state.ground);
-  return `#${told.toString().replaceAll("%2C", ",").replaceAll("%3B", ";").replaceAll("%2F", "/")}`;
+  if (plan !== planOf(usual())) fields.set("plan", plan);
+  if (searchOf(state) !== searchOf(usual())) fields.set("search", searchOf(state));
+  if (state.ground !== "truth") fields.set("ground", state.ground);
+  return `#${fields.toString().replaceAll("%2C", ",").replaceAll("%3B", ";").replaceAll("%2F", "/")}`;
 }
 
 /**
@@ -99,33 +100,33 @@ export function toHash(state) {
  * @returns {State}
  */
 export function fromHash(hash) {
-  const told = new URLSearchParams(hash.replace(/^#/, ""));
+  const fields = new URLSearchParams(hash.replace(/^#/, ""));
   const state = usual();
-  const discs = told.get("discs");
+  const discs = fields.get("discs");
   if (discs !== null) state.discs = readDiscs(discs);
   for (const name of /** @type {const} */ (["start", "goal"])) {
-    const angles = numbers(told.get(name) ?? "");
+    const angles = numbers(fields.get(name) ?? "");
     if (angles.length > 0) state[name] = angles;
   }
-  const picture = told.get("picture");
+  const picture = fields.get("picture");
   if (picture && /^[A-Za-z0-9+/]+=*$/.test(picture)) state.picture = picture;
-  for (const name of NAMES) state[name] = (told.get(name) ?? "").slice(0, 200);
-  state.n = clamp(told.get("n"), 1, 2000, state.n, true);
-  const seed = told.get("seed");
+  for (const name of NAMES) state[name] = (fields.get(name) ?? "").slice(0, 200);
+  state.n = clamp(fields.get("n"), 1, 2000, state.n, true);
+  const seed = fields.get("seed");
   if (seed && isSeed(seed)) state.seed = seed;
-  const [planSeed, limit, ways, sure] = (told.get("plan") ?? "").split(",");
+  const [planSeed, limit, paths, minConfidence] = (fields.get("plan") ?? "").split(",");
   if (isSeed(planSeed)) state.planSeed = planSeed;
   state.limit = clamp(limit, 0.01, 10, state.limit, false);
-  state.ways = clamp(ways, 1, 64, state.ways, true);
-  if (sure) state.sure = clamp(sure, 0, 1, 0, false);
-  const [planner, feed, budget] = (told.get("search") ?? "").split(",");
+  state.paths = clamp(paths, 1, 64, state.paths, true);
+  if (minConfidence) state.minConfidence = clamp(minConfidence, 0, 1, 0, false);
+  const [planner, feed, budget] = (fields.get("search") ?? "").split(",");
   if (planner === "RRT" || planner === "RRTConnect") state.planner = planner;
   if (feed === "uniform" || feed === "ways") state.feed = feed;
   state.budget = clamp(budget, 1, 20000, state.budget, true);
-  if (told.has("confidence")) state.confidence = clamp(told.get("confidence"), 0, 1, 0.5, false);
-  const ground = told.get("ground");
+  if (fields.has("confidence")) state.confidence = clamp(fields.get("confidence"), 0, 1, 0.5, false);
+  const ground = fields.get("ground");
   if (ground === "prediction" || ground === "none") state.ground = ground;
-  const view = told.get("view");
+  const view = fields.get("view");
   if (view === "models") state.view = view;
   return state;
 }

@@ -22,7 +22,7 @@ async function copy(bench, form) {
   const area = byId("take-text", HTMLTextAreaElement);
   area.value = text;
   area.hidden = false;
-  const copied = byId("take-told");
+  const copied = byId("take-status");
   try {
     await navigator.clipboard.writeText(text);
     copied.textContent = "Copied.";

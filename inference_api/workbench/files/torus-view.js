@@ -22,10 +22,10 @@ const CLASSES = [0.5, 0.9, 0.99];
  * @typedef {object} Ends
  * @property {Configuration} start
  * @property {Configuration} goal
- * @property {Configuration[]} way
+ * @property {Configuration[]} path
  * @property {Configuration | null} moving
  * @property {number[]} edges  The least confidence on each edge of the path.
- * @property {Configuration | null} least  Where it is least sure.
+ * @property {Configuration | null} least  Where the confidence is lowest.
  *
  * @typedef {{nodes?: Configuration[], parents?: number[]}} Planted  The parent of each node; -1 for roots.
  *
@@ -55,13 +55,13 @@ export class TorusView {
     this.tree = draw("path", { class: "tree" });
     /** Whose tree that is. @type {Planted | null} */
     this.planted = null;
-    this.way = draw("path", { class: "way" });
+    this.path = draw("path", { class: "path" });
     this.uncertain = draw("path", { class: "uncertain" });
     this.least = draw("circle", { class: "least", r: 8 });
     this.now = draw("circle", { class: "now", r: 5 });
     const plot = draw("rect", { class: "plot", width: SIDE, height: SIDE });
     const inside = draw("g", { "clip-path": `url(#${drawing.id}-clip)`, "aria-hidden": "true" });
-    inside.append(...this.grounds, ...this.dots, this.crosses, this.tree, this.way, this.uncertain, this.least, this.now);
+    inside.append(...this.grounds, ...this.dots, this.crosses, this.tree, this.path, this.uncertain, this.least, this.now);
     this.marks = ENDS.map((end) => this.makeMark(end));
     const marks = draw("g");
     marks.append(...this.marks.flatMap(({ mark, letter }) => [mark, letter]));
@@ -157,8 +157,8 @@ export class TorusView {
       });
       set(this.marks[row].letter, { x, y });
     });
-    this.way.setAttribute("d", this.line(ends.way));
-    this.uncertain.setAttribute("d", this.line(ends.way, (at) => ends.edges[at] < CLASSES[1]));
+    this.path.setAttribute("d", this.line(ends.path));
+    this.uncertain.setAttribute("d", this.line(ends.path, (at) => ends.edges[at] < CLASSES[1]));
     this.place(this.now, ends.moving);
     this.place(this.least, ends.least);
   }
@@ -184,17 +184,17 @@ export class TorusView {
    * @param {(at: number) => boolean} [wanted]  Which edges.
    */
   line(path, wanted = () => true) {
-    let told = "";
+    let lines = "";
     for (let at = 0; at + 1 < path.length; at += 1) {
       if (!wanted(at)) continue;
       const [from, to] = [path[at], path[at + 1]];
       const step = difference(this.robot, from, to);
-      told += this.piece(from, from.map((angle, joint) => angle + step[joint]));
+      lines += this.piece(from, from.map((angle, joint) => angle + step[joint]));
       if (step.some((value, joint) => Math.abs(from[joint] + value - to[joint]) > 1e-6)) {
-        told += this.piece(to.map((angle, joint) => angle - step[joint]), to);
+        lines += this.piece(to.map((angle, joint) => angle - step[joint]), to);
       }
     }
-    return told;
+    return lines;
   }
 
   /** @param {Configuration} from @param {Configuration} to */

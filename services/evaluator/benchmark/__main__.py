@@ -8,9 +8,9 @@ from pathlib import Path
 
 from cspace.errors import ConfigError, CspaceError, ScenarioError
 from cspace.query import MAX_SAMPLES
-from cspace.simulator import Asked, Split
+from cspace.simulator import ProblemRequest, Split
 from cspace.worlds import examples, partly_seen, simulator_of
-from services.command_errors import finite, tell_error
+from services.command_errors import finite, report_error
 from services.evaluator.benchmark.arms import (
     AIMS,
     LEARNED_SHARES,
@@ -68,7 +68,7 @@ def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] 
         request = make_request(options)
         results = run_benchmark(request, executor(environment, options.processes), _show, tracking)
     except CspaceError as error:
-        return tell_error(error, ConfigError)
+        return report_error(error, ConfigError)
     print(f"{results.terminal()}\n{options.out / REPORT}", flush=True)
     return 0
 
@@ -242,7 +242,7 @@ def make_request(options: argparse.Namespace) -> Request:
         usual = dict.fromkeys(families.solvable, PAPER_PROBLEMS)
     else:
         # A problem without a path takes every arm to its limit, about a minute in all.
-        usual = dict.fromkeys((families.telling, *families.solvable), PROBLEMS)
+        usual = dict.fromkeys((families.decisive, *families.solvable), PROBLEMS)
         usual |= dict.fromkeys(families.unsolvable, UNSOLVABLE)
     wanted = _wanted(options, tuple(usual), families.names)
     problems = {family: options.problems or usual.get(family, PAPER_PROBLEMS) for family in wanted}
@@ -306,8 +306,8 @@ def _plan_request(options: argparse.Namespace, setting: Setting, repeats: int) -
     problems = {}
     for family in _wanted(options, known, known):
         most = seen.count(family, setting.split)
-        asked = options.problems or most or PLAN_PROBLEMS
-        problems[family] = asked if most is None else min(asked, most)
+        requested = options.problems or most or PLAN_PROBLEMS
+        problems[family] = requested if most is None else min(requested, most)
     names = _names(options)
     arms = plan_arms(names)
     if not names:
@@ -318,7 +318,9 @@ def _plan_request(options: argparse.Namespace, setting: Setting, repeats: int) -
     for family in problems:
         if seen.count(family, setting.split) is not None:
             # Problems that do not ship fail here, before any run.
-            seen.problem(Asked(setting.split, setting.seed, setting.aim, folder), family, 0, pictures[0])
+            seen.problem(
+                ProblemRequest(setting.split, setting.seed, setting.aim, folder), family, 0, pictures[0]
+            )
             break
     models, bundles = (map(parse_named, given) for given in (options.model, options.bundle))
     specs: list[SourceSpec] = [

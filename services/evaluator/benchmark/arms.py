@@ -215,7 +215,7 @@ class PlanArm:
 
     Args:
         name: unique.
-        checked: whether a planner with exact checks goes on from the paths; False: the paths are judged.
+        checked: whether a planner with exact checks goes on from the paths; False: without checks.
         sampler: name of the model that plans; None for none.
         unseen: what unseen space counts as where no model plans; None for no paths at all.
     """

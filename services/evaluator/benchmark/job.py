@@ -150,13 +150,13 @@ def _write(results: Results, store: RunStore) -> None:
     try:
         results.runs.to_parquet(out / PARQUET, index=False)
         shown = _save(results.figures(), out, FIGURES)
-        drawn = []
+        figures = []
         if request.setting.protocol is not Protocol.PLANS:
-            drawn = _save(pages(plotted, request.arms, request.setting, request.specs), out, PAGES)
+            figures = _save(pages(plotted, request.arms, request.setting, request.specs), out, PAGES)
             (out / COMPARISON).write_text(results.note, "utf-8")
         facts = report.about(results.runs, request.setting, store.manifest)
         text = report.report(
-            results.headline, facts, results.sections, request.setting.protocol, shown, drawn
+            results.headline, facts, results.sections, request.setting.protocol, shown, figures
         )
         (out / REPORT).write_text(text, "utf-8")
     except OSError as error:

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from cspace.plan import load_kernels
 from cspace.planning.paths import length_rad, spaced
 from cspace.planning.search import find_paths
-from cspace.query import DEFAULT_WAYS, AlternativePath
-from cspace.simulator import Asked, Checker, Judge, Problem
+from cspace.query import DEFAULT_PATHS, AlternativePath
+from cspace.simulator import Checker, Problem, ProblemRequest, ValidityChecker
 from cspace.simulator import Taken as Unseen
 from cspace.worlds import checker_of, partly_seen, picture_file_of
 from services.evaluator.benchmark.arms import CONNECT, PlanArm, Setting, Unit
@@ -28,7 +28,7 @@ from services.planner.rrt_connect import solve_with_paths
 Points = NDArray[np.float64]
 # Status of a problem whose start or goal collides; it is left out.
 NO_PROBLEM = "start or goal collides"
-# Spacing of the states at which a path is judged, and at which its unseen share is measured.
+# Spacing of the states at which a path is checked, and at which its unseen share is measured.
 LOOK_RAD, UNSEEN_RAD = 0.01, 0.1
 _MESH_STATES, _REPEATS = 200, 3
 
@@ -100,19 +100,20 @@ class PlanWorker:
             SamplerError: a model does not answer.
         """
         setting, seen = self._setting, partly_seen(self._setting.world)
-        asked = Asked(setting.split, setting.seed, setting.aim, unit.folder)
-        problem = seen.problem(asked, unit.family, unit.index, max(1, unit.pictures))
+        request = ProblemRequest(setting.split, setting.seed, setting.aim, unit.folder)
+        problem = seen.problem(request, unit.family, unit.index, max(1, unit.pictures))
         if problem is None:
             nothing: Row = {"status": NO_PROBLEM, "solved": False}
             return [self._row(unit, arm, run, Found().times | nothing) for arm, run in unit.todo]
         picture, world = picture_file_of(problem.scenario), problem.scenario.world
-        image, judge, truth = world.read_picture(picture), seen.judge(problem), checker_of(problem.scenario)
+        image, truth = world.read_picture(picture), checker_of(problem.scenario)
+        mesh_checker = seen.mesh_checker(problem)
 
         # Arms with the same model, or the same view of unseen space, share its paths.
         @cache
         def found(sampler: str | None, unseen: Unseen | None) -> Found:
             if sampler is not None:
-                query = plan_query(problem, setting.seed, setting.plan_limit_s, DEFAULT_WAYS)
+                query = plan_query(problem, setting.seed, setting.plan_limit_s, DEFAULT_PATHS)
                 plan, request_s = self._planners[sampler].plan(picture, query, world)
                 confidence = plan.confidence if plan.status == "solved" else None
                 times = 1e-3 * plan.search_ms, 1e-3 * plan.score_ms, request_s
@@ -129,7 +130,7 @@ class PlanWorker:
         @cache
         def prices() -> Row:
             spheres_s = state_check_s(problem, setting.range_rad, setting.resolution_rad)
-            mesh_s = None if judge is None else _mesh_check_s(problem, judge)
+            mesh_s = None if mesh_checker is None else _mesh_check_s(problem, mesh_checker)
             return {"state_check_s": spheres_s, "mesh_check_s": mesh_s}
 
         def share(rows: Points) -> Points:
@@ -142,7 +143,7 @@ class PlanWorker:
                 result = _checked(None if arm == CONNECT else paths, problem, setting, unit.index, run)
                 result |= prices()
             else:
-                result = _judged(paths, truth, judge, share if unit.pictures else None)
+                result = _evaluated(paths, truth, mesh_checker, share if unit.pictures else None)
             rows.append(self._row(unit, arm, run, paths.times | result))
         return rows
 
@@ -165,23 +166,28 @@ def _searched(checkers: Sequence[Checker], problem: Problem, setting: Setting) -
     space = problem.space
     load_kernels(checkers[0], problem.start, UNSEEN_RAD)
     began, until_s = time.perf_counter(), time.thread_time() + setting.plan_limit_s
-    found = find_paths(checkers, problem.start, problem.goal, DEFAULT_WAYS, setting.seed, until_s)
+    found = find_paths(checkers, problem.start, problem.goal, DEFAULT_PATHS, setting.seed, until_s)
     spent_s = time.perf_counter() - began
-    paths = sorted(found.ways, key=lambda path: length_rad(path, space))
-    sure = tuple(AlternativePath(path, 1.0, np.ones(len(path) - 1, dtype=np.float32)) for path in paths)
-    status = "solved" if sure else "timeout" if found.late else "refused"
-    return Found(sure, status, None, spent_s, 0.0, spent_s)
+    paths = sorted(found.paths, key=lambda path: length_rad(path, space))
+    alternatives = tuple(
+        AlternativePath(path, 1.0, np.ones(len(path) - 1, dtype=np.float32)) for path in paths
+    )
+    status = "solved" if alternatives else "timeout" if found.late else "refused"
+    return Found(alternatives, status, None, spent_s, 0.0, spent_s)
 
 
-def _judged(
-    found: Found, truth: Checker, judge: Judge | None, unseen: Callable[[Points], Points] | None
+def _evaluated(
+    found: Found,
+    truth: Checker,
+    mesh_checker: ValidityChecker | None,
+    unseen: Callable[[Points], Points] | None,
 ) -> Row:
     """An arm's choice in the true scene.
 
     Args:
         found: by the arm.
         truth: the scene itself.
-        judge: by meshes; None where these are not installed.
+        mesh_checker: by meshes; None where these are not installed.
         unseen: share of the arm that pictures do not show, at (n, d) rad; None without pictures.
     """
     result: Row = {"status": found.status, "solved": bool(found.paths)}
@@ -192,7 +198,7 @@ def _judged(
     return result | {
         "confidence": found.confidence,
         "clearance_m": float(truth.clearance(states).min()),
-        "meshes_free": None if judge is None else bool(judge.valid_batch(states).all()),
+        "meshes_free": None if mesh_checker is None else bool(mesh_checker.valid_batch(states).all()),
         "unseen": None if unseen is None else float(unseen(spaced(path, space, UNSEEN_RAD)).mean()),
         "length_rad": length_rad(path, space),
     }
@@ -214,13 +220,13 @@ def _checked(found: Found | None, problem: Problem, setting: Setting, index: int
     }
 
 
-def _mesh_check_s(problem: Problem, judge: Judge) -> float:
+def _mesh_check_s(problem: Problem, mesh_checker: ValidityChecker) -> float:
     """Seconds for one configuration by meshes, free by spheres; the fastest of some loops."""
-    drawn = problem.space.sample_uniform(np.random.default_rng(0), 8 * _MESH_STATES)
-    rows = drawn[checker_of(problem.scenario).valid_batch(drawn)][:_MESH_STATES]
+    sampled = problem.space.sample_uniform(np.random.default_rng(0), 8 * _MESH_STATES)
+    rows = sampled[checker_of(problem.scenario).valid_batch(sampled)][:_MESH_STATES]
     taken = []
     for _ in range(_REPEATS):
         began = time.perf_counter()
-        judge.valid_batch(rows)
+        mesh_checker.valid_batch(rows)
         taken.append(time.perf_counter() - began)
     return min(taken) / len(rows)

@@ -160,12 +160,12 @@ def _merged(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
         for part in ("arms", "samplers")
         for name, value in new[part].items()
     ]
-    for what, there, asked, instead in pairs:
-        if there != asked:
+    for what, there, requested, instead in pairs:
+        if there != requested:
             raise ConfigError(
                 f"the folder holds runs of another {what}",
                 expected=json.dumps(there),
-                got=json.dumps(asked),
+                got=json.dumps(requested),
                 remedy=f"{instead}name another folder with --out",
             )
     joined = {part: old[part] | new[part] for part in ("arms", "samplers")}

@@ -19,7 +19,7 @@ from services.evaluator.benchmark.arms import Arm, Setting, Unit
 from services.evaluator.benchmark.runs import Row
 from services.evaluator.benchmark.sources import SourceSpec, ask, opened
 from services.planner.ompl_planner import solve
-from services.planner.result import CostPoint, PlanResult, Reason, judge_path
+from services.planner.result import CostPoint, PlanResult, Reason, check_path
 from services.planner.rrt_connect import order_along
 from services.planner.samples import SampleBatch, SourceTiming
 
@@ -61,7 +61,7 @@ class SampleWorker:
 
         # Arms with the same request share a batch, and each counts its time.
         @cache
-        def asked(sampler: str, query: SampleQuery) -> SampleBatch:
+        def request_samples(sampler: str, query: SampleQuery) -> SampleBatch:
             return ask(self.sources[sampler], self.specs[sampler], problem, query)
 
         rows = []
@@ -69,9 +69,9 @@ class SampleWorker:
         for position in np.random.default_rng([first, 1]).permutation(len(unit.todo)):
             arm, run = unit.todo[position]
             settings = setting.planner(arm, unit.index, run)
-            batch = None if arm.sampler is None else asked(arm.sampler, arm.query(settings.seed))
+            batch = None if arm.sampler is None else request_samples(arm.sampler, arm.query(settings.seed))
             began = time.perf_counter()
-            samples = None if batch is None else drawn_samples(arm, batch, problem)
+            samples = None if batch is None else filtered_samples(arm, batch, problem)
             order_s = time.perf_counter() - began
             result = solve(problem, settings, samples, 1.0 - arm.learned_share)
             # Putting the samples in order is the planner's work.
@@ -79,7 +79,7 @@ class SampleWorker:
             # The path is checked here, whatever the planner reports.
             reason = result.reason
             if result.solved:
-                reason = judge_path(problem, result.path, settings.resolution_rad)
+                reason = check_path(problem, result.path, settings.resolution_rad)
             about = {
                 "protocol": setting.protocol.value,
                 "family": unit.family,
@@ -141,7 +141,7 @@ def _times(batch: SampleBatch | None, result: PlanResult, state_check_s: float) 
     }
 
 
-def drawn_samples(arm: Arm, batch: SampleBatch, problem: Problem) -> NDArray[np.float32]:
+def filtered_samples(arm: Arm, batch: SampleBatch, problem: Problem) -> NDArray[np.float32]:
     """The samples (n, d) rad in the order in which the planner draws them."""
     if arm.ordered:
         return batch.samples[order_along(batch.samples, problem.start, problem.goal, problem.space)]
@@ -168,8 +168,8 @@ def state_check_s(problem: Problem, range_rad: float, resolution_rad: float) -> 
         resolution_rad: largest distance between checked states in any joint, rad.
     """
     checker, space, rng = checker_of(problem.scenario), problem.space, np.random.default_rng(0)
-    drawn = space.sample_uniform(rng, EDGES)
-    starts = np.concatenate([np.stack([problem.start, problem.goal]), drawn[checker.valid_batch(drawn)]])
+    sampled = space.sample_uniform(rng, EDGES)
+    starts = np.concatenate([np.stack([problem.start, problem.goal]), sampled[checker.valid_batch(sampled)]])
     starts = starts[rng.integers(0, len(starts), EDGES)]
     gaps = space.difference(starts, space.sample_uniform(rng, EDGES))
     lengths = np.abs(gaps).sum(axis=1, keepdims=True)

@@ -93,12 +93,12 @@ def compare_samplers(
 
 
 def compare_paths(
-    rival: str, ours: Sequence[Row], theirs: Sequence[Row], telling: str, rng: np.random.Generator
+    rival: str, ours: Sequence[Row], theirs: Sequence[Row], decisive: str, rng: np.random.Generator
 ) -> Comparison:
     """Planning success, and edge checks in the family that tells most; the rest as above."""
     runs = [(a.learned, b.learned, a) for a, b in _problems(ours, theirs)]
-    checks = [(a, b) for a, b, trial in runs if trial.family == telling]
-    return Comparison(rival, (*_success(runs, "", rng), _edge_checks(checks, telling, rng)))
+    checks = [(a, b) for a, b, trial in runs if trial.family == decisive]
+    return Comparison(rival, (*_success(runs, "", rng), _edge_checks(checks, decisive, rng)))
 
 
 def _scenes(ours: Sequence[Row], theirs: Sequence[Row]) -> list[tuple[SceneQuality, SceneQuality]]:
@@ -151,7 +151,7 @@ def _success(
 
 
 def _edge_checks(
-    runs: Sequence[tuple[RunOutcome, RunOutcome]], telling: str, rng: np.random.Generator
+    runs: Sequence[tuple[RunOutcome, RunOutcome]], decisive: str, rng: np.random.Generator
 ) -> Gain:
     flat = [run for pair in runs for run in pair]
     counts = censored_as_largest([run.edge_checks for run in flat], [not run.success for run in flat])
@@ -162,7 +162,7 @@ def _edge_checks(
         ours, theirs = np.moveaxis(np.median(rows, axis=-2), -1, 0)
         return np.asarray(1.0 - ours / theirs)
 
-    return _gain(f"median edge checks in {telling} problems", table, saved, np.median(table, axis=0), rng)
+    return _gain(f"median edge checks in {decisive} problems", table, saved, np.median(table, axis=0), rng)
 
 
 def _difference(name: str, pairs: Sequence[Sequence[float]], rng: np.random.Generator) -> Gain:
@@ -211,13 +211,13 @@ class PathCandidate:
     """The estimates of a path model that decide, from the validation problems only.
 
     Args:
-        telling: the family of problems that tells most.
+        decisive: the family of problems that tells most.
         checks_saved: median edge checks of uniform samples over those of the model's, in that family.
         uniform_success: share of all problems that uniform samples solve.
         metrics: the gated metrics by name.
     """
 
-    telling: str
+    decisive: str
     checks_saved: Interval
     uniform_success: float
     metrics: Mapping[str, float]
@@ -261,7 +261,7 @@ class Verdict:
 _Finding = tuple[bool, str]
 
 
-def judge(candidate: Candidate, bar: Bar, measures: Measures) -> Verdict:
+def verdict_of(candidate: Candidate, bar: Bar, measures: Measures) -> Verdict:
     """Decide on a candidate, with the share of coverage and the margins of its world."""
     findings, share = [_beats_uniform(candidate.precision_gain)], measures.coverage_share
     if share is not None:
@@ -269,11 +269,11 @@ def judge(candidate: Candidate, bar: Bar, measures: Measures) -> Verdict:
     return _verdict(findings, measures.margins, candidate.metrics, bar)
 
 
-def judge_paths(candidate: PathCandidate, bar: Bar, measures: Measures) -> Verdict:
+def path_verdict_of(candidate: PathCandidate, bar: Bar, measures: Measures) -> Verdict:
     """Decide on a path model, likewise."""
     saved, ours = candidate.checks_saved, candidate.metrics[PLANNING_SUCCESS]
     saves, as_many = saved.low > 1.0, ours >= candidate.uniform_success
-    where = f"edge checks in {candidate.telling} problems beyond the interval"
+    where = f"edge checks in {candidate.decisive} problems beyond the interval"
     factor = f"factor {saved:.2f} over {saved.count} problems"
     success = f"problems than uniform samples: {ours:.3f}, {candidate.uniform_success:.3f}"
     findings = [
@@ -312,7 +312,7 @@ def _beside(comparison: Comparison) -> list[_Finding]:
 
 def _beats_uniform(gain: Interval) -> _Finding:
     if gain.count < FEWEST_SCENES:
-        return False, f"judged on {gain.count} scenes; fewer than {FEWEST_SCENES} tell nothing of others"
+        return False, f"evaluated on {gain.count} scenes; fewer than {FEWEST_SCENES} say nothing about others"
     held = gain.low > 0.0
     words = "beats uniform beyond the interval" if held else "does not beat uniform beyond the interval"
     return held, f"precision {words}: gain {gain:+.3f} over {gain.count} scenarios"

@@ -18,9 +18,9 @@ from services.evaluator.evaluation.gate import Bar, Comparison, Verdict, compare
 from services.evaluator.evaluation.report import (
     comparison_note,
     decide,
-    judged_on,
     log_evaluation,
     record,
+    scenes_text,
     shown_of,
 )
 from services.evaluator.evaluation.rivals import Rival, find_rivals
@@ -109,10 +109,10 @@ def evaluate_version(
             world = spec.world if request.data is None else _among(spec.world, request.data)
             setting = Setting(world, request.seed, request.budget, spec.kind == "path")
             progress(f"evaluating {version}, digest {bundle.digest[:12]}")
-            progress(judged_on(setting))
+            progress(scenes_text(setting))
             field = find_rivals(registry, version, bundle, request.shipped, Path(folder) / "rivals")
-            shop = simulator_of(world)
-            work = units(request.budget, shop.families, paths=setting.paths, there=shop.count)
+            simulator = simulator_of(world)
+            work = units(request.budget, simulator.families, paths=setting.paths, there=simulator.count)
             results = _measure(execute, work, setting, PackedBundle.pack(bundle), progress)
             evaluation = assemble(results, setting)
             compared = tuple(_beside(rival, evaluation, execute, work, progress) for rival in field.rivals)
@@ -194,5 +194,5 @@ def _beside(
     theirs = [row for one in results for row in one.rows]
     rng = summary_rng(setting.seed)
     if setting.paths:
-        return compare_paths(rival.name, ours, theirs, simulator_of(world).families.telling, rng)
+        return compare_paths(rival.name, ours, theirs, simulator_of(world).families.decisive, rng)
     return compare_samplers(rival.name, ours, theirs, rng)

@@ -158,11 +158,11 @@ def headline(evaluation: Evaluation) -> dict[str, float]:
     Path models, which have none over scenarios, add those of the family that tells most.
     """
     paths = evaluation.validation.reconstruction is None
-    telling = simulator_of(evaluation.setting.world).families.telling
+    decisive = simulator_of(evaluation.setting.world).families.decisive
     return {
         name: value
         for name, value in run_metrics(evaluation).items()
-        if name.partition("/")[2] in _HEADLINE or (paths and name.split("/")[1] == telling)
+        if name.partition("/")[2] in _HEADLINE or (paths and name.split("/")[1] == decisive)
     }
 
 

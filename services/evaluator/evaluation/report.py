@@ -26,8 +26,8 @@ from services.evaluator.evaluation.gate import (
     Comparison,
     PathCandidate,
     Verdict,
-    judge,
-    judge_paths,
+    path_verdict_of,
+    verdict_of,
 )
 from services.evaluator.evaluation.measured import (
     Measured,
@@ -43,7 +43,7 @@ from services.evaluator.evaluation.measured import (
     topology_table,
 )
 from services.evaluator.evaluation.units import (
-    JUDGED,
+    EVALUATED_SPLITS,
     Evaluation,
     Setting,
     SplitResult,
@@ -132,18 +132,18 @@ def _passage(scene: Scene) -> str:
 
 
 def _samples(axes: Axes, scene: Scene, sampler: SampleSource) -> None:
-    drawn = unfiltered(sampler, scene.image, SHOWN_SAMPLES, scene.sampler_seed())
-    free = scene.checker.valid_batch(drawn)
+    samples = unfiltered(sampler, scene.image, SHOWN_SAMPLES, scene.sampler_seed())
+    free = scene.checker.valid_batch(samples)
     held_out = scene.free(SHOWN_SAMPLES, scene.rng(0))
-    reached = covered(held_out, drawn, scene.space, scene.measures.coverage_radius_rad)
+    reached = covered(held_out, samples, scene.space, scene.measures.coverage_radius_rad)
     if scene.space.dim == 2:
         free_map(axes, scene)
         missed = held_out[~reached]
         axes.scatter(missed[:, 0], missed[:, 1], s=9, marker="s", color=MISSED_COLOUR, linewidths=0)
     for mask, colour, size in ((free, FREE_COLOUR, 2), (~free, COLLISION_COLOUR, 5)):
-        axes.scatter(*_plane(drawn[mask]), s=size, color=colour, linewidths=0)
+        axes.scatter(*_plane(samples[mask]), s=size, color=colour, linewidths=0)
     shares = f"{free.mean():.1%} free, {reached.mean():.1%} covered"
-    axes.set_title(f"{len(drawn)} samples\n{shares}", fontsize=9)
+    axes.set_title(f"{len(samples)} samples\n{shares}", fontsize=9)
     _joint_axes(axes, scene)
 
 
@@ -199,7 +199,7 @@ PLANNING_NOTE = (
     "1 the filter costs work), paired; time is without drawing the samples."
 )
 OCCUPANCY_NOTE = (
-    "On uniform configurations, told free at a confidence of 0.5. The row confident above holds as many "
+    "On uniform configurations, predicted free at a confidence of 0.5. The row confident above holds as many "
     "samples as the others: further ones are drawn until enough reach the bundle's threshold, and accepted "
     "is the share that does. The row is missing where in some scenario too few do."
 )
@@ -217,16 +217,17 @@ def to_json(evaluation: Evaluation) -> str:
     )
 
 
-def judged_on(setting: Setting) -> str:
-    """In one line the scenes by which a version is judged: world, families, how many, seed."""
+def scenes_text(setting: Setting) -> str:
+    """In one line the scenes on which a version is evaluated: world, families, how many, seed."""
     world, budget = setting.world, setting.budget
-    there = [simulator_of(world).count(split) or budget.scenarios for split in JUDGED]
+    there = [simulator_of(world).count(split) or budget.scenarios for split in EVALUATED_SPLITS]
     validation, test = (min(budget.scenarios, count) for count in there)
     uniform = f"{validation} validation and {test} test scenes of the family uniform, "
     problems = f"{budget.validation_problems} validation and {budget.test_problems} test problems"
     known = simulator_of(world).families
     return (
-        f"judged on scenes of the {world.kind} world with {known.drawn} (robot {robot_digest(world)[:12]}, "
+        f"evaluated on scenes of the {world.kind} world with {known.uniform_obstacles} "
+        f"(robot {robot_digest(world)[:12]}, "
         f"{world.dim} joints): {'' if setting.paths else uniform}{problems} of each family "
         f"({', '.join(planned(known))}), seed {setting.seed}"
     )
@@ -285,7 +286,7 @@ def terminal_table(evaluation: Evaluation, comparisons: Sequence[Comparison] = (
 
 
 def _sentence(setting: Setting) -> str:
-    scenes = judged_on(setting)
+    scenes = scenes_text(setting)
     return f"{scenes[0].upper()}{scenes[1:]}."
 
 
@@ -332,7 +333,7 @@ def comparison_note(evaluation: Evaluation, verdict: Verdict, title: str) -> str
 def shown_of(evaluation: Evaluation, note: str) -> Shown:
     """What a version's page shows, its run and its logged model."""
     setting = evaluation.setting
-    name, digest = f"{setting.world.kind} scenes, seed {setting.seed}", sha256(judged_on(setting).encode())
+    name, digest = f"{setting.world.kind} scenes, seed {setting.seed}", sha256(scenes_text(setting).encode())
     return Shown(headline(evaluation), note, name, digest.hexdigest())
 
 
@@ -346,21 +347,21 @@ def decide(evaluation: Evaluation, bar: Bar) -> Verdict:
     measures = simulator_of(evaluation.setting.world).measures
     found = evaluation.validation.reconstruction
     if found is None:
-        return judge_paths(_path_candidate(evaluation), bar, measures)
+        return path_verdict_of(_path_candidate(evaluation), bar, measures)
     candidate = Candidate(found.precision_gain, found.real.coverage.estimate, _gated(evaluation))
-    return judge(candidate, bar, measures)
+    return verdict_of(candidate, bar, measures)
 
 
 def _path_candidate(evaluation: Evaluation) -> PathCandidate:
     planning, trials = evaluation.validation.planning, evaluation.validation.trials
-    telling = simulator_of(evaluation.setting.world).families.telling
-    found = next((family for family in planning if family.family == telling), None)
+    decisive = simulator_of(evaluation.setting.world).families.decisive
+    found = next((family for family in planning if family.family == decisive), None)
     if found is None:
         raise EvaluationError(
-            f"path models are judged on {telling} problems", expected="one or more", got="none"
+            f"path models are evaluated on {decisive} problems", expected="one or more", got="none"
         )
     solved = sum(trial.uniform.success for trial in trials) / len(trials)
-    return PathCandidate(telling, found.edge_checks_ratio, solved, _gated(evaluation))
+    return PathCandidate(decisive, found.edge_checks_ratio, solved, _gated(evaluation))
 
 
 def record(

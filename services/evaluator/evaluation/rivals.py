@@ -122,21 +122,21 @@ class _Found:
 
     def fetch(self, name: str, number: int, words: str) -> bool:
         """Whether a version is a rival now, or has the candidate's or another rival's very bundle."""
-        told = f"version {number}, {words},"
+        rival = f"version {number}, {words},"
         try:
             version = self._registry.version(name, number)
             bundle = load_verified(self._registry.download(version, self._folder / str(number)))
         except RegistryUnavailableError:
             raise
         except (RegistryError, BundleError) as error:
-            self.notes.append(f"{told} can not be measured again ({error.what}): recorded metrics count")
+            self.notes.append(f"{rival} can not be measured again ({error.what}): recorded metrics count")
             return False
         return self._add(f"version {number}, {words}", bundle)
 
     def add_shipped(self, folder: Path | None) -> None:
         """The shipped model where it is of this robot and kind."""
         if folder is None:
-            self.notes.append("not compared with the shipped model, as was asked for")
+            self.notes.append("not compared with the shipped model, as requested")
             return
         if not folder.is_dir():
             raise ConfigError(

@@ -35,7 +35,7 @@ from services.planner.samples import SampleSource
 from services.planner.settings import PlannerSettings
 from services.registry.ports import ModelReference
 
-JUDGED = (Split.VALIDATION, Split.TEST)
+EVALUATED_SPLITS = (Split.VALIDATION, Split.TEST)
 
 
 class Kind(StrEnum):
@@ -101,7 +101,7 @@ def units(
 ) -> list[Unit]:
     """All units of an evaluation, the long ones first, so that workers end together.
 
-    Path models are judged by planning alone. Of scenes that were given, no more are taken than ``there`` are.
+    Path models are evaluated by planning alone. Of given scenes, no more are taken than ``there`` are.
     """
 
     def at_most(count: int, split: Split) -> int:
@@ -111,19 +111,19 @@ def units(
     problems = {Split.VALIDATION: budget.validation_problems, Split.TEST: budget.test_problems}
     work: list[Unit] = []
     for family in planned(families):
-        for split in JUDGED:
+        for split in EVALUATED_SPLITS:
             work += [Unit(Kind.PLANNING, split, *part, family) for part in _parts(problems[split], 5)]
     if paths:
         return work
     for family in families.unsolvable:
-        for split in JUDGED:
+        for split in EVALUATED_SPLITS:
             parts = _parts(budget.disconnected_scenarios, 5)
             work += [Unit(Kind.RECONSTRUCTION, split, *part, family) for part in parts]
     work += [
         Unit(Kind.TOPOLOGY, Split.TEST, *part)
         for part in _parts(at_most(budget.topology_scenarios, Split.TEST), 1)
     ]
-    for split in JUDGED:
+    for split in EVALUATED_SPLITS:
         work += [
             Unit(Kind.RECONSTRUCTION, split, *part) for part in _parts(at_most(budget.scenarios, split), 15)
         ]
@@ -141,7 +141,7 @@ def deciding(work: Iterable[Unit]) -> list[Unit]:
 
 def planned(families: Families) -> tuple[str, ...]:
     """The families that a planner is asked to solve, the one that tells most first."""
-    return tuple(dict.fromkeys((families.telling, *families.solvable)))
+    return tuple(dict.fromkeys((families.decisive, *families.solvable)))
 
 
 def _parts(count: int, size: int) -> Iterator[tuple[int, int]]:
@@ -161,7 +161,7 @@ class Request:
         budget: how much is evaluated.
         seed: of scenarios, samples and problems.
         promote: whether the decision is recorded and the alias moved.
-        data: a data set whose held-out scenes it is judged on; None for those of the version's own data.
+        data: a data set whose held-out scenes it is evaluated on; None for those of the version's own data.
         shipped: folder of the shipped model, which the version is compared with; None leaves that out.
     """
 
@@ -252,7 +252,7 @@ def run_unit(unit: Unit, setting: Setting, sampler: SampleSource) -> UnitResult:
     if unit.kind is Kind.PLANNING:
         rows = _planning_rows(unit, setting, sampler)
     elif sampler.with_ends:
-        raise EvaluationError("path models are judged by planning alone", got=str(unit.kind))
+        raise EvaluationError("path models are evaluated by planning alone", got=str(unit.kind))
     else:
         measure = _reconstruction_rows if unit.kind is Kind.RECONSTRUCTION else _topology_rows
         rows = measure(unit, setting, sampler)
@@ -285,7 +285,7 @@ def _split_result(rows: Sequence[Row], rng: np.random.Generator, setting: Settin
     present = {trial.family for trial in trials}
     by_family = {family: [scene for scene in scenes if scene.family == family] for family in families.names}
     # Resampling of its own leaves the other intervals as they are in an evaluation without families.
-    (apart,) = rng.spawn(1)
+    (own_rng,) = rng.spawn(1)
     uniform = by_family.pop(UNIFORM)
     return SplitResult(
         None if setting.paths else summarise(uniform, rng),
@@ -293,7 +293,7 @@ def _split_result(rows: Sequence[Row], rng: np.random.Generator, setting: Settin
         success_rate(trials) if trials else None,
         scenes,
         trials,
-        {family: summarise(mine, apart) for family, mine in by_family.items() if mine},
+        {family: summarise(mine, own_rng) for family, mine in by_family.items() if mine},
     )
 
 
@@ -344,7 +344,7 @@ def _planning_rows(unit: Unit, setting: Setting, sampler: SampleSource) -> list[
             seed = planner_seed(setting.seed, index, repeat)
             rows.append(plan_trial(problem, index, seed, sampler, planner))
         wanted = (
-            unit.family == simulator.families.telling != UNIFORM and index < setting.budget.narrow_scenarios
+            unit.family == simulator.families.decisive != UNIFORM and index < setting.budget.narrow_scenarios
         )
         if wanted and not sampler.with_ends:
             scene = Scene(_stage(unit, setting), index, unit.family, problem)

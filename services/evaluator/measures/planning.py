@@ -24,7 +24,7 @@ from services.evaluator.statistics import (
 )
 from services.planner.ompl_planner import solve
 from services.planner.planning import between_ends
-from services.planner.result import PlanResult, Reason, judge_path
+from services.planner.result import PlanResult, Reason, check_path
 from services.planner.samples import SampleSource
 from services.planner.settings import PlannerSettings
 
@@ -92,8 +92,8 @@ def plan_trial(
     samples = learned_samples(problem, image, seed, sampler)
     sampling_time_s = time.perf_counter() - began
     uniform, learned, *confident = (
-        _outcome(problem, solver(problem, seeded, drawn, UNIFORM_SHARE), settings.resolution_rad)
-        for drawn in (None, samples, *_confident(problem, image, seed, sampler))
+        _outcome(problem, solver(problem, seeded, proposals, UNIFORM_SHARE), settings.resolution_rad)
+        for proposals in (None, samples, *_confident(problem, image, seed, sampler))
     )
     only = confident[0] if confident else None
     return PlanningTrial(problem.family, index, seed, uniform, learned, sampling_time_s, only)
@@ -130,9 +130,9 @@ def _confident(
 
 
 def _outcome(problem: Problem, result: PlanResult, resolution_rad: float) -> RunOutcome:
-    # Whatever the solver says of itself, the path is judged here.
-    judged = judge_path(problem, result.path, resolution_rad) if result.solved else result.reason
-    success = judged == Reason.SOLVED
+    # Whatever the solver reports, the path is checked here.
+    checked = check_path(problem, result.path, resolution_rad) if result.solved else result.reason
+    success = checked == Reason.SOLVED
     return RunOutcome(
         success,
         result.iterations,
@@ -140,7 +140,7 @@ def _outcome(problem: Problem, result: PlanResult, resolution_rad: float) -> Run
         result.solve_time_s,
         float(result.length_rad) if success else None,
         result.learned_drawn,
-        str(judged),
+        str(checked),
     )
 
 

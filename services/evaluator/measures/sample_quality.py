@@ -224,7 +224,7 @@ def sample_quality(
     """All metrics of (N, d) samples against (M, d) held-out free configurations.
 
     Args:
-        samples: what is judged.
+        samples: to evaluate.
         held_out: free configurations that nobody was trained on.
         space: the joint space.
         free: exact collision check, (N, d) to (N,).
@@ -279,13 +279,13 @@ def _summary(
 ) -> SamplerSummary:
     precision = [row.precision for row in rows]
     # Resampling of their own leaves the other intervals as they are without these measures.
-    (apart,) = rng.spawn(1)
+    (own_rng,) = rng.spawn(1)
     return SamplerSummary(
         mean_interval(precision, rng),
         mean_interval([row.coverage for row in rows], rng),
         ratio_of_sums_interval([row.energy for row in rows], [row.energy for row in uniform], rng),
         quantile_interval(precision, LOW_QUANTILE, rng),
         min(precision),
-        mean_interval([row.knn_precision for row in rows], apart),
-        mean_interval([row.knn_recall for row in rows], apart),
+        mean_interval([row.knn_precision for row in rows], own_rng),
+        mean_interval([row.knn_recall for row in rows], own_rng),
     )

@@ -36,7 +36,7 @@ PATH_CONFIDENCE = 0.5
 
 @runtime_checkable
 class ScoredSampler(SampleSource, Protocol):
-    """A source that can tell how sure it is of any configuration."""
+    """A source that has a confidence for any configuration."""
 
     @property
     def threshold(self) -> float:
@@ -118,7 +118,7 @@ class PackedBundle:
 SAMPLES = 1000
 # Rejection gives up here; of planar scenarios the smallest free share that was ever drawn is 0.2.
 PROPOSALS_PER_SAMPLE = 200
-# Uniform configurations on which a validity head is judged.
+# Uniform configurations on which a validity head is evaluated.
 OCCUPANCY_SAMPLES = 2000
 # The stream of the confident samples, apart from those of the other measurements.
 CONFIDENT_STREAM = 20
@@ -143,19 +143,19 @@ class Scene:
         stage: what it shares with the others.
         index: its number within split and family.
         family: of the problem that it was drawn for; uniform ones are drawn as those for training are.
-        drawn: that problem, where it is at hand; else it is drawn when it is needed.
+        given_problem: that problem, where it is at hand; else it is drawn when it is needed.
     """
 
     stage: Stage
     index: int
     family: str = UNIFORM
-    drawn: Problem | None = None
+    given_problem: Problem | None = None
 
     @cached_property
     def problem(self) -> Problem | None:
         """Start and goal that make it a scenario of its family; None in the uniform one."""
-        if self.family == UNIFORM or self.drawn is not None:
-            return self.drawn
+        if self.family == UNIFORM or self.given_problem is not None:
+            return self.given_problem
         stage = self.stage
         return simulator_of(stage.world).problem(self.family, stage.split, stage.seed, self.index)
 
@@ -200,8 +200,8 @@ class Scene:
         root = self._scenario_rng()
         if self.family != UNIFORM:
             names = simulator_of(self.stage.world).families.names
-            root = _child(root, FAMILY_STREAM + names.index(self.family))
-        return _child(root, stream)
+            root = _spawned(root, FAMILY_STREAM + names.index(self.family))
+        return _spawned(root, stream)
 
     def sampler_seed(self, stream: int = 0) -> int:
         """A seed for the sampler under test, unsigned 63 bit."""
@@ -237,7 +237,7 @@ class Scene:
         return scenario_rng(self.stage.split, self.stage.seed, self.index)
 
 
-def _child(rng: np.random.Generator, number: int) -> np.random.Generator:
+def _spawned(rng: np.random.Generator, number: int) -> np.random.Generator:
     return rng.spawn(number + 1)[number]
 
 
@@ -253,8 +253,8 @@ def reconstruct(scene: Scene, sampler: SampleSource, samples: int = SAMPLES) -> 
         scene.space.sample_uniform(scene.rng(1), samples),
         scene.free(samples, scene.rng(2)),
     )
-    drawn, uniform, real = (scene.quality(group, held_out) for group in groups)
-    quality = SceneQuality(scene.index, drawn, uniform, real, family=scene.family)
+    sampled, uniform, real = (scene.quality(group, held_out) for group in groups)
+    quality = SceneQuality(scene.index, sampled, uniform, real, family=scene.family)
     if not isinstance(sampler, ScoredSampler):
         return quality
     query = SampleQuery(samples, scene.sampler_seed(CONFIDENT_STREAM), min_confidence=sampler.threshold)
@@ -267,7 +267,7 @@ def reconstruct(scene: Scene, sampler: SampleSource, samples: int = SAMPLES) -> 
 
 def _occupancy(scene: Scene, sampler: ScoredSampler, acceptance: float | None) -> SceneOccupancy:
     if acceptance is None:
-        raise EvaluationError("a head is judged by the share that it lets pass", got="an answer without it")
+        raise EvaluationError("a head is measured by the share that it lets pass", got="an answer without it")
     tried = scene.space.to_float32(scene.space.sample_uniform(scene.rng(3), OCCUPANCY_SAMPLES))
     return scene_occupancy(
         sampler.score(scene.image, tried),

@@ -33,10 +33,10 @@ class Source:
     """Uniform samples of a joint space, and what it was asked."""
 
     def __init__(self, space=None):
-        self.space, self.asked = space, []
+        self.space, self.requests = space, []
 
     def answer(self, picture, query, model=None):
-        self.asked.append((picture, query, model))
+        self.requests.append((picture, query, model))
         joints = self.space or JointSpace((-np.pi,) * 2, (3.0,) * 2, (True,) * 2)
         samples = joints.sample_uniform(np.random.default_rng(query.seed), query.n).astype(np.float32)
         return SampleBatch(samples, MODEL, 0, DIGEST, query.seed, 0, 0.0, space=self.space)
@@ -144,7 +144,7 @@ def test_start_and_goal_are_sent_where_they_are_wanted():
     problem = Problem(b"picture", np.array(START), GOAL, wall)
     learned_sampler(problem, source, n=7, model="path-sampler", with_ends=True)
     learned_sampler(problem, source)
-    (with_ends, without) = source.asked
+    (with_ends, without) = source.requests
     assert (with_ends[0], with_ends[2], with_ends[1].n) == (b"picture", "path-sampler", 7)
     assert (with_ends[1].start, with_ends[1].goal) == (START, GOAL)
     assert (without[1].start, without[1].goal, without[1].n) == (None, None, 300)

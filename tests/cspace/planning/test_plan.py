@@ -31,14 +31,14 @@ def scene():
     return simulator.render(problem.scenario), problem
 
 
-def asked(problem, **fields):
+def query_of(problem, **fields):
     return PlanQuery(tuple(problem.start), tuple(problem.goal), time_limit_s=60.0, **fields)
 
 
 def test_a_plan_is_a_way_from_start_to_goal_with_what_is_believed_of_it(bundle, scene):
     image, problem = scene
     picture = bundle.prepare(image)
-    found = bundle.plan(picture, asked(problem, seed=3))
+    found = bundle.plan(picture, query_of(problem, seed=3))
     assert found.status == "solved"
     assert np.allclose(found.path[[0, -1]], [problem.start, problem.goal], atol=1e-6)
     assert found.edges.shape == (len(found.path) - 1,)
@@ -47,7 +47,7 @@ def test_a_plan_is_a_way_from_start_to_goal_with_what_is_believed_of_it(bundle, 
     (alone,) = score([found.path], WORLD.space, 0.15, lambda rows: bundle.predict(picture, rows))
     assert found.confidence == alone.whole
     assert found.edges.min() == pytest.approx(found.least.confidence)
-    again = bundle.plan(picture, asked(problem, seed=3))
+    again = bundle.plan(picture, query_of(problem, seed=3))
     assert np.array_equal(again.path, found.path)
 
 
@@ -57,20 +57,20 @@ def test_a_plan_is_at_least_as_sure_as_the_surest_way_that_was_found(bundle, sce
     picture = bundle.prepare(image)
     ends = np.array([problem.start, problem.goal])
     found = find_paths(seen_checkers(WORLD, image, ends), *ends, ways, 0, time.thread_time() + 60.0)
-    assert len(found.ways) == ways
-    scored = score(found.ways, WORLD.space, 0.15, lambda rows: bundle.predict(picture, rows))
-    assert bundle.plan(picture, asked(problem, ways=ways)).confidence >= max(one.whole for one in scored)
+    assert len(found.paths) == ways
+    scored = score(found.paths, WORLD.space, 0.15, lambda rows: bundle.predict(picture, rows))
+    assert bundle.plan(picture, query_of(problem, ways=ways)).confidence >= max(one.whole for one in scored)
 
 
 def test_a_path_below_the_minimum_confidence_is_refused_with_its_confidence(bundle, scene):
     image, problem = scene
     picture = bundle.prepare(image)
-    sure = bundle.plan(picture, asked(problem)).confidence
+    sure = bundle.plan(picture, query_of(problem)).confidence
     assert 0.0 < sure < 1.0
-    refused = bundle.plan(picture, asked(problem, min_confidence=min(1.0, sure + 1e-3)))
+    refused = bundle.plan(picture, query_of(problem, min_confidence=min(1.0, sure + 1e-3)))
     assert (refused.status, refused.path.shape, refused.confidence) == ("refused", (0, 2), sure)
     assert 0.0 <= refused.least.along <= 1.0
-    assert bundle.plan(picture, asked(problem, min_confidence=sure)).status == "solved"
+    assert bundle.plan(picture, query_of(problem, min_confidence=sure)).status == "solved"
 
 
 def test_what_does_not_fit_the_robot_is_refused(bundle, scene):
@@ -107,7 +107,7 @@ def test_each_piece_has_its_least_and_its_largest_with_its_corners():
 
 def test_where_nobody_says_how_sure_a_plan_has_to_be_calibrated_bundles_ask_for_some(bundle, scene):
     image, problem = scene
-    query = asked(problem)
+    query = query_of(problem)
     assert fitted_plan(bundle.spec, query).min_confidence == 0.0
     calibrated = replace(bundle.spec, plan_calibration=(0.0, 1.0))
     assert fitted_plan(calibrated, query).min_confidence == 0.2

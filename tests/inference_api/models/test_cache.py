@@ -126,10 +126,10 @@ def test_a_folder_that_another_holds_is_waited_for_and_then_given_up(disk: DiskC
 
 
 def test_a_second_process_waits_for_the_first_ones_download_as_long_as_that_may_take(disk: DiskCache) -> None:
-    holds, asked = threading.Event(), []
+    holds, downloads = threading.Event(), []
 
     def slow(version: ModelVersion, folder: Path) -> Path:
-        asked.append(version)
+        downloads.append(version)
         holds.set()
         # Longer than the fixture's patience, and a small part of the real one.
         threading.Event().wait(0.4)
@@ -140,7 +140,7 @@ def test_a_second_process_waits_for_the_first_ones_download_as_long_as_that_may_
     holds.wait(10)
     DiskCache(disk.folder).download(VERSION, slow)
     first.join()
-    assert asked == [VERSION]
+    assert downloads == [VERSION]
     assert LOCK_S > DOWNLOAD_S
 
 

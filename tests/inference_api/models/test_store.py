@@ -111,11 +111,11 @@ def test_a_promotion_is_served_without_a_restart(
 def test_no_request_for_the_champion_waits_for_the_registry(
     own_api: ApiClient, png: bytes, registry: CountingRegistry
 ) -> None:
-    before = registry.asked
+    before = registry.calls
     for model in ("cspace-sampler", "cspace-sampler@champion", "pretrained"):
         assert own_api.post("/sample", files={"image": png}, data={"model": model}).status_code == 200
     assert own_api.get("/health/ready").status_code == 200
-    assert registry.asked == before
+    assert registry.calls == before
 
 
 def test_a_registry_that_goes_away_leaves_what_is_loaded(
@@ -162,11 +162,11 @@ def test_an_absent_registry_is_left_alone_for_a_while(
     for _ in range(5):
         with pytest.raises(RegistryUnavailableError):
             store.resolve(ModelReference.parse("cspace-sampler/1"))
-    assert registry.asked == 1
+    assert registry.calls == 1
     clock.now += 2.1
     with pytest.raises(RegistryUnavailableError):
         store.resolve(ModelReference.parse("cspace-sampler/1"))
-    assert registry.asked == 2
+    assert registry.calls == 2
 
 
 def test_a_lookup_is_trusted_for_a_while_and_then_asked_again(
@@ -176,9 +176,9 @@ def test_a_lookup_is_trusted_for_a_while_and_then_asked_again(
     registry.add(bundles["other"])
     assert served(store, "cspace-sampler@challenger")[1] == 1
     registry.set_alias("cspace-sampler", "challenger", 2)
-    asked = registry.asked
+    calls = registry.calls
     assert served(store, "cspace-sampler@challenger")[1] == 1
-    assert registry.asked == asked
+    assert registry.calls == calls
     clock.now += 2.1
     assert served(store, "cspace-sampler@challenger")[1] == 2
 
@@ -295,22 +295,22 @@ def test_the_versions_used_last_and_the_champion_stay_on_disk(
 
 def asked_for(registry: CountingRegistry, store: ModelStore, reference: ModelReference) -> tuple[int, bool]:
     """The version that a request gets, and whether it asks the registry for it."""
-    before = registry.asked
-    return store.resolve(reference).version, registry.asked > before
+    before = registry.calls
+    return store.resolve(reference).version, registry.calls > before
 
 
 def test_what_is_in_memory_is_answered_without_a_question(impatient: ModelStore, slow: SlowRegistry) -> None:
-    one, before = ModelReference.parse(f"{MODEL}/1"), slow.asked
+    one, before = ModelReference.parse(f"{MODEL}/1"), slow.calls
     assert impatient.resolve_now(one) is None
-    assert slow.asked == before
+    assert slow.calls == before
     loaded = impatient.resolve(one)
-    asked = slow.asked
+    calls = slow.calls
     again = impatient.resolve_now(one)
     assert again is not None
     assert (again.bundle, again.version) == (loaded.bundle, 1)
     for text in (MODEL, "pretrained"):
         assert impatient.resolve_now(ModelReference.parse(text)) is not None
-    assert slow.asked == asked
+    assert slow.calls == calls
 
 
 def test_what_was_unknown_a_moment_ago_is_not_asked_again(
@@ -319,11 +319,11 @@ def test_what_was_unknown_a_moment_ago_is_not_asked_again(
     nobody = ModelReference.parse(f"{MODEL}@nobody")
     with pytest.raises(ModelNotFoundError):
         store.resolve(nobody)
-    asked = registry.asked
+    calls = registry.calls
     for ask in (store.resolve, store.resolve_now):
         with pytest.raises(ModelNotFoundError, match="the model is unknown"):
             ask(nobody)
-    assert registry.asked == asked
+    assert registry.calls == calls
     registry.add(bundles["scored"], "nobody")
     clock.now += POLL_S
     assert store.resolve(nobody).version == 1
@@ -398,10 +398,10 @@ def test_a_champion_that_is_no_more_when_it_arrives_is_not_served(
 def test_a_bundle_that_was_refused_is_not_verified_for_every_request(
     tmp_path: Path, registry: CountingRegistry, bundles: dict[str, Path], clock: Clock
 ) -> None:
-    asked: list[str] = []
+    verified: list[str] = []
 
     def refuse(folder: Path, digest: str) -> None:
-        asked.append(digest)
+        verified.append(digest)
         raise BundleError("loops")
 
     registry.add(bundles["plain"], "champion")
@@ -411,13 +411,13 @@ def test_a_bundle_that_was_refused_is_not_verified_for_every_request(
     for _ in range(5):
         with pytest.raises(ModelNotReadyError, match="refused"):
             served(store, f"{MODEL}/1")
-    assert len(asked) == 1
+    assert len(verified) == 1
     # Nor at every look, and less and less often.
     counts = []
     for _ in range(20):
         clock.now += RETRY_S + 1.0
         store.refresh()
-        counts.append(len(asked))
+        counts.append(len(verified))
     assert counts[0] == 2
     assert counts[-1] <= 6
     assert DiskCache(tmp_path / "cache").stored(MODEL) == []
@@ -517,10 +517,10 @@ def test_a_reference_that_nobody_names_for_a_while_is_left_alone(
     challenged: ModelStore, registry: CountingRegistry, clock: Clock
 ) -> None:
     clock.now += IN_USE_S + 1.0
-    asked = registry.asked
+    calls = registry.calls
     challenged.refresh()
     # For the champion alone.
-    assert registry.asked == asked + 1
+    assert registry.calls == calls + 1
     assert asked_for(registry, challenged, CHALLENGER) == (1, True)
 
 
@@ -539,9 +539,9 @@ def test_while_the_registry_is_away_it_is_asked_once_and_what_is_known_stays(
 ) -> None:
     registry.away = True
     clock.now += POLL_S
-    asked = registry.asked
+    calls = registry.calls
     challenged.refresh()
-    assert registry.asked == asked + 1
+    assert registry.calls == calls + 1
     assert asked_for(registry, challenged, CHALLENGER) == (1, False)
 
 
@@ -563,12 +563,12 @@ def test_the_list_of_models_is_remembered_as_long_as_a_lookup(
 ) -> None:
     for number in range(20):
         registry.add(bundles["plain"], "champion", name=f"arm-{number}")
-    before = registry.asked
+    before = registry.calls
     listed = store.listed()
-    asked = registry.asked
-    assert asked - before > 20
+    calls = registry.calls
+    assert calls - before > 20
     assert store.listed() == listed
-    assert registry.asked == asked
+    assert registry.calls == calls
     registry.add(bundles["plain"], "champion", name="another")
     clock.now += 2.1
     assert {version.name for version in store.listed()} == {*(version.name for version in listed), "another"}

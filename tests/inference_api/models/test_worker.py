@@ -203,14 +203,14 @@ def test_no_error_and_no_line_of_the_log_tells_the_registrys_address_or_password
     caplog: pytest.LogCaptureFixture,
     kind: str,
 ) -> None:
-    told = b'{"error_code": "%s", "message": "http://user:secret@127.0.0.1:1/x, see /srv/mlruns/1"}'
+    body = b'{"error_code": "%s", "message": "http://user:secret@127.0.0.1:1/x, see /srv/mlruns/1"}'
     with ExitStack() as stack, caplog.at_level(logging.DEBUG):
         place = closed_place
         if kind != "closed":
             status, code = {"failing": (500, b"INTERNAL_ERROR"), "telling": (404, b"OTHER")}.get(
                 kind, (403, b"http://user:secret@127.0.0.1")
             )
-            server = strange_server(status, told % code, probe_is_well=kind != "failing")
+            server = strange_server(status, body % code, probe_is_well=kind != "failing")
             place = stack.enter_context(server).removeprefix("http://")
         store = store_of(make_worker(place), tmp_path, bundles["shipped"])
         store.refresh()

@@ -16,7 +16,7 @@ MODEL = "cspace-sampler@careful"
 ROWS = np.random.default_rng(0).uniform(-np.pi, np.pi, (30, 2)).astype("<f4")
 
 
-def asked(rows: NDArray[Any], datatype: str) -> dict[str, Any]:
+def tensor(rows: NDArray[Any], datatype: str) -> dict[str, Any]:
     """Configurations as an input with JSON numbers."""
     return {
         "name": "configurations",
@@ -35,7 +35,7 @@ def ask(
     **members: Any,
 ) -> httpx.Response:
     """The answer to a question about configurations."""
-    return infer(api, model, json={"inputs": [json_input(images), asked(rows, datatype)], **members})
+    return infer(api, model, json={"inputs": [json_input(images), tensor(rows, datatype)], **members})
 
 
 def test_confidences_are_those_of_the_other_page(api: ApiClient) -> None:
@@ -72,7 +72,7 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "one row alone": ({"rows": np.zeros(2, "<f4")}, "the input configurations does not fit"),
     "too many rows": ({"rows": np.zeros((20001, 2), "<f4")}, "n from 1 to 20000"),
     "another type": ({"datatype": "FP64"}, "expected FP32 of shape [n, 2], n from 1 to 20000"),
-    "several pictures": ({"images": IMAGES}, "configurations are asked about in one picture"),
+    "several pictures": ({"images": IMAGES}, "configurations are scored in one picture"),
     "a model without a head": ({"model": "cspace-sampler"}, "head"),
 }
 

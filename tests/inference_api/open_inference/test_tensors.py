@@ -70,8 +70,8 @@ def test_tensors_are_written_by_hand_computed_bytes() -> None:
         "b": np.array([7], np.int32),
         "c": np.array([2**64 - 1], np.uint64),
     }
-    asked = [{"name": "a", "parameters": BINARY}, {"name": "b"}, {"name": "c", "parameters": BINARY}]
-    head, tail = written(arrays, asked)
+    outputs = [{"name": "a", "parameters": BINARY}, {"name": "b"}, {"name": "c", "parameters": BINARY}]
+    head, tail = written(arrays, outputs)
     assert (head["model_name"], head["model_version"]) == ("m", "3")
     assert head["outputs"] == [
         {"name": "a", "datatype": "FP32", "shape": [1, 2], "parameters": {"binary_data_size": 8}},

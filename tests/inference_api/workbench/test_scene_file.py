@@ -22,7 +22,7 @@ goal: [-1.8, -0.5]
 """
 
 
-def told(bench: ApiClient, text: str) -> dict[str, Any]:
+def scene_file(bench: ApiClient, text: str) -> dict[str, Any]:
     answer = bench.post("/workbench/scene-file", json={"text": text})
     assert answer.status_code == 200, answer.text
     found: dict[str, Any] = answer.json()
@@ -35,7 +35,7 @@ def test_a_file_is_told_as_the_reader_has_it_with_what_it_leaves_out(
     path = tmp_path / "scene.yaml"
     path.write_text(TEXT)
     scene = read_scene_file(path)
-    found = told(bench, TEXT)
+    found = scene_file(bench, TEXT)
     assert found["robot"] == json.loads(json.dumps(scene.world.to_dict()["robot"]))
     assert found["obstacles"] == [
         {"x_m": 1.5, "y_m": 2.0, "radius_m": 0.4},
@@ -43,11 +43,11 @@ def test_a_file_is_told_as_the_reader_has_it_with_what_it_leaves_out(
     ]
     assert (found["start"], found["goal"]) == ([0.0, 0.4], [-1.8, -0.5])
     # What is told is a scene file again.
-    assert told(bench, json.dumps(found)) == found
+    assert scene_file(bench, json.dumps(found)) == found
 
 
 def test_ends_that_a_file_leaves_out_are_left_out(bench: ApiClient) -> None:
-    assert told(bench, TEXT.partition("start")[0]).keys() == {"robot", "obstacles"}
+    assert scene_file(bench, TEXT.partition("start")[0]).keys() == {"robot", "obstacles"}
 
 
 WRONG = {

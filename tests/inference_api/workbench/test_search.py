@@ -18,31 +18,31 @@ DISCS = [[2.5, 0.0, 0.5]]
 SCENE = Scenario(TWO_LINK, (Disc(2.5, 0.0, 0.5),))
 CHECKER = CollisionChecker(SCENE)
 START, GOAL = [1.2, 0.0], [-1.2, 0.0]
-ASKED: dict[str, Any] = {"discs": DISCS, "start": START, "goal": GOAL, "planner": "RRTConnect", "seed": "7"}
+REQUEST: dict[str, Any] = {"discs": DISCS, "start": START, "goal": GOAL, "planner": "RRTConnect", "seed": "7"}
 PLANNERS = ("RRT", "RRTConnect")
 
 
 def found(api: ApiClient, **fields: Any) -> dict[str, Any]:
-    answer = api.post("/workbench/search", json={**ASKED, **fields})
+    answer = api.post("/workbench/search", json={**REQUEST, **fields})
     assert answer.status_code == 200, answer.text
-    told: dict[str, Any] = answer.json()
-    return told
+    body: dict[str, Any] = answer.json()
+    return body
 
 
 @pytest.mark.parametrize("planner", PLANNERS)
 def test_a_way_leads_from_start_to_goal_and_is_free_by_an_independent_check(
     bench: ApiClient, planner: str
 ) -> None:
-    told = found(bench, planner=planner)
-    path = np.array(told["path"])
-    assert (told["status"], told["reason"]) == ("solved", None)
+    answer = found(bench, planner=planner)
+    path = np.array(answer["path"])
+    assert (answer["status"], answer["reason"]) == ("solved", None)
     np.testing.assert_allclose(path[[0, -1]], [START, GOAL], atol=1e-9)
     assert CHECKER.edge_batch(path[:-1], path[1:], 0.002).all()
-    assert told["way"]["free"] is True
-    assert told["length_rad"] == pytest.approx(TWO_LINK.space.distance(path[:-1], path[1:]).sum())
-    assert told["state_checks"] > told["edge_checks"] >= told["iterations"] > 0
+    assert answer["path_verdict"]["free"] is True
+    assert answer["length_rad"] == pytest.approx(TWO_LINK.space.distance(path[:-1], path[1:]).sum())
+    assert answer["state_checks"] > answer["edge_checks"] >= answer["iterations"] > 0
     # Every branch is free and leads to a root.
-    nodes, parents = np.array(told["nodes"]), np.array(told["parents"])
+    nodes, parents = np.array(answer["nodes"]), np.array(answer["parents"])
     children = np.flatnonzero(parents >= 0)
     assert len(nodes) - len(children) == {"RRT": 1, "RRTConnect": 2}[planner]
     assert len(children) > 3
@@ -52,38 +52,38 @@ def test_a_way_leads_from_start_to_goal_and_is_free_by_an_independent_check(
 
 def test_the_search_is_that_of_the_planners_command(bench: ApiClient) -> None:
     samples = np.random.default_rng(0).uniform(-3.0, 3.0, (40, 2))
-    told = found(bench, samples=samples.tolist(), max_iterations=5000)
+    answer = found(bench, samples=samples.tolist(), max_iterations=5000)
     settings = PlannerSettings(planner=SAMPLED_CONNECT, seed=7, max_iterations=5000)
     own = solve(Problem(SCENE, np.array(START), np.array(GOAL)), settings, samples)
-    assert told["iterations"] == own.iterations
-    assert told["learned_drawn"] == own.learned_drawn > 0
-    np.testing.assert_allclose(told["path"], own.path)
+    assert answer["iterations"] == own.iterations
+    assert answer["learned_drawn"] == own.learned_drawn > 0
+    np.testing.assert_allclose(answer["path"], own.path)
 
 
 @pytest.mark.parametrize("planner", PLANNERS)
 def test_states_about_a_way_that_is_free_are_all_that_is_needed(bench: ApiClient, planner: str) -> None:
     way = found(bench)["path"]
-    told = found(bench, planner=planner, ways=[way], seed=3, max_iterations=400)
-    assert told["status"] == "solved"
-    assert told["learned_drawn"] > 0.5 * told["iterations"]
+    answer = found(bench, planner=planner, paths=[way], seed=3, max_iterations=400)
+    assert answer["status"] == "solved"
+    assert answer["learned_drawn"] > 0.5 * answer["iterations"]
 
 
 @pytest.mark.parametrize("planner", PLANNERS)
 def test_the_budget_and_the_time_end_a_search_that_finds_nothing(bench: ApiClient, planner: str) -> None:
-    told = found(bench, planner=planner, max_iterations=2)
-    assert (told["status"], told["iterations"], told["path"]) == ("exhausted", 2, [])
-    assert "within 2 iterations" in told["reason"]
+    answer = found(bench, planner=planner, max_iterations=2)
+    assert (answer["status"], answer["iterations"], answer["path"]) == ("exhausted", 2, [])
+    assert "within 2 iterations" in answer["reason"]
     # A ring that nothing leads through.
     wall = [[3.4 * np.cos(at), 3.4 * np.sin(at), 0.7] for at in (0.6, -0.6, 2.5)]
-    told = found(bench, planner=planner, discs=wall, max_iterations=20_000, time_limit_s=0.01)
-    assert told["status"] in ("timeout", "solved")
-    if told["status"] == "timeout":
-        assert "within 0.01 s" in told["reason"]
+    answer = found(bench, planner=planner, discs=wall, max_iterations=20_000, time_limit_s=0.01)
+    assert answer["status"] in ("timeout", "solved")
+    if answer["status"] == "timeout":
+        assert "within 0.01 s" in answer["reason"]
 
 
 def test_an_end_that_collides_is_named(bench: ApiClient) -> None:
-    told = found(bench, start=[0.0, 0.0])
-    assert (told["status"], told["reason"], told["nodes"]) == ("refused", "the start collides", [])
+    answer = found(bench, start=[0.0, 0.0])
+    assert (answer["status"], answer["reason"], answer["nodes"]) == ("refused", "the start collides", [])
     assert found(bench, goal=[0.0, 0.0])["reason"] == "the goal collides"
 
 
@@ -91,8 +91,8 @@ WRONG: list[dict[str, Any]] = [
     {"planner": "PRM"},
     {"start": [0.0]},
     {"samples": [[0.0]]},
-    {"ways": [[]]},
-    {"ways": [[[0.0, 0.0]] * 2000] * 2},
+    {"paths": [[]]},
+    {"paths": [[[0.0, 0.0]] * 2000] * 2},
     {"max_iterations": 20_001},
     {"time_limit_s": 11},
     {"seed": -1},
@@ -101,11 +101,11 @@ WRONG: list[dict[str, Any]] = [
 
 def test_what_is_wrong_is_refused(bench: ApiClient) -> None:
     for wrong in WRONG:
-        assert_problem(bench.post("/workbench/search", json={**ASKED, **wrong}), 422, "invalid-value")
+        assert_problem(bench.post("/workbench/search", json={**REQUEST, **wrong}), 422, "invalid-value")
 
 
 def test_angles_beyond_the_limits_are_told_by_their_field(bench: ApiClient) -> None:
     row = [0.0, 1e5]
-    for field, value in {"start": row, "goal": row, "samples": [row], "ways": [[row]]}.items():
-        answer = bench.post("/workbench/search", json={**ASKED, field: value})
+    for field, value in {"start": row, "goal": row, "samples": [row], "paths": [[row]]}.items():
+        answer = bench.post("/workbench/search", json={**REQUEST, field: value})
         assert (answer.status_code, answer.json()["errors"][0]["field"]) == (422, field)

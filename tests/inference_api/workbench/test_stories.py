@@ -41,11 +41,11 @@ def test_an_entry_that_nobody_can_read_hides_no_version(
 ) -> None:
     registry.add(bundles["plain"], "champion")
     registry.set_tags(NAME, 1, {"decision.0001": "no JSON"})
-    told = start_bench(registry=registry).get("/workbench/models").json()
-    version = told["models"][0]
+    stories = start_bench(registry=registry).get("/workbench/models").json()
+    version = stories["models"][0]
     assert (version["reference"], version["link"]) == (f"{NAME}/1", None)
     assert "promoted" not in str(version["rows"])
-    assert told["champions"] == []
+    assert stories["champions"] == []
 
 
 def test_who_was_champion_is_told_with_the_reason_the_latest_first(

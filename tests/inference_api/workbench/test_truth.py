@@ -17,7 +17,7 @@ DISCS = [[2.5, 0.0, 1.0]]
 CHECKER = CollisionChecker(Scenario(TWO_LINK, (Disc(2.5, 0.0, 1.0),)))
 
 
-def told(api: ApiClient, **fields: Any) -> dict[str, Any]:
+def truth(api: ApiClient, **fields: Any) -> dict[str, Any]:
     answer = api.post("/workbench/truth", json={"discs": DISCS, "cells": CELLS, **fields})
     assert answer.status_code == 200, answer.text
     found: dict[str, Any] = answer.json()
@@ -25,7 +25,7 @@ def told(api: ApiClient, **fields: Any) -> dict[str, Any]:
 
 
 def test_regions_are_those_of_the_checks_joint_one_the_slower_axis(bench: ApiClient) -> None:
-    found = told(bench)
+    found = truth(bench)
     bits = np.unpackbits(np.frombuffer(base64.b64decode(found["free"]), np.uint8))
     centres = -np.pi + (np.arange(CELLS) + 0.5) * 2.0 * np.pi / CELLS
     grid = np.stack(np.meshgrid(centres, centres, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -36,35 +36,35 @@ def test_regions_are_those_of_the_checks_joint_one_the_slower_axis(bench: ApiCli
 
 def test_precision_and_coverage_are_those_of_what_is_shown(bench: ApiClient) -> None:
     # Straight into the disc, and straight away from it.
-    found = told(bench, configurations=[[0.0, 0.0], [3.0, 0.0]])
+    found = truth(bench, configurations=[[0.0, 0.0], [3.0, 0.0]])
     assert found["sample_free"] == [False, True]
     assert found["precision"] == 0.5
     # One ball of 0.2 rad on a torus of (2 pi)^2, most of it free.
     assert 0.0 < found["coverage"] < 0.02
     everywhere = np.random.default_rng(0).uniform(-np.pi, np.pi, (2000, 2))
-    assert told(bench, configurations=everywhere.tolist())["coverage"] > 0.95
+    assert truth(bench, configurations=everywhere.tolist())["coverage"] > 0.95
 
 
 def test_nothing_shown_has_neither_precision_nor_coverage_and_samples_that_collide_cover_nothing(
     bench: ApiClient,
 ) -> None:
-    found = told(bench)
-    assert (found["precision"], found["coverage"], found["way"]) == (None, None, None)
-    found = told(bench, configurations=[[0.0, 0.0]])
+    found = truth(bench)
+    assert (found["precision"], found["coverage"], found["path_verdict"]) == (None, None, None)
+    found = truth(bench, configurations=[[0.0, 0.0]])
     assert (found["precision"], found["coverage"]) == (0.0, 0.0)
 
 
 def test_a_way_is_judged_piece_by_piece(bench: ApiClient) -> None:
-    way = told(bench, path=[[2.0, 0.0], [1.0, 0.0], [-1.0, 0.0]])["way"]
+    way = truth(bench, path=[[2.0, 0.0], [1.0, 0.0], [-1.0, 0.0]])["path_verdict"]
     assert way["free"] is False
     assert way["edges"] == [True, False]
-    away = told(bench, path=[[2.0, 0.0], [3.0, 0.5]])["way"]
+    away = truth(bench, path=[[2.0, 0.0], [3.0, 0.5]])["path_verdict"]
     assert away["free"] is True
     assert away["clearance_m"] > 0.5
 
 
 def test_circles_are_taken_at_any_angle_within_a_turn(bench: ApiClient) -> None:
-    turned = told(bench, configurations=[[2.0 * np.pi, 0.0], [3.0 - 2.0 * np.pi, 0.0]])
+    turned = truth(bench, configurations=[[2.0 * np.pi, 0.0], [3.0 - 2.0 * np.pi, 0.0]])
     assert turned["sample_free"] == [False, True]
 
 

@@ -36,7 +36,7 @@ def registered(tracking, registry, folder, scale=1.0):
     return registry.register("m", bundle.folder, run.run_id, bundle.digest, {})
 
 
-def judged(tracking, version, rows=(), **metrics):
+def evaluated(tracking, version, rows=(), **metrics):
     """An evaluation of a version."""
     with tracking.start(
         "cspace-sampler",
@@ -54,8 +54,8 @@ def judged(tracking, version, rows=(), **metrics):
 def test_versions_stand_side_by_side_with_limits_and_gaps(tracking, registry, tmp_path):
     first = registered(tracking, registry, tmp_path / "a")
     second = registered(tracking, registry, tmp_path / "b", 0.5)
-    judged(tracking, first, ROWS)
-    judged(tracking, second, ROWS[:1])
+    evaluated(tracking, first, ROWS)
+    evaluated(tracking, second, ROWS[:1])
     found = [find(text, tracking, registry) for text in ("m/1", "m/2")]
     assert [one.title for one in found] == ["m/1", "m/2"]
     header, *rows = compare_table(found)
@@ -69,14 +69,14 @@ def test_versions_stand_side_by_side_with_limits_and_gaps(tracking, registry, tm
 
 def test_the_last_evaluation_of_a_version_counts(tracking, registry, tmp_path):
     version = registered(tracking, registry, tmp_path / "a")
-    judged(tracking, version, ROWS)
-    last = judged(tracking, version, ROWS[:1])
+    evaluated(tracking, version, ROWS)
+    last = evaluated(tracking, version, ROWS[:1])
     assert find("m/1", tracking, registry).run.run_id == last
 
 
 def test_a_run_is_compared_by_its_own_evaluation_or_its_job_s(tracking, registry, tmp_path):
     version = registered(tracking, registry, tmp_path / "a")
-    run_id = judged(tracking, version, ROWS)
+    run_id = evaluated(tracking, version, ROWS)
     runs = tracking
     assert {find(one, runs, registry).run.run_id for one in (run_id, version.run_id)} == {run_id}
 
@@ -93,7 +93,7 @@ def test_what_was_never_evaluated_is_told_with_what_to_do(tracking, registry, tm
 
 def test_a_table_that_is_none_is_an_error_of_the_registry(tracking, registry, tmp_path):
     version = registered(tracking, registry, tmp_path / "a")
-    judged(tracking, version, ROWS)
+    evaluated(tracking, version, ROWS)
     for text in ("[" * 10_000, "{}", '{"columns": ["split"], "data": [[1, 2]]}'):
         with pytest.raises(RegistryError, match="damaged table"):
             find("m/1", Damaged(tracking, text), registry)
@@ -115,7 +115,7 @@ class Damaged(FakeTracking):
 
 def test_it_is_kept_as_text_as_markdown_and_as_csv(tracking, registry, tmp_path):
     version = registered(tracking, registry, tmp_path / "a")
-    run_id = judged(tracking, version, ROWS)
+    run_id = evaluated(tracking, version, ROWS)
     found = [find("m/1", tracking, registry)]
     write_comparison(found, tmp_path / "out")
     text, table = ((tmp_path / "out" / f"comparison.{end}").read_text() for end in ("txt", "md"))

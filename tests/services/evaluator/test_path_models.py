@@ -130,7 +130,7 @@ def test_path_models_have_planning_units_alone(made):
         Kind.PLANNING
     }
     setting = Setting(PlanarWorld(TWO_LINK, Camera()), 0, FEW, paths=True)
-    with pytest.raises(EvaluationError, match="judged by planning"):
+    with pytest.raises(EvaluationError, match="evaluated by planning"):
         run_unit(Unit(Kind.RECONSTRUCTION, Split.TEST, 0, 1), setting, BundleSampler(made))
     result = run_unit(Unit(Kind.PLANNING, Split.TEST, 0, 1, Family.NARROW), setting, BundleSampler(made))
     (row,) = result.rows

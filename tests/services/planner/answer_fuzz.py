@@ -80,22 +80,24 @@ def fuzz(kind: str, seed: int, time_s: float) -> Counter[str]:
     return found
 
 
-def _outcome(sample: Callable[[], SampleBatch], told: str) -> str:
+def _outcome(sample: Callable[[], SampleBatch], description: str) -> str:
     began = time.monotonic()
     try:
         found: SampleBatch | SamplerError = sample()
     except SamplerError as error:
         found = error
     except Exception as error:
-        raise AssertionError(told) from error
-    assert time.monotonic() - began < DEADLINE_S + MARGIN_S, told
+        raise AssertionError(description) from error
+    assert time.monotonic() - began < DEADLINE_S + MARGIN_S, description
     if isinstance(found, SampleBatch):
-        assert (found.seed, found.fallback, len(found.samples)) == (SEED, False, N - found.shortfall), told
-        assert np.all(np.abs(found.samples.astype(np.float64)) <= np.pi), told
+        assert (found.seed, found.fallback, len(found.samples)) == (SEED, False, N - found.shortfall), (
+            description
+        )
+        assert np.all(np.abs(found.samples.astype(np.float64)) <= np.pi), description
     else:
-        assert str(found).isprintable(), told
+        assert str(found).isprintable(), description
         # What the client catches of its own making would hide behind an endpoint that is away.
-        assert isinstance(found.__cause__, httpx.TransportError | TimeoutError | None), told
+        assert isinstance(found.__cause__, httpx.TransportError | TimeoutError | None), description
     return type(found).__name__
 
 

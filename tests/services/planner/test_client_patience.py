@@ -30,7 +30,7 @@ def good() -> httpx.Response:
     return httpx.Response(200, headers=GOOD_HEADERS, content=npy(SAMPLES))
 
 
-class Asked:
+class Client:
     """A client over answers in order, with what it sent and how long it would have paused."""
 
     def __init__(self, kind: str, pauses: list[float]) -> None:
@@ -67,7 +67,7 @@ class Asked:
 
 
 @pytest.fixture(params=["sync", "async"])
-def ask(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Asked:
+def ask(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Client:
     pauses: list[float] = []
 
     async def pause(seconds: float) -> None:
@@ -84,7 +84,7 @@ def ask(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Aske
 
     monkeypatch.setattr(clients, "time", Time)
     monkeypatch.setattr(clients, "anyio", Anyio)
-    return Asked(request.param, pauses)
+    return Client(request.param, pauses)
 
 
 AGAIN: dict[str, Callable[[], httpx.Response | Exception]] = {
@@ -100,7 +100,7 @@ AGAIN: dict[str, Callable[[], httpx.Response | Exception]] = {
 
 
 @pytest.mark.parametrize("name", AGAIN)
-def test_what_may_pass_is_tried_again_as_the_same_request(ask: Asked, name: str) -> None:
+def test_what_may_pass_is_tried_again_as_the_same_request(ask: Client, name: str) -> None:
     batch = ask(AGAIN[name](), AGAIN[name](), good())
     assert np.array_equal(batch.samples, SAMPLES)
     assert batch.fallback is False
@@ -113,7 +113,7 @@ def test_what_may_pass_is_tried_again_as_the_same_request(ask: Asked, name: str)
 
 
 @pytest.mark.parametrize("name", ["503", "refused"])
-def test_the_last_failure_is_told_when_all_attempts_are_spent(ask: Asked, name: str) -> None:
+def test_the_last_failure_is_told_when_all_attempts_are_spent(ask: Client, name: str) -> None:
     with pytest.raises(SamplerUnavailableError):
         ask(*(AGAIN[name]() for _ in range(3)))
     assert (len(ask.requests), len(ask.pauses)) == (3, 2)
@@ -124,7 +124,7 @@ def test_the_last_failure_is_told_when_all_attempts_are_spent(ask: Asked, name: 
     [(422, False), (401, False), (500, True), (504, True), (200, True), (302, True)],
     ids=["wrong", "no key", "failed", "gateway is late", "no array", "elsewhere"],
 )
-def test_what_will_come_again_is_not_tried_again(ask: Asked, answer: tuple[int, bool]) -> None:
+def test_what_will_come_again_is_not_tried_again(ask: Client, answer: tuple[int, bool]) -> None:
     status, as_good_as_none = answer
     with pytest.raises(SamplerError) as caught:
         ask(httpx.Response(status, content=b"?"))
@@ -132,13 +132,13 @@ def test_what_will_come_again_is_not_tried_again(ask: Asked, answer: tuple[int, 
     assert (len(ask.requests), ask.pauses) == (1, [])
 
 
-def test_a_server_that_works_too_long_is_not_given_the_work_again(ask: Asked) -> None:
+def test_a_server_that_works_too_long_is_not_given_the_work_again(ask: Client) -> None:
     with pytest.raises(SamplerUnavailableError, match="in time"):
         ask(httpx.ReadTimeout("late"))
     assert len(ask.requests) == 1
 
 
-def test_retry_after_is_honoured_up_to_the_deadline(ask: Asked) -> None:
+def test_retry_after_is_honoured_up_to_the_deadline(ask: Client) -> None:
     ask(httpx.Response(429, headers={"Retry-After": "3"}), good())
     assert ask.pauses == [3.0]
     with pytest.raises(SamplerUnavailableError):
@@ -146,14 +146,14 @@ def test_retry_after_is_honoured_up_to_the_deadline(ask: Asked) -> None:
     assert (len(ask.requests), len(ask.pauses)) == (3, 1)
 
 
-def test_two_drawn_seeds_differ(ask: Asked) -> None:
+def test_two_drawn_seeds_differ(ask: Client) -> None:
     ask(good())
     ask(good())
     seeds = [read_form(one.headers["content-type"], one.content)["seed"] for one in ask.requests]
     assert seeds[0] != seeds[1]
 
 
-def test_the_key_is_sent_and_never_told(ask: Asked) -> None:
+def test_the_key_is_sent_and_never_told(ask: Client) -> None:
     ask(good(), api_key="s3cret")
     ask(good())
     assert [one.headers.get("authorization") for one in ask.requests] == ["Bearer s3cret", None]
@@ -163,7 +163,7 @@ def test_the_key_is_sent_and_never_told(ask: Asked) -> None:
         assert not wrong or "s3cr" not in str(caught.value)
 
 
-def test_connecting_and_reading_have_time_limits_of_their_own(ask: Asked) -> None:
+def test_connecting_and_reading_have_time_limits_of_their_own(ask: Client) -> None:
     ask(good(), timeout_s=9.0, connect_timeout_s=0.5)
     ask(good(), timeout_s=60.0)
     first, second = (one.extensions["timeout"] for one in ask.requests)
@@ -174,7 +174,7 @@ def test_connecting_and_reading_have_time_limits_of_their_own(ask: Asked) -> Non
         ask(good(), connect_timeout_s=0.0)
 
 
-def test_the_fallback_answers_with_the_same_seed_while_the_server_is_away(ask: Asked) -> None:
+def test_the_fallback_answers_with_the_same_seed_while_the_server_is_away(ask: Client) -> None:
     source = FakeSampleSource()
     batch = ask(*(httpx.Response(503) for _ in range(3)), fallback=source)
     assert (batch.fallback, batch.digest, len(batch.samples)) == (True, DIGEST, 2)
@@ -183,7 +183,7 @@ def test_the_fallback_answers_with_the_same_seed_while_the_server_is_away(ask: A
     assert source.requests[0].image_png == PNG
 
 
-def test_the_fallback_is_not_asked_when_the_server_refuses_or_answers(ask: Asked) -> None:
+def test_the_fallback_is_not_asked_when_the_server_refuses_or_answers(ask: Client) -> None:
     source = FakeSampleSource()
     assert ask(good(), fallback=source).fallback is False
     with pytest.raises(SamplerError, match="422"):
@@ -191,12 +191,12 @@ def test_the_fallback_is_not_asked_when_the_server_refuses_or_answers(ask: Asked
     assert source.requests == []
 
 
-def test_a_fallback_that_has_no_answer_leaves_the_server_s_absence_to_be_told(ask: Asked) -> None:
+def test_a_fallback_that_has_no_answer_leaves_the_server_s_absence_to_be_told(ask: Client) -> None:
     with pytest.raises(SamplerUnavailableError, match="503"):
         ask(*(httpx.Response(503) for _ in range(3)), fallback=FakeSampleSource(ready=False))
 
 
-def test_a_bundle_stands_in_for_a_server_that_is_not_there(ask: Asked, tmp_path: Path) -> None:
+def test_a_bundle_stands_in_for_a_server_that_is_not_there(ask: Client, tmp_path: Path) -> None:
     local = LocalSampler(write_tiny_bundle(tmp_path / "bundle"))
     batch = ask.over("http://127.0.0.1:9", policy=POLICY, fallback=local)
     again = local.sample(PNG, 2, seed=batch.seed)

@@ -28,7 +28,7 @@ CASES += [("async", name) for name in ATTACKS if name.startswith(("never done", 
 kinds = pytest.mark.parametrize("kind", KINDS)
 
 
-def asked(kind: str, url: str, png: bytes = PNG, times: int = 1, **options: object) -> SampleBatch:
+def sampled(kind: str, url: str, png: bytes = PNG, times: int = 1, **options: object) -> SampleBatch:
     policy = {"timeout_s": 10.0, "policy": PATIENT}
     return ask(kind, url, png, N, times=times, options=policy | options, seed=SEED)
 
@@ -44,11 +44,11 @@ def refused(kind: str, name: str) -> None:
     with hostile_server(ATTACKS[name]) as server:
         began = time.monotonic()
         with pytest.raises(expected) as caught:
-            asked(kind, server.url, policy=policy_for(name))
+            sampled(kind, server.url, policy=policy_for(name))
         assert time.monotonic() - began < DEADLINE_S + MARGIN_S
-    told = str(caught.value)
-    assert told.isprintable()
-    assert len(told) < 1500
+    message = str(caught.value)
+    assert message.isprintable()
+    assert len(message) < 1500
 
 
 @pytest.mark.parametrize(("kind", "name"), CASES)
@@ -79,7 +79,7 @@ def test_an_answer_without_end_takes_no_memory_to_speak_of(kind: str, name: str)
 def test_whatever_comes_the_fallback_answers_within_the_deadline(kind: str, name: str) -> None:
     with hostile_server(ATTACKS[name]) as server:
         began = time.monotonic()
-        batch = asked(kind, server.url, policy=policy_for(name), fallback=FakeSampleSource())
+        batch = sampled(kind, server.url, policy=policy_for(name), fallback=FakeSampleSource())
         assert time.monotonic() - began < DEADLINE_S + MARGIN_S
     assert (batch.fallback, batch.digest, batch.seed) == (True, DIGEST, SEED)
 
@@ -88,7 +88,7 @@ def test_whatever_comes_the_fallback_answers_within_the_deadline(kind: str, name
 @pytest.mark.parametrize("name", ["body: no number", "head: another seed", "endless: tiny chunks"])
 def test_no_request_follows_on_the_connection_of_an_answer_that_was_refused(kind: str, name: str) -> None:
     with hostile_server(ATTACKS[name]) as server:
-        asked(kind, server.url, times=3, fallback=FakeSampleSource())
+        sampled(kind, server.url, times=3, fallback=FakeSampleSource())
     assert (server.connections, len(server.heads)) == (3, 3)
 
 
@@ -97,7 +97,7 @@ def test_connections_of_whole_answers_go_on_being_used_for_bodies_as_they_are_an
     kind: str,
 ) -> None:
     with hostile_server(plays(whole(Set_Cookie="a=b; Path=/"))) as server:
-        batch = asked(kind, server.url, times=5)
+        batch = sampled(kind, server.url, times=5)
     assert (batch.samples.shape, batch.seed, batch.fallback) == ((N, 2), SEED, False)
     assert (server.connections, len(server.heads)) == (1, 5)
     for head in server.heads:
@@ -113,7 +113,7 @@ def test_a_refusal_of_the_request_is_the_caller_s_affair_and_no_fallback_s(kind:
     source = FakeSampleSource()
     answer = problem(f"{status} No", {"title": ANSI, "detail": "why"})
     with hostile_server(plays(answer)) as server, pytest.raises(SamplerError, match="why") as caught:
-        asked(kind, server.url, fallback=source)
+        sampled(kind, server.url, fallback=source)
     assert not isinstance(caught.value, SamplerUnavailableError)
     assert str(caught.value).isprintable()
     assert source.requests == []
@@ -148,5 +148,5 @@ def test_a_request_or_a_handshake_that_never_ends_is_left_at_the_deadline(
     with hostile_server(script, reads=False) as server:
         began = time.monotonic()
         url = server.url.replace("http", scheme)
-        assert asked(kind, url, png, policy=HASTY, fallback=FakeSampleSource()).fallback
+        assert sampled(kind, url, png, policy=HASTY, fallback=FakeSampleSource()).fallback
         assert time.monotonic() - began < DEADLINE_S + MARGIN_S

@@ -9,7 +9,7 @@ from cspace.worlds.planar.free_grid import PathFinder
 from cspace.worlds.planar.problems import Family, bottleneck_rad, connected
 from cspace.worlds.planar.world import Scenario
 from services.planner.ompl_planner import solve
-from services.planner.result import Reason, judge_path
+from services.planner.result import Reason, check_path
 from services.planner.settings import PlannerSettings
 
 # Nearly a whole turn, beyond half a turn, and more than a turn.
@@ -54,7 +54,7 @@ def test_paths_do_not_go_round_limited_joints(task, planner, learned):
     gone = space.difference(result.path[:-1], result.path[1:])[:, 0]
     assert gone.sum() == pytest.approx(task.goal[0] - task.start[0], abs=1e-5)
     np.testing.assert_allclose(np.diff(result.path[:, 0]), gone)
-    assert judge_path(task, result.path, settings.resolution_rad) == Reason.SOLVED
+    assert check_path(task, result.path, settings.resolution_rad) == Reason.SOLVED
     assert result.length_rad >= task.goal[0] - task.start[0] - 1e-5
 
 

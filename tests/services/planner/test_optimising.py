@@ -53,9 +53,9 @@ def test_the_first_entry_is_the_solution_at_which_the_planner_may_stop(going_on,
     first = solve(other_narrow, PlannerSettings(planner, seed=2))
     assert first.solved
     assert [point.length_rad for point in first.costs] == [pytest.approx(first.length_rad, abs=1e-8)]
-    told = further.costs[0]
-    assert (told.iterations, told.edge_checks) == (first.costs[0].iterations, first.costs[0].edge_checks)
-    assert told.length_rad == first.costs[0].length_rad
+    entry = further.costs[0]
+    assert (entry.iterations, entry.edge_checks) == (first.costs[0].iterations, first.costs[0].edge_checks)
+    assert entry.length_rad == first.costs[0].length_rad
     assert further.length_rad < first.length_rad
 
 

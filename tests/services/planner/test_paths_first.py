@@ -13,13 +13,13 @@ from services.planner.rrt_connect import solve_with_paths
 from services.planner.settings import SAMPLED_CONNECT, PlannerSettings
 
 WORLD = examples()["two-link"]
-SHOP = simulator_of(WORLD)
+SIMULATOR = simulator_of(WORLD)
 SETTINGS = PlannerSettings(planner=SAMPLED_CONNECT, max_iterations=20_000, seed=3)
 
 
 @pytest.fixture(scope="module")
 def problem():
-    return SHOP.problem("narrow", Split.VALIDATION, 0, 1)
+    return SIMULATOR.problem("narrow", Split.VALIDATION, 0, 1)
 
 
 @pytest.fixture(scope="module")

@@ -36,7 +36,7 @@ def test_what_the_first_search_took_counts_as_well(monkeypatch):
     problem = draw_problem(Family.UNIFORM, Split.DEMO, 31, 0)
     single = solve(problem, SETTINGS)
     verdicts = iter([Reason.REJECTED, Reason.SOLVED])
-    monkeypatch.setattr(result, "judge_path", lambda *_: next(verdicts))
+    monkeypatch.setattr(result, "check_path", lambda *_: next(verdicts))
     both = solve(problem, SETTINGS)
     assert both.solved
     assert both.iterations > single.iterations

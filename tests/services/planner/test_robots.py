@@ -34,19 +34,19 @@ class Server:
     """Answers as a release of today, or as an earlier one that knows no such field."""
 
     def __init__(self, *, knows: bool = True, **headers: str) -> None:
-        self.asked: list[dict[str, list[bytes]]] = []
+        self.requests: list[dict[str, list[bytes]]] = []
         self._knows, self._headers = knows, headers
 
     def handle(self, request: httpx.Request) -> httpx.Response:
-        self.asked.append(fields := read_form(request.headers["content-type"], request.read()))
+        self.requests.append(fields := read_form(request.headers["content-type"], request.read()))
         if "robot" in fields and not self._knows:
             return httpx.Response(422, json=OLDER, headers={"Content-Type": "application/problem+json"})
-        told = {**GOOD_HEADERS, "X-Seed": fields["seed"][0].decode(), **self._headers}
-        return httpx.Response(200, headers=told, content=GOOD_BODY)
+        headers = {**GOOD_HEADERS, "X-Seed": fields["seed"][0].decode(), **self._headers}
+        return httpx.Response(200, headers=headers, content=GOOD_BODY)
 
     @property
     def robots(self) -> list[bytes | None]:
-        return [fields.get("robot", [None])[0] for fields in self.asked]
+        return [fields.get("robot", [None])[0] for fields in self.requests]
 
 
 def batch_of(server, robot=None, kind="sync", **question):

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.stats import mannwhitneyu
 
-from cspace.planning.rrt_connect import BLOCK, Trees, drawn_states
+from cspace.planning.rrt_connect import BLOCK, Trees, sampled_states
 from cspace.worlds.planar.checks import CollisionChecker
 from services.planner.ompl_planner import solve
 from services.planner.result import Reason
@@ -45,13 +45,13 @@ def test_no_step_is_longer_than_the_range_and_every_edge_is_free(blocked):
 def test_given_samples_are_drawn_in_their_order_and_once_each(blocked):
     space = blocked.scenario.robot.space
     samples = np.random.default_rng(0).uniform(-9.0, 9.0, (40, 2))
-    states, learned = drawn_states(space, samples, 0.5, 20_000, np.random.default_rng(3))
+    states, learned = sampled_states(space, samples, 0.5, 20_000, np.random.default_rng(3))
     np.testing.assert_allclose(states[learned], space.wrap(samples))
     assert 50 < np.flatnonzero(learned)[-1] < 120
-    states, learned = drawn_states(space, samples, 0.0, 10, np.random.default_rng(3))
+    states, learned = sampled_states(space, samples, 0.0, 10, np.random.default_rng(3))
     assert learned.all()
     np.testing.assert_allclose(states, space.wrap(samples[:10]))
-    assert not drawn_states(space, None, 0.0, 10, np.random.default_rng(3))[1].any()
+    assert not sampled_states(space, None, 0.0, 10, np.random.default_rng(3))[1].any()
 
 
 def test_samples_along_the_path_are_all_that_is_needed(blocked):

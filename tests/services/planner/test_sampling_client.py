@@ -49,8 +49,8 @@ def test_a_good_answer_becomes_a_batch():
     assert np.array_equal(batch.samples, GOOD)
     assert (batch.model_name, batch.model_version, batch.digest) == ("cspace-sampler", 3, "ab" * 32)
     assert (batch.seed, batch.shortfall, batch.novelty, batch.acceptance) == (SEED, 0, None, None)
-    told = client_of(answer_of(X_Novelty="0.25", X_Acceptance="0.5")).sample(PNG, 2, seed=SEED)
-    assert (told.novelty, told.acceptance) == (0.25, 0.5)
+    batch = client_of(answer_of(X_Novelty="0.25", X_Acceptance="0.5")).sample(PNG, 2, seed=SEED)
+    assert (batch.novelty, batch.acceptance) == (0.25, 0.5)
 
 
 def test_a_batch_from_which_all_samples_were_dropped_is_empty():

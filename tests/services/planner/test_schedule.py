@@ -75,11 +75,11 @@ def test_the_union_comes_through_the_api_in_equal_shares_and_in_its_order(handle
 
 
 def test_the_command_sends_schedule_and_ends_to_a_path_model(path_bundle, capsys):
-    asked = []
+    queries = []
 
     class Noted(LocalSampler):
         def answer(self, picture, query, model=None):
-            asked.append(query)
+            queries.append(query)
             return super().answer(picture, query, model)
 
     arguments = ["--family", "uniform", "--seed", "7", "--n", str(N), "--path-model", "--json"]
@@ -88,6 +88,6 @@ def test_the_command_sends_schedule_and_ends_to_a_path_model(path_bundle, capsys
         command.main(["--api", server.url, *arguments, "--epsilon-sigma", *schedule])
     outcome = json.loads(capsys.readouterr().out)
     assert outcome["samples"]["count"] == N
-    assert asked[0].epsilon_sigma == PAPER_SCHEDULE
-    assert list(asked[0].start) == outcome["problem"]["start"]
-    assert list(asked[0].goal) == outcome["problem"]["goal"]
+    assert queries[0].epsilon_sigma == PAPER_SCHEDULE
+    assert list(queries[0].start) == outcome["problem"]["start"]
+    assert list(queries[0].goal) == outcome["problem"]["goal"]

@@ -16,9 +16,9 @@ def test_the_clock_starts_with_the_first_question():
     assert rule.reason is Reason.TIME_LIMIT
 
 
-def test_drawn_states_are_counted_where_a_question_is_no_iteration():
-    drawn = iter([0, 0, 100, 205, 205])
-    rule = StoppingRule(200, 100.0, clock=lambda: 0.0, drawn=lambda: next(drawn))
+def test_sampled_states_are_counted_where_a_question_is_no_iteration():
+    counts = iter([0, 0, 100, 205, 205])
+    rule = StoppingRule(200, 100.0, clock=lambda: 0.0, sample_count=lambda: next(counts))
     assert [rule() for _ in range(4)] == [False, False, False, True]
     assert rule.iterations == 205
     assert rule.reason is Reason.ITERATION_LIMIT

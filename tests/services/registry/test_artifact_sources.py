@@ -20,12 +20,12 @@ class Registry:
     """Names any source, and leads requests for artifacts to another server."""
 
     def __init__(self) -> None:
-        self.source, self.asked = "", list[str]()
+        self.source, self.paths = "", list[str]()
         outer = self
 
         class Handler(BaseHTTPRequestHandler):
             def do_GET(self) -> None:
-                outer.asked.append(self.path)
+                outer.paths.append(self.path)
                 if "mlflow-artifacts" in self.path:
                     self.send_response(302)
                     self.send_header("Location", f"{outer.address}/elsewhere")
@@ -67,16 +67,16 @@ def test_a_bundle_is_fetched_from_no_place_of_the_registrys_choice(
     with pytest.raises(RegistryError, match="artifact store"):
         MlflowRegistry(registry.address).download(VERSION, tmp_path / "bundle")
     assert not (tmp_path / "bundle").exists()
-    assert "elsewhere" not in "".join(registry.asked)
-    assert "/x" not in registry.asked
+    assert "elsewhere" not in "".join(registry.paths)
+    assert "/x" not in registry.paths
 
 
 def test_a_redirect_of_the_artifact_store_is_not_followed(registry: Registry, tmp_path: Path) -> None:
     registry.source = "mlflow-artifacts:/1/models/m"
     with pytest.raises(RegistryError):
         MlflowRegistry(registry.address).download(VERSION, tmp_path / "bundle")
-    assert any("mlflow-artifacts" in path for path in registry.asked)
-    assert "/elsewhere" not in registry.asked
+    assert any("mlflow-artifacts" in path for path in registry.paths)
+    assert "/elsewhere" not in registry.paths
 
 
 @pytest.mark.parametrize(

@@ -113,8 +113,8 @@ def test_the_version_that_was_left_bears_the_date_until_it_is_promoted_again(reg
     assert tagged(registry) == []
     roll_back(registry, NAME, "worse in the field")
     today = datetime.now(UTC)
-    told = datetime.fromisoformat(version(registry, 3).tags[TAG_ROLLED_BACK])
-    assert abs((today - told).total_seconds()) < 3600
+    left = datetime.fromisoformat(version(registry, 3).tags[TAG_ROLLED_BACK])
+    assert abs((today - left).total_seconds()) < 3600
     roll_back(registry, NAME, "that one as well")
     assert tagged(registry) == [3, 2]
     # Whatever makes a version champion takes the date off, and a refusal does not.

@@ -36,13 +36,13 @@ class Line:
             patch.setattr(MlflowClient, name, self._cut(getattr(MlflowClient, name)))
 
     def _cut(self, call):
-        def asked(*args, **kwargs):
+        def refuse(*args, **kwargs):
             if self.away:
                 self.refused += 1
                 raise requests.ConnectionError("cut off")
             return call(*args, **kwargs)
 
-        return asked
+        return refuse
 
     def tracking(self, *, buffer_size: int = 1, **options: float) -> MlflowTracking:
         clock = lambda: self.now_s  # noqa: E731 - of this line

@@ -41,8 +41,10 @@ def test_user_and_password_go_and_the_rest_stays(text: str, expected: str) -> No
     ],
 )
 def test_addresses_hosts_and_paths_go(text: str) -> None:
-    told = anonymous(text)
-    assert not [word for word in ("secret", "host.example", "127.0", "10.0.0", "::1", "srv") if word in told]
+    scrubbed = anonymous(text)
+    assert not [
+        word for word in ("secret", "host.example", "127.0", "10.0.0", "::1", "srv") if word in scrubbed
+    ]
 
 
 def test_our_own_words_stay() -> None:

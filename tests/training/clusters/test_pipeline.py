@@ -197,8 +197,8 @@ def test_a_grown_data_set_is_trained_on_from_the_weights_of_a_version(server, da
     bundle = bundle_of(server, MODEL_NAME, tuned["version"], tmp_path / "bundle")
     assert bundle.spec.looks_at_picture
     assert bundle.sample(WHITE, 9, 1, min_confidence=0.0).samples.shape == (9, 2)
-    told = bundle.spec.provenance.config
-    assert (told["start_from"], told[TAG_START]) == (reference, first["run_id"])
+    config = bundle.spec.provenance.config
+    assert (config["start_from"], config[TAG_START]) == (reference, first["run_id"])
     version = MlflowRegistry(server).version(MODEL_NAME, tuned["version"])
     assert version.tags[TAG_START] == first["run_id"]
     run = client.get_run(tuned["run_id"])

@@ -12,11 +12,11 @@ from cspace.bundle import Bundle
 from tests.bundles import write_tiny_bundle
 from training.clusters.calibration import Scored
 from training.clusters.proposals import (
-    DRAWN,
+    SAMPLED,
     Costs,
     choose_proposals,
+    evaluate,
     first_turn,
-    judged,
     proposal_costs,
     proposal_pools,
 )
@@ -40,15 +40,15 @@ def pools(drawn, learned_right=1.0, uniform_right=1.0):
     for pool in drawn:
         rng = np.random.default_rng(len(found))
         scene = pool.scene
-        learned = scene.space.to_float32(scene.free(DRAWN, rng))
+        learned = scene.space.to_float32(scene.free(SAMPLED, rng))
         free = scene.checker.valid_batch(pool.uniform)
         found.append(
             replace(
                 pool,
                 learned=learned,
-                learned_scored=Scored(np.full(DRAWN, 0.9), rng.random(DRAWN) < learned_right),
+                learned_scored=Scored(np.full(SAMPLED, 0.9), rng.random(SAMPLED) < learned_right),
                 uniform_scored=Scored(
-                    np.where(free, 0.9, np.where(rng.random(DRAWN) < uniform_right, 0.1, 0.6)), free
+                    np.where(free, 0.9, np.where(rng.random(SAMPLED) < uniform_right, 0.1, 0.6)), free
                 ),
             )
         )
@@ -91,9 +91,9 @@ def test_a_mixture_of_which_too_little_passes_is_none(drawn):
 def test_what_gives_fewer_samples_than_the_generator_is_none(drawn):
     few = []
     for pool in pools(drawn):
-        confidence = np.where(np.arange(DRAWN) % 10 == 0, pool.uniform_scored.confidence, 0.1)
+        confidence = np.where(np.arange(SAMPLED) % 10 == 0, pool.uniform_scored.confidence, 0.1)
         few.append(replace(pool, uniform_scored=Scored(confidence, pool.uniform_scored.free)))
-    assert judged(few, COSTS, 1.0, 0.5).missing.min() > 0.0
+    assert evaluate(few, COSTS, 1.0, 0.5).missing.min() > 0.0
     assert choose_proposals(few, COSTS, THRESHOLDS, 0.0).share < 1.0
 
 

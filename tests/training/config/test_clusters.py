@@ -109,9 +109,9 @@ def test_the_free_share_is_the_worlds_unless_it_is_given(monkeypatch, tmp_path):
     assert TrainConfig.model_validate(given.to_dict()) == given
     # What does not fit is told by its own name: a folder where it is used, a robot here.
     assert load_config("smoke", [f"data_folder={tmp_path}"]).validity.free_share == 0.25
-    with pytest.raises(ConfigError, match=r"data\.robot") as told:
+    with pytest.raises(ConfigError, match=r"data\.robot") as raised:
         load_config("smoke", ["data.robot.link_lengths_m=[]"])
-    assert "free_share" not in str(told.value)
+    assert "free_share" not in str(raised.value)
 
 
 def test_the_free_share_of_own_data_is_that_of_their_world(monkeypatch, tmp_path):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import ray
 
-from cspace.dataset import TOLD, open_dataset
+from cspace.dataset import ATTRIBUTES, open_dataset
 from cspace.errors import DamagedFileError, DatasetError, StorageError
 from cspace.worlds import simulator_of
 from cspace.worlds.planar.arm import PlanarArm
@@ -185,15 +185,15 @@ def test_proposals_are_kept_all_with_their_clearance_and_origin(tmp_path, monkey
         counts.add((len(free), len(hit)))
         assert len(free) + len(hit) == 30
         origins = np.concatenate(
-            [dataset.told_of(f"{side}_origin", scenario) for side in ("free", "collision")]
+            [dataset.attribute_of(f"{side}_origin", scenario) for side in ("free", "collision")]
         )
         assert np.bincount(origins).tolist() == [15, 15]
     assert len(counts) > 1
     for side, sign in (("free", 1), ("collision", -1)):
         rows = dataset.free_of(2) if side == "free" else dataset.collision_of(2)
-        told = dataset.told_of(f"{side}_clearance", 2)
-        np.testing.assert_allclose(told, checker.clearance(rows), atol=1e-5)
-        assert (sign * told >= 0.0).all()
+        clearance = dataset.attribute_of(f"{side}_clearance", 2)
+        np.testing.assert_allclose(clearance, checker.clearance(rows), atol=1e-5)
+        assert (sign * clearance >= 0.0).all()
     near = dataset.arrays["free_clearance"][dataset.arrays["free_origin"] == 1]
     assert (near <= 0.1 + 1e-5).all()
 
@@ -202,7 +202,7 @@ def test_samplers_learn_from_what_was_drawn_uniformly(tmp_path, monkeypatch):
     HereInsteadOfRay(monkeypatch)
     dataset = generate(PROPOSED, tmp_path / "data")
     free, ids = uniform_free(dataset)
-    expected = [dataset.free_of(row)[dataset.told_of("free_origin", row) == 0] for row in range(5)]
+    expected = [dataset.free_of(row)[dataset.attribute_of("free_origin", row) == 0] for row in range(5)]
     np.testing.assert_array_equal(free, np.concatenate(expected))
     np.testing.assert_array_equal(ids, np.repeat(np.arange(5), [len(rows) for rows in expected]))
     plain = generate(SMALL, tmp_path / "plain")
@@ -214,11 +214,11 @@ def checker_of_row(dataset, row):
     return CollisionChecker(Scenario(dataset.world.body, discs, dataset.world.sensor))
 
 
-def test_merged_data_sets_keep_what_is_told_of_their_configurations(tmp_path, monkeypatch):
+def test_merged_data_sets_keep_what_is_attribute_of_their_configurations(tmp_path, monkeypatch):
     HereInsteadOfRay(monkeypatch)
     parts = [generate(PROPOSED.model_copy(update={"seed": seed}), tmp_path / str(seed)) for seed in (3, 4)]
     merged = merge(parts, tmp_path / "merged")
-    for name in TOLD:
+    for name in ATTRIBUTES:
         expected = np.concatenate([part.arrays[name] for part in parts])
         np.testing.assert_array_equal(merged.arrays[name], expected)
 

@@ -54,13 +54,13 @@ def test_a_scenario_that_is_there_already_is_left_out(first, tmp_path):
 
 def test_the_manifest_tells_where_all_parts_come_from_and_can_be_merged_again(first, other, tmp_path):
     merged = merge([first, other], tmp_path / "merged")
-    told = merged.manifest.generator
-    assert [part["digest"] for part in told["merged"]] == [first.digest, other.digest]
-    assert told["merged"][1]["generator"] == dict(other.manifest.generator)
-    assert (told["split"], merged.generator_seed) == ("train", first.generator_seed)
+    generator = merged.manifest.generator
+    assert [part["digest"] for part in generator["merged"]] == [first.digest, other.digest]
+    assert generator["merged"][1]["generator"] == dict(other.manifest.generator)
+    assert (generator["split"], merged.generator_seed) == ("train", first.generator_seed)
     again = merge([merged, made(tmp_path / "third", seed=2)], tmp_path / "again")
     assert again.scenario_count == 12
-    assert again.manifest.generator["merged"][0]["generator"] == dict(told)
+    assert again.manifest.generator["merged"][0]["generator"] == dict(generator)
 
 
 def test_paths_stay_with_their_scenarios(tmp_path):

@@ -22,8 +22,8 @@ def record(folder, state=tuple(STATE), **changed):
     folder.mkdir(parents=True)
     for name, picture in (("left.png", IMAGES[0]), ("right.png", IMAGES[1]), ("desk.png", IMAGES[1])):
         (folder / name).write_bytes(picture)
-    told = {"pictures": ["left.png", "right.png"], "cameras": CAMERAS, "state": list(state), **changed}
-    (folder / "shelf.json").write_text(json.dumps(told))
+    values = {"pictures": ["left.png", "right.png"], "cameras": CAMERAS, "state": list(state), **changed}
+    (folder / "shelf.json").write_text(json.dumps(values))
     (folder / "desk.json").write_text(json.dumps({"pictures": ["desk.png"], "cameras": CAMERAS[1:]}))
     np.save(folder / "shelf.npy", ROWS[:5])
     np.save(folder / "shelf.collision.npy", ROWS[5:9])

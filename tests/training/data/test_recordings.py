@@ -17,7 +17,14 @@ from cspace.errors import ConfigError, CspaceError, DatasetError, StorageError
 from cspace.view_file import pack_view, unpack_view
 from cspace.worlds.spatial.arm import ready_rad
 from cspace.worlds.spatial.camera import encode_depth
-from tests.cspace.worlds.spatial.test_camera_forms import BODY, DEPTH, INFO, OPTICAL_TO_BODY, TOLD, quaternion
+from tests.cspace.worlds.spatial.test_camera_forms import (
+    BODY,
+    CAMERA_VALUES,
+    DEPTH,
+    INFO,
+    OPTICAL_TO_BODY,
+    quaternion,
+)
 from tests.space_bundle import WORLD
 from training.data.__main__ import main
 from training.data.recordings import RecordingOptions, import_recording
@@ -55,10 +62,10 @@ def compressed(seconds, words="16UC1; compressedDepth png"):
 
 
 def info(seconds, **changes):
-    told = INFO | changes
-    roi = made("sensor_msgs/msg/RegionOfInterest", **told["roi"])
-    arrays = {name: np.array(told[name], np.float64) for name in ("d", "k", "r", "p")}
-    same = {name: told[name] for name in ("height", "width", "distortion_model", "binning_x", "binning_y")}
+    values = INFO | changes
+    roi = made("sensor_msgs/msg/RegionOfInterest", **values["roi"])
+    arrays = {name: np.array(values[name], np.float64) for name in ("d", "k", "r", "p")}
+    same = {name: values[name] for name in ("height", "width", "distortion_model", "binning_x", "binning_y")}
     return made("sensor_msgs/msg/CameraInfo", header=header(seconds), roi=roi, **same, **arrays)
 
 
@@ -142,8 +149,8 @@ def turned(number):
     return (STATE[0] + 0.005 * number, *STATE[1:])
 
 
-def expected(state, pose=TOLD["pose"]):
-    return WORLD.read_picture(pack_view([encode_depth(DEPTH)], [TOLD | {"pose": pose}], list(state)))
+def expected(state, pose=CAMERA_VALUES["pose"]):
+    return WORLD.read_picture(pack_view([encode_depth(DEPTH)], [CAMERA_VALUES | {"pose": pose}], list(state)))
 
 
 def only_file(folder, ending):
@@ -192,9 +199,9 @@ def test_every_depth_encoding_is_the_same_picture(tmp_path, form):
     bag.add("/camera/color/camera_info", "info", info(0.0, width=1, height=1))
     import_recording(bag.write(tmp_path / "bag"), tmp_path / "out", options=OPTIONS)
     (view,) = (tmp_path / "out" / "views").iterdir()
-    told = unpack_view(view.read_bytes())
-    assert told.state is None
-    assert told.pictures == [encode_depth(DEPTH)]
+    file = unpack_view(view.read_bytes())
+    assert file.state is None
+    assert file.pictures == [encode_depth(DEPTH)]
     assert not (tmp_path / "out" / "data").exists()
 
 

@@ -85,8 +85,8 @@ def test_a_job_that_runs_is_not_run_twice(environment, tracking):
         with pytest.raises(JobError, match=r"running already; got run [0-9a-f]+; wait"), job.running():
             pass
         (job.folder / "running.json").write_text('{"submission_id": "raysubmit_1"}')
-        told = pytest.raises(JobError, match=r"submitted as raysubmit_1; .*ray job stop raysubmit_1")
-        with told, job.running():
+        refused = pytest.raises(JobError, match=r"submitted as raysubmit_1; .*ray job stop raysubmit_1")
+        with refused, job.running():
             pass
     with job.running() as run:
         assert run.run_id == job.run.run_id
@@ -96,8 +96,8 @@ def test_a_job_that_runs_is_not_run_twice(environment, tracking):
 def test_a_submitted_job_says_first_how_to_stop_it_and_keeps_rays_id_while_it_runs(
     environment, tracking, monkeypatch, caplog
 ):
-    told = {"runtime_env": {}, "metadata": {"job_submission_id": "raysubmit_1"}}
-    monkeypatch.setenv("RAY_JOB_CONFIG_JSON_ENV_VAR", json.dumps(told))
+    job_config = {"runtime_env": {}, "metadata": {"job_submission_id": "raysubmit_1"}}
+    monkeypatch.setenv("RAY_JOB_CONFIG_JSON_ENV_VAR", json.dumps(job_config))
     job = Job.start(SMOKE, environment, {}, name="arm-1")
     with caplog.at_level("INFO", logger="training"), job.running():
         assert json.loads((job.folder / "running.json").read_text()) == {"submission_id": "raysubmit_1"}

@@ -26,9 +26,9 @@ def test_without_limits_every_number_is_that_of_the_torus():
     torch.testing.assert_close(TORUS.features(first), harmonics(first), rtol=0, atol=0)
     torch.testing.assert_close(TORUS.pair_features(first), torus_features(first), rtol=0, atol=0)
     way = torch.remainder(second - first + torch.pi, 2.0 * torch.pi) - torch.pi
-    torch.testing.assert_close(TORUS.way(first, second), way, rtol=0, atol=0)
+    torch.testing.assert_close(TORUS.difference(first, second), way, rtol=0, atol=0)
     between = losses.wrapped_interpolation(second, first, share)
-    torch.testing.assert_close(TORUS.between(first, second, share), between, rtol=0, atol=0)
+    torch.testing.assert_close(TORUS.interpolate(first, second, share), between, rtol=0, atol=0)
     embedded = torch.cat([torch.cos(first), torch.sin(first)], dim=1)
     torch.testing.assert_close(TORUS.embed(first), embedded, rtol=0, atol=0)
     torch.testing.assert_close(TORUS.unembed(embedded), on_torus(embedded), rtol=0, atol=0)
@@ -60,9 +60,9 @@ def test_what_is_uniform_on_the_torus_becomes_uniform_within_the_limits():
 def test_ways_go_round_circles_alone():
     start, end = torch.tensor([[-2.8, 3.0, -6.0]]), torch.tensor([[3.9, -3.0, 0.5]])
     way = torch.tensor([[6.7, 2.0 * np.pi - 6.0, 6.5]])
-    torch.testing.assert_close(MIXED.way(start, end), way)
+    torch.testing.assert_close(MIXED.difference(start, end), way)
     half = torch.tensor([[0.5]])
-    torch.testing.assert_close(MIXED.between(start, end, half), start + way / 2.0)
+    torch.testing.assert_close(MIXED.interpolate(start, end, half), start + way / 2.0)
 
 
 def test_embedding_and_back_is_the_same_configuration():

@@ -114,9 +114,9 @@ def test_the_command_fetches_by_pip_without_building(
     offline(monkeypatch, sound[0].parent)
     monkeypatch.setattr(command, "SHA256", sound[1])
     assert command.main(["fetch", "--out", str(tmp_path / "out")]) == 0
-    told = capsys.readouterr().out
-    assert "validation.json.gz: bookshelf_small 2," in told
-    assert "test.json.gz: bookshelf_small 3," in told
+    output = capsys.readouterr().out
+    assert "validation.json.gz: bookshelf_small 2," in output
+    assert "test.json.gz: bookshelf_small 3," in output
     assert len(problems(Split.TEST, tmp_path / "out")) == 21
     assert len(problems(Split.VALIDATION, tmp_path / "out")) == 14
 

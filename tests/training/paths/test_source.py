@@ -12,11 +12,11 @@ from training.paths.writing import require_source
 
 def made(start, source_digest):
     """The bundle of a path model, as far as it tells what it saw with."""
-    told = json.loads((PRETRAINED_FOLDER / "bundle.json").read_text())
-    told["provenance"]["config"]["source_digest"] = source_digest
+    values = json.loads((PRETRAINED_FOLDER / "bundle.json").read_text())
+    values["provenance"]["config"]["source_digest"] = source_digest
     folder = start / "bundles" / "flow"
     folder.mkdir(parents=True)
-    (folder / "bundle.json").write_text(json.dumps(told))
+    (folder / "bundle.json").write_text(json.dumps(values))
 
 
 def test_path_models_start_from_those_that_saw_with_the_same_source(tmp_path):

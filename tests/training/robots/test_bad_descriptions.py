@@ -88,9 +88,9 @@ def test_the_command_ends_with_one_line_and_2(
     described(tmp_path)
     monkeypatch.chdir(tmp_path)
     assert main(["import", *more, "--out", "out.json"]) == 2
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1
-    assert re.search(message, told)
+    message_shown = capsys.readouterr().err
+    assert message_shown.count("\n") == 1
+    assert re.search(message, message_shown)
     assert not Path("out.json").exists()
 
 

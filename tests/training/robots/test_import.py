@@ -42,9 +42,9 @@ def test_a_description_becomes_a_robot_file(tmp_path: Path, capsys: pytest.Captu
     # The elbow turns about the upper arm's y axis, for its frame is turned by a right angle about z.
     tools = arm.tool_frames([[0.0, 0.0], [pi / 2, 0.0], [pi / 2, pi / 2]])[:, :3, 3]
     np.testing.assert_allclose(tools, [[0, 0, 0.9], [0.8, 0, 0.1], [0.5, 0, -0.2]], atol=1e-9)
-    told = capsys.readouterr().out
-    assert f"two: 2 joints, {arm.sphere_count} spheres" in told
-    assert "shoulder: -2 to 2 rad" in told
+    output = capsys.readouterr().out
+    assert f"two: 2 joints, {arm.sphere_count} spheres" in output
+    assert "shoulder: -2 to 2 rad" in output
     report = json.loads(out.with_suffix(".report.json").read_bytes())
     assert [one["limits_rad"] for one in report["joints"]] == [[-2.0, 2.0], None]
     assert max(one["missed_m"] for one in report["parts"]) < 0.0021

@@ -64,11 +64,11 @@ def test_a_trial_that_was_killed_goes_on_from_its_checkpoint_to_the_same_weights
 
 def test_a_trial_that_is_asked_to_stop_writes_a_checkpoint_first_and_loses_no_step(tmp_path, monkeypatch):
     monkeypatch.setattr("training.trials.fit.STOP_LOOK_EVERY_S", 0.0)
-    whole, asked = tiny_module(), iter([False] * 5 + [True])
+    whole, answers = tiny_module(), iter([False] * 5 + [True])
     train(whole, tmp_path / "whole", RecordingRun())
     run = RecordingRun()
     with pytest.raises(TrialStopped):
-        train(tiny_module(), tmp_path / "half", run, stopping=lambda: next(asked))
+        train(tiny_module(), tmp_path / "half", run, stopping=lambda: next(answers))
     assert last(tmp_path / "half").step == 6
     assert run.status == "KILLED"
     resumed = tiny_module()

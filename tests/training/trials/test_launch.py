@@ -130,8 +130,8 @@ class TestOnACluster:
 
     @pytest.mark.parametrize("fault", ["raise", DIE])
     def test_one_fault_more_fails_the_job_and_the_others_finish(self, fault, trials, tmp_path):
-        told = "attempt 2" if fault == "raise" else ""
-        with pytest.raises(JobError, match=f"1 of 3 trials failed.*{told}"):
+        attempt = "attempt 2" if fault == "raise" else ""
+        with pytest.raises(JobError, match=f"1 of 3 trials failed.*{attempt}"):
             run(trials, tmp_path, {"one": [fault, fault]}, max_failures=1)
         assert [read_outcome(trial) is None for trial in trials] == [True, False, False]
         # Submitted again, the job has the failed one alone to do.

@@ -22,13 +22,13 @@ def looker():
 
         # Without a wait a single node could be through with all before the others have a worker.
         time.sleep(2.0)
-        told = (
+        notes_of = (
             ray.get_runtime_context().get_node_id(),
             array.flags.owndata,
             array.flags.writeable,
             array.sum(),
         )
-        Path(notes, trial.name).write_text(" ".join(map(str, told)))
+        Path(notes, trial.name).write_text(" ".join(map(str, notes_of)))
         (trial.folder / "step-000000001").mkdir(parents=True)
         return {"steps_per_s": 1.0}
 
@@ -59,9 +59,9 @@ def test_arrays_are_stored_once_and_reach_each_node_once_however_many_trials_rea
         (reference,) = stored
         where = get_object_locations([reference])[reference]
     assert [outcome.name for outcome in done] == [trial.name for trial in trials]
-    told = [(notes / trial.name).read_text().split() for trial in trials]
-    assert {node for node, *_ in told} == set(ids)
+    lines = [(notes / trial.name).read_text().split() for trial in trials]
+    assert {node for node, *_ in lines} == set(ids)
     assert where["object_size"] >= 8 * ROWS
     # A store holds an object once; it is where trials ran, and no trial has a copy of its own.
     assert sorted(where["node_ids"]) == sorted(ids)
-    assert {tuple(rest) for _, *rest in told} == {("False", "False", str(float(ROWS)))}
+    assert {tuple(rest) for _, *rest in lines} == {("False", "False", str(float(ROWS)))}

@@ -133,7 +133,7 @@ class Members:
         """Whether it is there, and not null."""
         return self._values.get(name) is not None
 
-    def told(self, name: str) -> bool:
+    def has_required(self, name: str) -> bool:
         """As :meth:`has`, of what has to be told even where it is null."""
         return self.has(name) if name in self._values else self._wrong(name, "a value or null", None)
 
@@ -292,15 +292,15 @@ def read_model_head(headers: Mapping[str, str], model: str | None, robot: str | 
         SamplerAnswerError: a header is missing or wrong, or the model another.
     """
     name, version = text(headers, "x-model-name"), count(headers, "x-model-version", 9)
-    told = digest(headers, "x-robot") if "x-robot" in headers else None
-    require_asked(model, robot, name, version, told)
+    answered_robot = digest(headers, "x-robot") if "x-robot" in headers else None
+    require_requested(model, robot, name, version, answered_robot)
     return ModelHead(
         model_name=name,
         model_version=version,
         digest=digest(headers, "x-model-digest"),
         novelty=share(headers, "x-novelty") if "x-novelty" in headers else None,
         space=read_space(headers["x-joint-space"]) if "x-joint-space" in headers else None,
-        robot=told,
+        robot=answered_robot,
         alias_confirmed=_flag(headers, "x-alias-confirmed") if "x-alias-confirmed" in headers else None,
         warnings=read_warnings(headers.get("x-warnings", "[]")),
     )
@@ -319,7 +319,7 @@ def read_warnings(header: str) -> tuple[PictureWarning, ...]:
     return warnings_of(Members({"warnings": said}, "list of warnings"))
 
 
-def warnings_of(told: Members) -> tuple[PictureWarning, ...]:
+def warnings_of(answer: Members) -> tuple[PictureWarning, ...]:
     """The member ``warnings`` of an answer.
 
     Raises:
@@ -331,12 +331,12 @@ def warnings_of(told: Members) -> tuple[PictureWarning, ...]:
             printable(one.text("message"), _MAX_MESSAGE),
             tuple(int(number) for number in one.row("pictures")),
         )
-        for one in told.each("warnings")
+        for one in answer.each("warnings")
     )
 
 
-def require_asked(
-    model: str | None, robot: str | None, name: str, version: int, told_robot: str | None
+def require_requested(
+    model: str | None, robot: str | None, name: str, version: int, answered_robot: str | None
 ) -> None:
     """Refuse the answer of another model than was asked for, or of one of another robot.
 
@@ -345,8 +345,8 @@ def require_asked(
     """
     if not _answers(model, name, version):
         raise unusable("comes from another model", str(model), f"{name}/{version}")
-    if told_robot is not None and robot not in (None, told_robot):
-        raise unusable("is of another robot", str(robot), told_robot)
+    if answered_robot is not None and robot not in (None, answered_robot):
+        raise unusable("is of another robot", str(robot), answered_robot)
 
 
 def read_space(header: str) -> JointSpace:
@@ -362,12 +362,12 @@ def read_space(header: str) -> JointSpace:
     return space_of(said, f"header x-joint-space: {header[:80]}")
 
 
-def space_of(said: object, told: str) -> JointSpace:
+def space_of(said: object, source: str) -> JointSpace:
     """A joint space as plain values tell it.
 
     Args:
         said: the values.
-        told: where they stand, for the error.
+        source: where they stand, for the error.
 
     Raises:
         SamplerAnswerError: they tell none.
@@ -376,7 +376,7 @@ def space_of(said: object, told: str) -> JointSpace:
     kind, dim, unit = (members.pop(name, None) for name in ("kind", "dim", "unit"))
     space = _space_of(members, dim) if type(dim) is int and 1 <= dim <= MAX_JOINTS else None
     if space is None or unit != "rad" or kind != _kind(space):
-        raise unusable("has a wrong joint space", "a joint space as JSON", told)
+        raise unusable("has a wrong joint space", "a joint space as JSON", source)
     return space
 
 
@@ -403,18 +403,18 @@ def _is_range(low: object, high: object) -> bool:
     return numbers and -MAX_LIMIT_RAD <= low < high <= MAX_LIMIT_RAD  # type: ignore[operator]
 
 
-def _answers(asked: str | None, name: str, version: int) -> bool:
+def _answers(requested: str | None, name: str, version: int) -> bool:
     """Whether a model is the one that a reference names.
 
     A shipped model stands in for a model of its robot without a champion. Which model is the default only
     the server knows, so it may do that for every bare name; an alias or a version has no stand-in.
     """
-    if asked is None:
+    if requested is None:
         return True
-    asked_name, slash, asked_version = asked.partition("/")
+    requested_name, slash, requested_version = requested.partition("/")
     if slash:
-        return (name, str(version)) == (asked_name, asked_version)
-    bare, at, _ = asked.partition("@")
+        return (name, str(version)) == (requested_name, requested_version)
+    bare, at, _ = requested.partition("@")
     shipped = version == 0 and name.partition("-")[0] == _PRETRAINED
     return name == bare or (not at and shipped)
 
@@ -504,7 +504,7 @@ def read_head(headers: Mapping[str, str], query: Wanted, model: str | None) -> S
         raise unusable("is for another seed", str(query.seed), str(seed))
     shortfall = count(headers, "x-shortfall", 9)
     if shortfall > query.n:
-        raise unusable("lacks more samples than were asked for", f"at most {query.n}", str(shortfall))
+        raise unusable("lacks more samples than requested", f"at most {query.n}", str(shortfall))
     return SampleHead(
         model=read_model_head(headers, model, query.robot),
         seed=seed,

@@ -71,7 +71,7 @@ class HttpClient(ABC, Generic[Transport]):
         self._endpoint = Endpoint(url, timeout_s, connect_timeout_s, policy, api_key)
         self._fallback = fallback
         self._closed = False
-        self._robot, self._tells_robot = robot, True
+        self._robot, self._sends_robot = robot, True
         self._transport: Transport = self._network() if transport is None else transport
 
     @property
@@ -85,19 +85,19 @@ class HttpClient(ABC, Generic[Transport]):
 
     def _of_samples(self, picture: Picture, query: Wanted, model: str | None) -> SampleQuestion:
         query = self._for_robot(query)
-        given = shown(picture), model, query.robot, self._tells_robot
+        given = shown(picture), model, query.robot, self._sends_robot
         return SampleQuestion(*given, query)
 
     def _of_validity(self, picture: Picture, rows: ArrayLike, model: str | None) -> ValidityQuestion:
-        given = shown(picture), model, self._robot, self._tells_robot
+        given = shown(picture), model, self._robot, self._sends_robot
         return ValidityQuestion(*given, rows_of(rows))
 
     def _of_plan(self, picture: Picture, query: PlanOptions, model: str | None) -> PlanQuestion:
-        given = shown(picture), model, self._robot, self._tells_robot
+        given = shown(picture), model, self._robot, self._sends_robot
         return PlanQuestion(*given, query)
 
     def _of_doctor(self, picture: Picture, model: str | None) -> DoctorQuestion:
-        return DoctorQuestion(shown(picture), model, self._robot, self._tells_robot)
+        return DoctorQuestion(shown(picture), model, self._robot, self._sends_robot)
 
     def _for_robot(self, query: Wanted) -> Wanted:
         """A query for the robot that it names, else for the client's."""
@@ -113,15 +113,15 @@ class HttpClient(ABC, Generic[Transport]):
             self._robot,
         )
 
-    def _untold(self, question: Question[Found], found: Failure) -> Question[Found] | None:
+    def _without_robot(self, question: Question[Found], found: Failure) -> Question[Found] | None:
         """The question without its robot, where it failed for an older server knows no such field; else None.
 
         From then on it is not sent; the robot of an answer is looked at all the same.
         """
-        if not (found.knows_no_robot and question.tells_robot):
+        if not (found.knows_no_robot and question.sends_robot):
             return None
-        self._tells_robot = False
-        return replace(question, tells_robot=False)
+        self._sends_robot = False
+        return replace(question, sends_robot=False)
 
     def _pause_s(self, failure: Failure, tried: int, began: float) -> float:
         """How long to wait before another attempt; raises the failure's error where there is none."""
@@ -209,7 +209,7 @@ class SamplingClient(HttpClient[httpx.BaseTransport]):
             return replace(batch, fallback=True, round_trip_s=time.perf_counter() - began)
 
     def validity(self, picture: Picture, configurations: ArrayLike, model: str | None = None) -> Predictions:
-        """How sure a model is that configurations are free; no fallback answers.
+        """A model's confidence that configurations are free; no fallback answers.
 
         Args:
             picture: of the scene.
@@ -230,12 +230,12 @@ class SamplingClient(HttpClient[httpx.BaseTransport]):
 
         Args:
             picture: of the scene.
-            query: the problem, a :class:`cspace_client.PlanQuery` for example; the server judges it.
+            query: the problem, a :class:`cspace_client.PlanQuery` for example; the server checks it.
             model: as :meth:`sample` has it.
 
         Raises:
             SamplerUnavailableError: as :meth:`answer` has it, or the server does not plan (501).
-            SamplerAnswerError: likewise, for a way that does not lead from start to goal, for example.
+            SamplerAnswerError: likewise, for a path that does not lead from start to goal, for example.
             SamplerError: likewise.
         """
         return self._ask(self._of_plan(picture, query, model), time.perf_counter())
@@ -277,8 +277,8 @@ class SamplingClient(HttpClient[httpx.BaseTransport]):
             found = self._attempt(question, began)
             if not isinstance(found, Failure):
                 return found
-            if (untold := self._untold(question, found)) is not None:
-                question = untold
+            if (without_robot := self._without_robot(question, found)) is not None:
+                question = without_robot
                 continue
             tried += 1
             time.sleep(self._pause_s(found, tried, began))
@@ -395,8 +395,8 @@ class AsyncSamplingClient(HttpClient[httpx.AsyncBaseTransport]):
             found = await self._attempt(question, began)
             if not isinstance(found, Failure):
                 return found
-            if (untold := self._untold(question, found)) is not None:
-                question = untold
+            if (without_robot := self._without_robot(question, found)) is not None:
+                question = without_robot
                 continue
             tried += 1
             await anyio.sleep(self._pause_s(found, tried, began))

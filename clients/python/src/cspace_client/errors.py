@@ -29,14 +29,14 @@ class ClientError(Exception):
         got: str | None = None,
         remedy: str | None = None,
     ) -> None:
-        told = [what]
+        parts = [what]
         if expected is not None:
-            told.append(f"expected {expected}")
+            parts.append(f"expected {expected}")
         if got is not None:
-            told.append(f"got {got}")
+            parts.append(f"got {got}")
         if remedy is not None:
-            told.append(remedy)
-        super().__init__("; ".join(told))
+            parts.append(remedy)
+        super().__init__("; ".join(parts))
         self.what, self.expected, self.got, self.remedy = what, expected, got, remedy
 
     @property

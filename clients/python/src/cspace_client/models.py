@@ -265,7 +265,7 @@ class QueryOptions(TypedDict, total=False):
 
 @dataclass(frozen=True, slots=True)
 class SampleQuery:
-    """A request for samples; the server judges its ranges.
+    """A request for samples; the server checks its ranges.
 
     Args:
         n: how many, 1 to ``MAX_SAMPLES``.
@@ -305,7 +305,7 @@ class SampleQuery:
         """
         return cls(
             _whole("n", n),
-            drawn_seed() if seed is None else _whole("seed", seed),
+            random_seed() if seed is None else _whole("seed", seed),
             configuration("epsilon_sigma", epsilon_sigma),
             None if start is None else configuration("start", start),
             None if goal is None else configuration("goal", goal),
@@ -349,7 +349,7 @@ class SampleBatch:
         acceptance: share of what was drawn that reached the confidence asked for; None where it is not told.
         robot: whose configurations they are, the SHA-256 that ``GET /models`` tells beside the robot itself;
             None where it is not told.
-        alias_confirmed: whether the server is sure of what the model's alias stands for; None where it is not
+        alias_confirmed: whether the server has confirmed which version the alias names; None where it is not
             told.
         confidence: (n,) float32, what the model's validity head scores each sample, 0 to 1; None for a model
             without one, for samples that were not filtered by it, and over HTTP, whose ``.npy`` has no room
@@ -392,7 +392,7 @@ def is_digest(value: object) -> bool:
     return isinstance(value, str) and re.fullmatch("[0-9a-f]{64}", value, re.ASCII) is not None
 
 
-def drawn_seed() -> int:
+def random_seed() -> int:
     """A seed; with it a request that is sent again is the same request."""
     return secrets.randbits(64)
 
@@ -463,12 +463,12 @@ class PlanOptions(Protocol):
 
     @property
     def alternatives(self) -> bool:
-        """Whether all paths are wanted that are sure enough."""
+        """Whether all paths of sufficient confidence are wanted."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlanQuery:
-    """A planning problem for a scene that a picture shows; the server judges its ranges.
+    """A planning problem for a scene that a picture shows; the server checks its ranges.
 
     Args:
         start: (d,) rad.
@@ -476,10 +476,10 @@ class PlanQuery:
         seed: of all draws, unsigned 64 bit.
         min_confidence: below which no path is returned, 0 to 1; None for the server's own.
         time_limit_s: for the search; None for the server's own.
-        ways: that are looked for; None for the server's own number.
+        ways: number of paths to look for; None for the server's own number.
         next_view: whether the camera is wanted that would see most of what makes the path uncertain.
         views: cameras to choose it from, as plain values; none for some about the uncertain places.
-        alternatives: whether all paths are wanted that are sure enough, for those who can check them.
+        alternatives: whether all paths of sufficient confidence are wanted, for those who can check them.
     """
 
     start: Sequence[float]
@@ -495,7 +495,7 @@ class PlanQuery:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LeastConfidence:
-    """Where a path is least sure.
+    """Where the confidence of a path is lowest.
 
     Args:
         configuration: (d,) rad.
@@ -512,7 +512,7 @@ class LeastConfidence:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AlternativePath:
-    """A path and how sure a model is of it.
+    """A path and a model's confidence in it.
 
     Args:
         path: (k, d) rad from start to goal.
@@ -543,19 +543,19 @@ class Plan:
     """A path, or none.
 
     Args:
-        status: ``solved``; ``refused`` where no path is sure enough or none was found; ``timeout`` where none
-            was found in time.
+        status: ``solved``; ``refused`` where no path is confident enough or none was found; ``timeout`` where
+            none was found in time.
         path: (k, d) rad from start to goal, (0, d) unless it is solved.
-        confidence: that the whole path touches nothing; of the surest one where it is refused, 0 without one.
+        confidence: that the whole path touches nothing; of the best one where it is refused, 0 without one.
         edges: (k - 1,) the least confidence of a state on each of its pieces.
         unseen: (k - 1,) the largest share of the robot on each piece that no picture shows; None in worlds
             that are seen whole.
         length_rad: Euclidean.
         found: paths that the best was chosen from.
-        least: where the surest path is least sure; None without one.
+        least: where the confidence of the best path is lowest; None without one.
         next_view: the camera that would see most of what makes that path uncertain; None where none was asked
             for, or none would see more.
-        alternatives: all paths that are sure enough, the surest first, which is the plan's; none where they
+        alternatives: all paths of sufficient confidence, the best first, which is the plan's; none where they
             were not asked for.
         search_ms: looking for paths.
         score_ms: asking the model about them.

@@ -23,7 +23,7 @@ from cspace_client.answers import (
     read_model_head,
     read_rows,
     read_samples,
-    require_asked,
+    require_requested,
     share,
     space_of,
     warnings_of,
@@ -82,7 +82,7 @@ class Question(ABC, Generic[Found]):
         shown: the picture, as it is sent.
         model: ``name``, ``name@alias``, ``name/version`` or ``pretrained``; None for the default.
         robot: that is planned for; None for any.
-        tells_robot: whether the robot is sent, which older servers refuse.
+        sends_robot: whether the robot is sent, which older servers refuse.
     """
 
     path: ClassVar[str]
@@ -91,13 +91,13 @@ class Question(ABC, Generic[Found]):
     shown: Shown
     model: str | None
     robot: str | None
-    tells_robot: bool
+    sends_robot: bool
 
     @property
     def fields(self) -> dict[str, Any]:
         """The form's fields; what the endpoint takes for granted is left to it."""
         fields = {**self.shown.fields, **self.own_fields()}
-        if self.robot is not None and self.tells_robot:
+        if self.robot is not None and self.sends_robot:
             fields["robot"] = self.robot
         if self.model is not None:
             fields["model"] = self.model
@@ -118,7 +118,7 @@ class Question(ABC, Generic[Found]):
 
     @abstractmethod
     def read(self, headers: Mapping[str, str]) -> Reading[Found]:
-        """Judge an answer of status 200 by its head.
+        """Checks the head of an answer of status 200.
 
         Args:
             headers: of the answer; names in any case if the mapping does not mind it.
@@ -279,7 +279,7 @@ def rows_of(configurations: ArrayLike) -> NDArray[np.float64]:
     fits = rows.ndim == 2 and 1 <= len(rows) <= MAX_SAMPLES and 1 <= rows.shape[1] <= MAX_JOINTS
     if not fits or not np.isfinite(rows).all():
         raise SamplerError(
-            "the configurations can not be asked about",
+            "the configurations cannot be sent",
             expected=f"1 to {MAX_SAMPLES} rows of finite angles in rad",
             got=f"shape {rows.shape}" if not fits else "values that are not finite",
         )
@@ -347,20 +347,20 @@ class PlanReading:
     def conclude(self, body: bytes, round_trip_s: float) -> FoundPlan:
         """The plan, whose path leads from start to goal within the joints' limits."""
         try:
-            told = Members(parse_json(body), "plan")
+            answer = Members(parse_json(body), "plan")
         except ValueError as error:
             raise unusable("is no plan", "the members of a plan", str(error)) from error
-        query, seed = self.question.query, told.seed("seed")
+        query, seed = self.question.query, answer.seed("seed")
         if seed != query.seed:
             raise unusable("is for another seed", str(query.seed), str(seed))
-        head = _head(self.question, told.inner("model"))
-        space = space_of(told.plain("joint_space"), f"joint_space: {str(told.plain('joint_space'))[:80]}")
-        scenario = told.inner("scenario")
-        novelty = scenario.number("novelty", 1.0) if scenario.told("novelty") else None
-        plan = _plan(told, space)
+        head = _head(self.question, answer.inner("model"))
+        space = space_of(answer.plain("joint_space"), f"joint_space: {str(answer.plain('joint_space'))[:80]}")
+        scenario = answer.inner("scenario")
+        novelty = scenario.number("novelty", 1.0) if scenario.has_required("novelty") else None
+        plan = _plan(answer, space)
         _require_fit(plan, query, space)
-        reason = printable(told.text("reason")) if told.told("reason") else None
-        warnings = warnings_of(told) if told.has("warnings") else ()
+        reason = printable(answer.text("reason")) if answer.has_required("reason") else None
+        warnings = warnings_of(answer) if answer.has("warnings") else ()
         head = replace(head, space=space, novelty=novelty, warnings=warnings)
         return FoundPlan(plan, reason, seed, head, round_trip_s)
 
@@ -371,7 +371,7 @@ def _head(question: Question[Any], model: Members) -> ModelHead:
     for what, value in (("digest", digest), ("robot", robot)):
         if not is_digest(value):
             raise unusable(f"names a wrong {what}", "a SHA-256 in hexadecimal", repr(value[:80]))
-    require_asked(question.model, question.robot, name, version, robot)
+    require_requested(question.model, question.robot, name, version, robot)
     confirmed = model.flag("alias_confirmed")
     return ModelHead(printable(name), version, digest, robot=robot, alias_confirmed=confirmed)
 
@@ -407,11 +407,11 @@ class DoctorReading:
     def conclude(self, body: bytes, round_trip_s: float) -> Diagnosis:
         """The diagnosis, whose poses are 4 x 4."""
         try:
-            told = Members(parse_json(body), "diagnosis")
+            answer = Members(parse_json(body), "diagnosis")
         except ValueError as error:
             raise unusable("is no diagnosis", "the members of one", str(error)) from error
-        scenario = told.inner("scenario")
-        novelty = scenario.number("novelty", 1.0) if scenario.told("novelty") else None
+        scenario = answer.inner("scenario")
+        novelty = scenario.number("novelty", 1.0) if scenario.has_required("novelty") else None
         return Diagnosis(
             tuple(
                 Verdict(
@@ -421,11 +421,11 @@ class DoctorReading:
                     printable(one.text("remedy")),
                     tuple(int(number) for number in one.row("pictures")),
                 )
-                for one in told.each("verdicts")
+                for one in answer.each("verdicts")
             ),
-            tuple(map(printable, told.texts("notes"))),
-            tuple(map(_suggested, told.each("poses"))),
-            replace(_head(self.question, told.inner("model")), novelty=novelty),
+            tuple(map(printable, answer.texts("notes"))),
+            tuple(map(_suggested, answer.each("poses"))),
+            replace(_head(self.question, answer.inner("model")), novelty=novelty),
             round_trip_s,
         )
 
@@ -438,18 +438,18 @@ def _suggested(one: Members) -> SuggestedPose:
     return SuggestedPose(one.count("picture"), pose, one.number("offset_m"), one.number("turn_deg"))
 
 
-def _plan(told: Members, space: JointSpace) -> Plan:
-    least = told.inner("least_sure") if told.told("least_sure") else None
-    view = told.inner("next_view") if told.has("next_view") else None
-    timing = told.inner("timing_ms")
+def _plan(answer: Members, space: JointSpace) -> Plan:
+    least = answer.inner("least_sure") if answer.has_required("least_sure") else None
+    view = answer.inner("next_view") if answer.has("next_view") else None
+    timing = answer.inner("timing_ms")
     return Plan(
-        status=told.one_of("status", _STATUSES),
-        path=_path(told, space),
-        confidence=told.number("confidence", 1.0),
-        edges=np.array(told.shares("edges"), dtype=np.float32),
-        unseen=np.array(told.shares("unseen"), dtype=np.float32) if told.told("unseen") else None,
-        length_rad=told.number("length_rad"),
-        found=told.count("ways"),
+        status=answer.one_of("status", _STATUSES),
+        path=_path(answer, space),
+        confidence=answer.number("confidence", 1.0),
+        edges=np.array(answer.shares("edges"), dtype=np.float32),
+        unseen=np.array(answer.shares("unseen"), dtype=np.float32) if answer.has_required("unseen") else None,
+        length_rad=answer.number("length_rad"),
+        found=answer.count("ways"),
         least=None if least is None else _least(least, space),
         next_view=None if view is None else NextView(view.plain("camera"), view.number("sees", 1.0)),
         alternatives=tuple(
@@ -458,7 +458,7 @@ def _plan(told: Members, space: JointSpace) -> Plan:
                 one.number("confidence", 1.0),
                 np.array(one.shares("edges"), dtype=np.float32),
             )
-            for one in (told.each("alternatives") if told.has("alternatives") else ())
+            for one in (answer.each("alternatives") if answer.has("alternatives") else ())
         ),
         search_ms=timing.number("search"),
         score_ms=timing.number("score"),
@@ -466,50 +466,52 @@ def _plan(told: Members, space: JointSpace) -> Plan:
 
 
 def _least(least: Members, space: JointSpace) -> LeastConfidence:
-    unseen = least.number("unseen", 1.0) if least.told("unseen") else None
+    unseen = least.number("unseen", 1.0) if least.has_required("unseen") else None
     row = _rows([least.row("configuration")], space)[0]
     return LeastConfidence(row, least.number("confidence", 1.0), unseen, least.number("along", 1.0))
 
 
-def _path(told: Members, space: JointSpace) -> NDArray[np.float64]:
-    return _rows(told.rows("path"), space)
+def _path(answer: Members, space: JointSpace) -> NDArray[np.float64]:
+    return _rows(answer.rows("path"), space)
 
 
 def _rows(rows: list[list[float]], space: JointSpace) -> NDArray[np.float64]:
     if any(len(row) != space.dim for row in rows):
-        raise unusable("has no whole way", f"corners of {space.dim} joints", "others")
+        raise unusable("has no complete path", f"corners of {space.dim} joints", "others")
     return np.array(rows, dtype=np.float64).reshape(len(rows), space.dim)
 
 
 def _require_fit(plan: Plan, query: PlanOptions, space: JointSpace) -> None:
-    """Refuse a path that is none, that leads elsewhere, or that is less sure than was asked for.
+    """Refuse a path that is none, that leads elsewhere, or with a lower confidence than requested.
 
     Raises:
         SamplerAnswerError: it is such a one.
     """
-    for way in plan.alternatives:
-        _require_way(way, query, space)
+    for alternative in plan.alternatives:
+        _require_path(alternative, query, space)
     unseen = () if plan.unseen is None else plan.unseen
     if plan.status == "solved":
         if plan.unseen is not None and len(unseen) != len(plan.edges):
-            raise unusable("has no whole way", f"{len(plan.edges)} unseen shares", str(len(unseen)))
-        _require_way(plan, query, space)
+            raise unusable("has no complete path", f"{len(plan.edges)} unseen shares", str(len(unseen)))
+        _require_path(plan, query, space)
     elif any(map(len, (plan.path, plan.edges, unseen, plan.alternatives))):
-        raise unusable("has a way that was not found", "none", plan.status)
+        raise unusable("has a path although none was found", "none", plan.status)
 
 
-def _require_way(way: Plan | AlternativePath, query: PlanOptions, space: JointSpace) -> None:
-    pieces = len(way.path) - 1
-    if pieces < 1 or len(way.edges) != pieces:
-        raise unusable("has no whole way", "two corners or more, edges between", f"{pieces} edges")
-    if query.min_confidence is not None and way.confidence < query.min_confidence:
-        raise unusable("is less sure than was asked for", str(query.min_confidence), str(way.confidence))
-    if not space.holds(way.path).all():
+def _require_path(found: Plan | AlternativePath, query: PlanOptions, space: JointSpace) -> None:
+    pieces = len(found.path) - 1
+    if pieces < 1 or len(found.edges) != pieces:
+        raise unusable("has no complete path", "two corners or more, edges between", f"{pieces} edges")
+    if query.min_confidence is not None and found.confidence < query.min_confidence:
+        raise unusable(
+            "has a lower confidence than requested", str(query.min_confidence), str(found.confidence)
+        )
+    if not space.holds(found.path).all():
         ends = f"from {space.lower} to {space.upper}"
         raise unusable("leaves the joints' limits", ends[:200], "others")
     ends_rad = [np.asarray(end, dtype=np.float64) for end in (query.start, query.goal)]
     if (
         any(end.shape != (space.dim,) for end in ends_rad)
-        or (space.distance(ends_rad, way.path[[0, -1]]) > _SAME_RAD).any()
+        or (space.distance(ends_rad, found.path[[0, -1]]) > _SAME_RAD).any()
     ):
-        raise unusable("leads elsewhere", "a way from start to goal", "other ends")
+        raise unusable("leads elsewhere", "a path from start to goal", "other ends")

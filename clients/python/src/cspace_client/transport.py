@@ -350,8 +350,8 @@ def _failure(answer: httpx.Response, body: bytes) -> Failure:
 
 def _names_robot(problem: Mapping[str, str]) -> bool:
     """Whether the first field that a server objects to is ``robot``, for it knows of none."""
-    told = problem.get("detail", "").startswith("robot ")
-    return told and problem.get("got") == _UNKNOWN_FIELD[1]
+    about_robot = problem.get("detail", "").startswith("robot ")
+    return about_robot and problem.get("got") == _UNKNOWN_FIELD[1]
 
 
 def _problem(media_type: str, body: bytes) -> Mapping[str, str]:

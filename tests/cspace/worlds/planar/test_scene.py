@@ -69,9 +69,9 @@ def test_scenarios_of_another_robot_have_the_same_discs():
 
 def test_a_scenario_tells_robot_discs_and_camera_as_json():
     scenario = Scenario(THREE_LINK, (Disc(1.5, 2.5, 0.5), Disc(-2.0, 0.0)), Camera(-4, 4, -4, 4, 64))
-    told = json.loads(json.dumps(scenario.to_dict()))
-    assert told.pop("discs") == [[1.5, 2.5, 0.5], [-2.0, 0.0, 1.0]]
-    assert read_world(told) == scenario.world
+    values = json.loads(json.dumps(scenario.to_dict()))
+    assert values.pop("discs") == [[1.5, 2.5, 0.5], [-2.0, 0.0, 1.0]]
+    assert read_world(values) == scenario.world
 
 
 @pytest.mark.parametrize("change", [{"pixels": None}, {"pixels": "many"}, {"x_min_m": []}])

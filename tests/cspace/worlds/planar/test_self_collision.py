@@ -117,9 +117,9 @@ def test_only_where_it_is_true_is_it_written(arm):
     given = PlanarArm.from_dict(arm.to_dict() | {"self_collision": False})
     assert (given, given.to_dict()) == (arm, arm.to_dict())
     folding = PlanarArm(arm.link_lengths_m, arm.half_width_m, arm.joint_limits_rad, self_collision=True)
-    told = json.loads(json.dumps(folding.to_dict()))
-    assert told == json.loads(json.dumps(arm.to_dict())) | {"self_collision": True}
-    assert PlanarArm.from_dict(told) == folding
+    values = json.loads(json.dumps(folding.to_dict()))
+    assert values == json.loads(json.dumps(arm.to_dict())) | {"self_collision": True}
+    assert PlanarArm.from_dict(values) == folding
     assert robot_digest(PlanarWorld(folding)) != robot_digest(PlanarWorld(arm))
 
 

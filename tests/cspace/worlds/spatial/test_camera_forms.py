@@ -21,7 +21,7 @@ CAMERA = DepthCamera.of_field(64, 48, 70.0, POSE)
 DEPTH = np.full((48, 64), 2000, np.uint16)
 DEPTH[20:30, 10:40] = RNG.integers(600, 1400, (10, 30))
 DEPTH[:4] = 0
-TOLD = {name: CAMERA.to_dict()[name] for name in ("fx", "fy", "cx", "cy", "pose")}
+CAMERA_VALUES = {name: CAMERA.to_dict()[name] for name in ("fx", "fy", "cx", "cy", "pose")}
 METRES = np.where(DEPTH == 0, np.nan, DEPTH / 1000.0).astype(np.float32)
 METRES[0, :5] = np.inf, -np.inf, -1.0, 0.0, 1e-30
 
@@ -126,25 +126,25 @@ distortion_coefficients:
   data: [0.0, 0.0, 0.0, 0.0, 0.0]
 """
 CAMERAS = {
-    "pinhole and matrix": TOLD,
-    "the frame by its name": TOLD | {"frame": "optical"},
-    "a body's pose": TOLD | {"frame": "body", "pose": BODY.tolist()},
-    "translation and quaternion": TOLD | {"pose": placed(POSE)},
-    "a body's quaternion": TOLD | {"frame": "body", "pose": placed(BODY)},
-    "CameraInfo of ROS 2": {"camera_info": INFO, "pose": TOLD["pose"]},
+    "pinhole and matrix": CAMERA_VALUES,
+    "the frame by its name": CAMERA_VALUES | {"frame": "optical"},
+    "a body's pose": CAMERA_VALUES | {"frame": "body", "pose": BODY.tolist()},
+    "translation and quaternion": CAMERA_VALUES | {"pose": placed(POSE)},
+    "a body's quaternion": CAMERA_VALUES | {"frame": "body", "pose": placed(BODY)},
+    "CameraInfo of ROS 2": {"camera_info": INFO, "pose": CAMERA_VALUES["pose"]},
     "CameraInfo of ROS 1": {
         "camera_info": {"K": K, "D": [], "width": 64, "height": 48, "distortion_model": ""},
-        "pose": TOLD["pose"],
+        "pose": CAMERA_VALUES["pose"],
     },
     "what ros2 topic echo prints": {"camera_info": ECHOED, "pose": placed(POSE)},
-    "a calibration's file": {"camera_info": CALIBRATED, "pose": TOLD["pose"]},
-    "JSON as a text": {"camera_info": json.dumps(INFO), "pose": TOLD["pose"]},
+    "a calibration's file": {"camera_info": CALIBRATED, "pose": CAMERA_VALUES["pose"]},
+    "JSON as a text": {"camera_info": json.dumps(INFO), "pose": CAMERA_VALUES["pose"]},
 }
 
 
 @pytest.fixture(scope="module")
 def expected():
-    return WORLD.read_picture(pack_view([encode_depth(DEPTH)], [TOLD], None))
+    return WORLD.read_picture(pack_view([encode_depth(DEPTH)], [CAMERA_VALUES], None))
 
 
 @pytest.mark.parametrize("name", PICTURES)
@@ -152,7 +152,9 @@ def test_one_scene_is_one_array_whatever_file_shows_it(name, expected):
     data, scale = PICTURES[name]
     np.testing.assert_array_equal(read_depth(data, scale), DEPTH)
     assert pixels_in(data) == DEPTH.size
-    np.testing.assert_array_equal(WORLD.read_picture(pack_view([data], [TOLD], None, scale)), expected)
+    np.testing.assert_array_equal(
+        WORLD.read_picture(pack_view([data], [CAMERA_VALUES], None, scale)), expected
+    )
 
 
 @pytest.mark.parametrize("name", CAMERAS)
@@ -169,7 +171,7 @@ def test_a_large_picture_comes_as_it_is():
 
 def test_floats_beyond_what_a_camera_reads_stay_out_of_range_so_that_a_wrong_unit_shows():
     with pytest.raises(ImageError, match=r"no reading; .* send depth_scale_m for another unit"):
-        WORLD.read_picture(pack_view([npy(METRES * np.float32(1000.0))], [TOLD], None))
+        WORLD.read_picture(pack_view([npy(METRES * np.float32(1000.0))], [CAMERA_VALUES], None))
 
 
 def altered(data, tag, value):
@@ -259,29 +261,29 @@ REFUSED_CAMERAS = {
     "half a camera": ({"fx": 50.0}, r"missing \['cx', 'cy', 'fy'\]"),
     "both": ({"camera_info": INFO, "fx": 50.0}, r"unknown \['fx'\]"),
     "an unnamed order": (
-        TOLD | {"pose": {"translation": [0.0] * 3, "quaternion": [0.0, 0.0, 0.0, 1.0]}},
+        CAMERA_VALUES | {"pose": {"translation": [0.0] * 3, "quaternion": [0.0, 0.0, 0.0, 1.0]}},
         "quaternion_xyzw",
     ),
     "a quaternion of another norm": (
-        TOLD | {"pose": {"translation": [0.0] * 3, "quaternion_xyzw": [0.0, 0.0, 0.0, 0.99]}},
+        CAMERA_VALUES | {"pose": {"translation": [0.0] * 3, "quaternion_xyzw": [0.0, 0.0, 0.0, 0.99]}},
         "norm of 1",
     ),
     "three numbers": (
-        TOLD | {"pose": {"translation": [0.0] * 3, "quaternion_xyzw": [0.0, 0.0, 1.0]}},
+        CAMERA_VALUES | {"pose": {"translation": [0.0] * 3, "quaternion_xyzw": [0.0, 0.0, 1.0]}},
         "has no pose",
     ),
     "a place beyond sight": (
-        TOLD | {"pose": {"translation": [0.0, 0.0, 1e300], "quaternion_xyzw": [0.0, 0.0, 0.0, 1.0]}},
+        CAMERA_VALUES | {"pose": {"translation": [0.0, 0.0, 1e300], "quaternion_xyzw": [0.0, 0.0, 0.0, 1.0]}},
         "too far away",
     ),
-    "another frame": (TOLD | {"frame": "camera_link"}, "frame is unknown; expected optical"),
+    "another frame": (CAMERA_VALUES | {"frame": "camera_link"}, "frame is unknown; expected optical"),
 }
 
 
 @pytest.mark.parametrize("name", REFUSED_CAMERAS)
 def test_other_cameras_are_refused_by_what_they_are(name):
     camera, message = REFUSED_CAMERAS[name]
-    data = pack_view([encode_depth(DEPTH)], [{"pose": TOLD["pose"]} | camera], None)
+    data = pack_view([encode_depth(DEPTH)], [{"pose": CAMERA_VALUES["pose"]} | camera], None)
     with pytest.raises(ImageError, match=message):
         WORLD.read_picture(data)
 
@@ -315,7 +317,7 @@ def test_distortion_is_undone(model, distortion):
     camera = DepthCamera.of_field(320, 240, 70.0, POSE)
     k = [camera.fx, 0.0, camera.cx, 0.0, camera.fy, camera.cy, 0.0, 0.0, 1.0]
     info = {"k": k, "d": list(distortion), "width": 320, "height": 240, "distortion_model": model}
-    found, coefficients = read_pinhole({"camera_info": info, "pose": TOLD["pose"]}, (240, 320))
+    found, coefficients = read_pinhole({"camera_info": info, "pose": CAMERA_VALUES["pose"]}, (240, 320))
     assert (found, coefficients) == (camera, distortion)
     bent, straight = seen_wall(camera, distortion), seen_wall(camera, ())
     again = undistorted(bent, found, coefficients)

@@ -74,10 +74,10 @@ def test_a_way_is_free_where_all_its_states_are(checker, configurations):
     assert found.any()
     assert not found.all()
     check = checker.edge_test(0.01)
-    told = [check(a, b) for a, b in zip(starts, ends, strict=True)]
-    assert [free for free, _ in told] == found.tolist()
+    results = [check(a, b) for a, b in zip(starts, ends, strict=True)]
+    assert [free for free, _ in results] == found.tolist()
     steps = np.ceil(np.abs(ends - starts).max(axis=1) / 0.01)
-    assert all(looked == count + 2 for (free, looked), count in zip(told, steps, strict=True) if free)
+    assert all(looked == count + 2 for (free, looked), count in zip(results, steps, strict=True) if free)
 
 
 def test_a_circle_is_gone_round_on_its_shorter_side():

@@ -39,7 +39,7 @@ PICTURE, SECOND = taken(CAMERA), taken(OTHER)
 VIEW = DepthView((PICTURE,), (CAMERA,), STATE)
 
 
-def told(pose):
+def view_of(pose):
     return replace(VIEW, cameras=(replace(CAMERA, pose=pose_of(pose)),))
 
 
@@ -62,7 +62,7 @@ def test_a_wrong_pose_is_found_and_the_right_one_suggested(offset_m, deg):
     pose = CAMERA.matrix
     pose[:3, 3] += offset_m
     pose[:3, :3] = turn((0.0, 0.6, 0.8), np.radians(deg)) @ pose[:3, :3]
-    found = WORLD.diagnosed(told(pose))
+    found = WORLD.diagnosed(view_of(pose))
     assert "extrinsics" in {one.code for one in found.findings}
     (suggested,) = found.poses
     better = np.array(suggested.pose)
@@ -82,7 +82,7 @@ def test_a_wrong_pose_is_found_and_the_right_one_suggested(offset_m, deg):
     ],
 )
 def test_another_convention_of_the_pose_is_named_and_undone(code, pose):
-    found = WORLD.diagnosed(told(pose))
+    found = WORLD.diagnosed(view_of(pose))
     assert code in {one.code for one in found.findings}
     np.testing.assert_allclose(np.array(found.poses[0].pose), CAMERA.matrix, atol=1e-9)
 
@@ -102,7 +102,7 @@ def test_a_camera_inside_the_arm_is_found():
     pose = CAMERA.matrix
     spheres = WORLD.spheres_at(STATE)
     pose[:3, 3] = spheres[np.argmax(spheres[:, 3]), :3]
-    assert "camera-inside-arm" in codes(told(pose))
+    assert "camera-inside-arm" in codes(view_of(pose))
 
 
 def test_an_arm_that_is_elsewhere_is_found():

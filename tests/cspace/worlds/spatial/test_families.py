@@ -88,8 +88,8 @@ def test_a_scene_comes_back_from_json_as_it_was(drawn):
     for layouts in drawn.values():
         values = parse_json(json.dumps(layouts[0].to_dict()).encode())
         assert read_object(Layout, values, "the scene", ScenarioError) == layouts[0]
-    told = parse_json(json.dumps(SCENES.to_dict()).encode())
-    assert read_object(SpatialScenes, told, "the scenes", ScenarioError) == SCENES
+    values = parse_json(json.dumps(SCENES.to_dict()).encode())
+    assert read_object(SpatialScenes, values, "the scenes", ScenarioError) == SCENES
 
 
 def test_shelves_are_open_to_the_front_whether_or_not_they_have_a_back():

@@ -60,7 +60,7 @@ def test_along_an_approach_any_turn_about_it_will_do(poses):
 
 
 def test_solutions_are_distinct(poses):
-    apart = Solving(starts=32, apart_rad=0.3)
+    apart = Solving(starts=32, distinct_rad=0.3)
     rows = solve_pose(PANDA, poses[0, :3, 3], np.random.default_rng(3), solving=apart)
     assert len(rows) > 5
     gaps = np.abs(rows[:, None] - rows).max(axis=-1)
@@ -105,18 +105,18 @@ def test_beyond_its_limits_nothing_is_found():
 
 
 @pytest.mark.parametrize(
-    ("asked", "message"),
+    ("arguments", "message"),
     [
         ({"approach": (0.0, 0.0, 2.0)}, "approach that is none"),
         ({"rotation": np.diag([1.0, 1.0, -1.0])}, "rotation is none"),
         ({"rotation": np.ones((2, 2))}, "rotation is none"),
-        ({"approach": (0.0, 0.0, 1.0), "rotation": np.eye(3)}, "told twice"),
+        ({"approach": (0.0, 0.0, 1.0), "rotation": np.eye(3)}, "given twice"),
         ({"place_m": (0.0, np.nan, 0.0)}, "place does not fit"),
     ],
 )
-def test_a_pose_that_is_none_is_refused(asked, message):
+def test_a_pose_that_is_none_is_refused(arguments, message):
     with pytest.raises(ScenarioError, match=message):
-        solve_pose(PANDA, **{"place_m": (0.5, 0.0, 0.5), "rng": np.random.default_rng(0)} | asked)
+        solve_pose(PANDA, **{"place_m": (0.5, 0.0, 0.5), "rng": np.random.default_rng(0)} | arguments)
 
 
 def test_solving_without_starts_or_tolerance_is_refused():

@@ -79,17 +79,17 @@ def test_cameras_from_elsewhere_go_first(picture, reaching):
     assert 0.0 < other.sees < best.sees
     given.append(across.to_dict())
     assert best_view(WORLD, picture, reaching, costs, given) == best
-    told = {"pose": camera(1.8, 0.0).to_dict()["pose"]}
-    assert best_view(WORLD, picture, reaching, costs, given, seen_by=[told]) == other
+    camera_values = {"pose": camera(1.8, 0.0).to_dict()["pose"]}
+    assert best_view(WORLD, picture, reaching, costs, given, seen_by=[camera_values]) == other
     # Where nobody looks from elsewhere, the best of the others is better than none.
-    assert best_view(WORLD, picture, reaching, costs, given[:2], seen_by=[told]) == best
+    assert best_view(WORLD, picture, reaching, costs, given[:2], seen_by=[camera_values]) == best
 
 
 def test_the_hemisphere_has_another_side(picture, reaching):
     costs = np.ones(len(reaching))
     for side in (1.0, -1.0):
-        told = {"pose": camera(-0.2, side).to_dict()["pose"]}
-        found = best_view(WORLD, picture, reaching, costs, seen_by=[told])
+        camera_values = {"pose": camera(-0.2, side).to_dict()["pose"]}
+        found = best_view(WORLD, picture, reaching, costs, seen_by=[camera_values])
         assert side * np.array(found.camera["pose"])[1, 3] < 0.0
 
 
@@ -108,10 +108,10 @@ def test_what_is_no_camera_is_refused(picture, reaching, view):
         best_view(WORLD, picture, reaching, np.ones(len(reaching)), [view])
 
 
-@pytest.mark.parametrize("told", [{}, {"pose": np.full((4, 4), 2.0).tolist()}])
-def test_a_camera_without_a_pose_has_seen_nothing(picture, reaching, told):
+@pytest.mark.parametrize("camera_values", [{}, {"pose": np.full((4, 4), 2.0).tolist()}])
+def test_a_camera_without_a_pose_has_seen_nothing(picture, reaching, camera_values):
     with pytest.raises(InputError, match="pose"):
-        best_view(WORLD, picture, reaching, np.ones(len(reaching)), [BACK.to_dict()], seen_by=[told])
+        best_view(WORLD, picture, reaching, np.ones(len(reaching)), [BACK.to_dict()], seen_by=[camera_values])
 
 
 def test_the_plane_is_seen_whole():

@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 
 from cspace.errors import ScenarioError
-from cspace.simulator import Asked, Split, Taken
+from cspace.simulator import ProblemRequest, Split, Taken
 from cspace.worlds import default_world, examples, partly_seen, picture_of
 from cspace.worlds.spatial.benchmark import LIMITS_RAD, middle
 from cspace.worlds.spatial.obstacles import Box, Obstacles
 from cspace.worlds.spatial.poses import make_pose, pose_of
 
-ASKED = Asked(Split.VALIDATION)
+REQUEST = ProblemRequest(Split.VALIDATION)
 SETS = partly_seen(examples()["panda"])
 
 
 @pytest.fixture(scope="module")
 def problem():
-    return SETS.problem(ASKED, "motionbench_table_pick", 1, 2)
+    return SETS.problem(REQUEST, "motionbench_table_pick", 1, 2)
 
 
 def test_worlds_that_are_seen_whole_have_none():
@@ -41,9 +41,9 @@ def test_two_cameras_stand_on_either_side_and_draws_are_the_same_again(problem):
     places = [np.array(camera.pose)[:2, 3] - focus for camera in scene.cameras]
     sides = [np.sign(x * focus[1] - y * focus[0]) for x, y in places]
     assert sorted(sides) == [-1.0, 1.0]
-    again = SETS.problem(ASKED, "motionbench_table_pick", 1, 2)
+    again = SETS.problem(REQUEST, "motionbench_table_pick", 1, 2)
     assert again.scenario.cameras == scene.cameras
-    assert SETS.problem(ASKED, "motionbench_table_pick", 1, 1).scenario.cameras != scene.cameras[:1]
+    assert SETS.problem(REQUEST, "motionbench_table_pick", 1, 1).scenario.cameras != scene.cameras[:1]
 
 
 def test_what_is_taken_for_occupied_collides_and_what_is_true_is_kept_to(problem):
@@ -72,11 +72,11 @@ def test_the_share_that_is_unseen_is_less_with_more_pictures(problem):
 
 def test_meshes_judge_where_they_are_installed(problem):
     pytest.importorskip("pinocchio", reason="the extra spatial")
-    assert SETS.judge(problem).valid_batch(np.array([problem.start, problem.goal])).all()
+    assert SETS.mesh_checker(problem).valid_batch(np.array([problem.start, problem.goal])).all()
 
 
 def test_own_problems_are_drawn_anew_for_another_seed():
-    found = [SETS.problem(Asked(Split.VALIDATION, seed, "scene"), "table", 0, 1) for seed in (0, 1)]
+    found = [SETS.problem(ProblemRequest(Split.VALIDATION, seed, "scene"), "table", 0, 1) for seed in (0, 1)]
     assert not np.array_equal(found[0].start, found[1].start)
 
 
@@ -89,7 +89,7 @@ def test_the_middle_is_that_of_the_box_round_everything():
 
 def test_the_benchmarks_problems_have_its_limits_and_own_ones_the_makers(problem):
     assert problem.space.upper == tuple(high for _, high in LIMITS_RAD)
-    own = SETS.problem(ASKED, "table", 0, 1)
+    own = SETS.problem(REQUEST, "table", 0, 1)
     assert own.space.upper == examples()["panda"].space.upper == SETS.world.space.upper
     checkers = SETS.checkers(problem, picture_of(problem.scenario), Taken.KNOWN)
     assert {checker.space for checker in checkers} == {problem.space}

@@ -65,15 +65,15 @@ def test_a_hand_that_reaches_in_is_within_a_region(drawn):
 
 
 def test_split_seed_and_index_alone_tell_a_problem():
-    told = [(Split.VALIDATION, 0, 0), (Split.TRAIN, 0, 0), (Split.VALIDATION, 1, 0), (Split.VALIDATION, 0, 1)]
-    first = [draw_problem(PANDA, SCENES, *one, limits=QUICK) for one in told]
-    again = [draw_problem(PANDA, SCENES, *one, limits=QUICK) for one in reversed(told)][::-1]
+    keys = [(Split.VALIDATION, 0, 0), (Split.TRAIN, 0, 0), (Split.VALIDATION, 1, 0), (Split.VALIDATION, 0, 1)]
+    first = [draw_problem(PANDA, SCENES, *one, limits=QUICK) for one in keys]
+    again = [draw_problem(PANDA, SCENES, *one, limits=QUICK) for one in reversed(keys)][::-1]
     for one, other in zip(first, again, strict=True):
         assert one.layout == other.layout
         assert (one.kind, one.rejected, one.is_trivial) == (other.kind, other.rejected, other.is_trivial)
         assert np.array_equal(one.path, other.path)
-    assert len({str(one.layout.to_dict()) for one in first}) == len(told)
-    assert len({one.start.tobytes() for one in first}) == len(told)
+    assert len({str(one.layout.to_dict()) for one in first}) == len(keys)
+    assert len({one.start.tobytes() for one in first}) == len(keys)
 
 
 @pytest.mark.parametrize("family", FAMILIES)

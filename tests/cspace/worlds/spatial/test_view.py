@@ -19,7 +19,7 @@ def camera(width=32, height=24, side=0.5):
     return DepthCamera.of_field(width, height, 70.0, looking((1.2, side, 0.8), (0.4, 0.0, 0.3)))
 
 
-def told(**changes):
+def camera_values(**changes):
     values = camera().to_dict()
     return {name: values[name] for name in ("fx", "fy", "cx", "cy", "pose")} | changes
 
@@ -59,24 +59,24 @@ def test_cameras_are_told_without_the_size_that_their_pictures_have(view):
     ],
 )
 def test_a_camera_that_cannot_be_is_refused(changes, message):
-    data = pack_view([encode_depth(picture())], [told(**changes)], None)
+    data = pack_view([encode_depth(picture())], [camera_values(**changes)], None)
     with pytest.raises(ImageError, match=message):
         read_view(data, SPACE)
 
 
 @pytest.mark.parametrize("state", [[0.0] * 6, "home", [99.0, *STATE[1:]], [*STATE[:6], "0"]])
 def test_a_state_that_the_arm_cannot_have_is_refused(state):
-    data = pack_view([encode_depth(picture())], [told()], state)
+    data = pack_view([encode_depth(picture())], [camera_values()], state)
     with pytest.raises(ImageError, match="state does not fit"):
         read_view(data, SPACE)
 
 
 def test_a_state_at_a_limit_in_single_precision_is_taken_and_one_outside_names_its_joint():
     upper = np.float32(SPACE.upper).tolist()
-    found = read_view(pack_view([encode_depth(picture())], [told()], upper), SPACE)
+    found = read_view(pack_view([encode_depth(picture())], [camera_values()], upper), SPACE)
     assert SPACE.contains(found.state)
     np.testing.assert_allclose(found.state, SPACE.upper, atol=1e-6)
-    data = pack_view([encode_depth(picture())], [told()], [*STATE[:3], -135.0, *STATE[4:]])
+    data = pack_view([encode_depth(picture())], [camera_values()], [*STATE[:3], -135.0, *STATE[4:]])
     with pytest.raises(ImageError, match=r"panda_joint4 from .* got panda_joint4 at -135 rad; .*degrees"):
         read_view(data, SPACE)
 
@@ -84,7 +84,7 @@ def test_a_state_at_a_limit_in_single_precision_is_taken_and_one_outside_names_i
 def test_pictures_and_cameras_are_as_many_as_each_other_and_at_most_four():
     for pictures, cameras in ((0, 0), (1, 2), (2, 1), (5, 5)):
         with pytest.raises(ImageError, match=f"{pictures} pictures, {cameras} cameras"):
-            pack_view([b"PNG"] * pictures, [told()] * cameras, None)
+            pack_view([b"PNG"] * pictures, [camera_values()] * cameras, None)
     with pytest.raises(ImageError, match="too long"):
         pack_view([b"PNG"], [["x" * 20_000]], None)
     for depth in (picture(), picture(64, 48).astype(np.int32)):

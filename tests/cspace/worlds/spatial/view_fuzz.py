@@ -71,8 +71,8 @@ class Subject:
         self.fine: SpatialWorld = self.bundle.spec.world  # type: ignore[assignment]
         self.arm: SerialArm = self.fine.body
         self.coarse = replace(self.fine, sensor=replace(self.fine.sensor, grid=grid_of(self.arm, COARSE_M)))
-        shop: Any = simulator_of(self.fine)
-        self.views = [self._smaller(scene.view()) for scene in shop.scenes(Split.DEMO, 11, scenes)]
+        simulator: Any = simulator_of(self.fine)
+        self.views = [self._smaller(scene.view()) for scene in simulator.scenes(Split.DEMO, 11, scenes)]
         rows = self.fine.space.sample_uniform(np.random.default_rng(0), 96)
         self.rows = rows.astype(np.float32)
         self._centres = self.arm.sphere_centres_m(rows)

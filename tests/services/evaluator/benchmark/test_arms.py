@@ -38,23 +38,23 @@ def test_the_schedule_has_as_many_unperturbed_samples_as_the_mixture_it_is_compa
 
 
 def test_arms_ask_for_as_many_samples_as_they_are_told_and_keep_a_number_that_is_in_their_name():
-    told = {arm.name: arm for arm in table(["way"], 1.0, Taken(samples=700))}
+    arms = {arm.name: arm for arm in table(["way"], 1.0, Taken(samples=700))}
     plain = {arm.name: arm.samples for arm in table(["way"], 1.0) if arm.group is not Group.SCHEDULE}
-    changed = {name for name, samples in plain.items() if told[name].samples != samples}
+    changed = {name for name, samples in plain.items() if arms[name].samples != samples}
     assert changed == {
         name for name, samples in plain.items() if samples == SAMPLES and "samples" not in name
     }
-    assert {told[name].samples for name in changed} == {700}
-    assert told["RRT, way, 70 %, 30 samples"].samples == 30
-    assert told["RRT, way, 25 %, 175 samples"].samples == 175
+    assert {arms[name].samples for name in changed} == {700}
+    assert arms["RRT, way, 70 %, 30 samples"].samples == 30
+    assert arms["RRT, way, 25 %, 175 samples"].samples == 175
 
 
 def test_there_is_an_arm_for_every_share_that_is_told():
-    plain, told = table(["way"], 1.0), table(["way"], 1.0, Taken(shares=(0.85, 0.55)))
-    assert len(told) == len(plain)
+    plain, changed = table(["way"], 1.0), table(["way"], 1.0, Taken(shares=(0.85, 0.55)))
+    assert len(changed) == len(plain)
     shared = (Group.LEARNED, Group.FILTERED, Group.ORDERED, Group.CHECKED)
-    assert {arm.learned_share for arm in told if arm.group in shared} == {0.85, 0.55}
-    by_name = {arm.name: arm for arm in told}
+    assert {arm.learned_share for arm in changed if arm.group in shared} == {0.85, 0.55}
+    by_name = {arm.name: arm for arm in changed}
     assert by_name["RRT, way, 55 %, colliding last"].learned_share == 0.55
     assert by_name["RRT*, way, 85 %, optimising"].learned_share == 0.85
     assert by_name["RRT, way, 70 %, 30 samples"].learned_share == 0.7

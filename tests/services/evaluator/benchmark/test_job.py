@@ -66,8 +66,8 @@ def test_a_benchmark_leaves_table_report_figures_pages_and_a_run(tmp_path, setti
     }
     pages = {"pages/page-uniform-00.png", "pages/page-disconnected-00.png"}
     texts = {"manifest.json", "report.md", "comparison.md", "runs.parquet"}
-    told = texts | figures | pages
-    assert files - {".gitignore"} == told | {RUNS}
+    names = texts | figures | pages
+    assert files - {".gitignore"} == names | {RUNS}
     assert "![boxes](figures/boxes.png)" in (tmp_path / "report.md").read_text()
     assert all((tmp_path / name).stat().st_size > 10_000 for name in figures | pages)
     frame = pd.read_parquet(tmp_path / "runs.parquet")
@@ -76,7 +76,7 @@ def test_a_benchmark_leaves_table_report_figures_pages_and_a_run(tmp_path, setti
     assert not frame.loc[frame["family"] == "disconnected", "solved"].any()
     (run,) = tracking.runs.values()
     assert run.status == "FINISHED"
-    assert set(run.artifacts) == told | {"tables/arms.json", "tables/arms.parquet"}
+    assert set(run.artifacts) == names | {"tables/arms.json", "tables/arms.parquet"}
     assert run.tags["mlflow.note.content"] == (tmp_path / "comparison.md").read_text()
     assert run.params["samplers.way"] == make_request(tmp_path, setting).specs[0].digest
     assert run.history["uniform/RRT_way_70/solved"][0][1] == 1.0

@@ -16,7 +16,7 @@ from cspace.worlds import default_world, examples
 from cspace.worlds.planar.camera import decode_png
 from cspace.worlds.planar.problems import Family, draw_problem
 from services.evaluator.benchmark.arms import Unit, pick, table
-from services.evaluator.benchmark.samples import SampleWorker, drawn_samples, known_problem, state_check_s
+from services.evaluator.benchmark.samples import SampleWorker, filtered_samples, known_problem, state_check_s
 from services.evaluator.benchmark.sources import ask, bundled, fresh_picture, opened, parse_named
 from services.planner.result import Reason
 from services.planner.rrt_connect import order_along
@@ -52,10 +52,10 @@ class Counting:
     """A source that counts what it is asked."""
 
     def __init__(self, source):
-        self.source, self.asked = source, Counter()
+        self.source, self.calls = source, Counter()
 
     def answer(self, picture, query, model=None):
-        self.asked[query.n, query.epsilon_sigma, query.min_confidence] += 1
+        self.calls[query.n, query.epsilon_sigma, query.min_confidence] += 1
         return self.source.answer(picture, query, model)
 
 
@@ -97,7 +97,7 @@ def test_arms_that_ask_for_the_same_share_a_request(setting, spec, sources):
     counting = Counting(sources["way"])
     wanted = (*NAMES, "RRT, way, schedule", "RRT, way, schedule in order", "RRT, way, 70 %, filtered")
     found = run(pick(table(["way"], 1.0), wanted), Family.UNIFORM, setting, spec, {"way": counting})
-    assert sorted(counting.asked.values()) == [1, 1, 1]
+    assert sorted(counting.calls.values()) == [1, 1, 1]
     plain = [found[name] for name in NAMES]
     assert len({one.request_s for one in plain}) == 1
 
@@ -128,7 +128,7 @@ def test_where_there_is_no_path_nothing_succeeds_and_the_limit_ends_it(setting, 
 
 def test_a_path_that_the_independent_check_refuses_is_no_success(setting, spec, sources, monkeypatch):
     monkeypatch.setattr(
-        "services.evaluator.benchmark.samples.judge_path", lambda *given: Reason.REJECTED, raising=True
+        "services.evaluator.benchmark.samples.check_path", lambda *given: Reason.REJECTED, raising=True
     )
     for one in run(PLAIN + OPTIMISING, Family.UNIFORM, setting, spec, sources).values():
         assert (one.solved, one.length_rad, one.cost_s) == (False, None, [])
@@ -150,7 +150,7 @@ def drawn(setting, sources):
 
     def of(name, **how):
         batch = sources["way"].sample(white, 40, seed=3, min_confidence=0.0, **ends, **how)
-        return drawn_samples(by_name[name], batch, problem), batch.samples, problem
+        return filtered_samples(by_name[name], batch, problem), batch.samples, problem
 
     return of
 

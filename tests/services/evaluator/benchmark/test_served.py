@@ -34,8 +34,8 @@ def test_a_model_behind_the_api_is_measured_with_what_its_server_tells(tmp_path,
             "--problems", "3", "--processes", "1", "--pages", "1", "--no-mlflow", "--arms", *NAMES,
         ]  # fmt: skip
         assert command.main(given, {}) == 0
-    told = json.loads((out / "manifest.json").read_text())["samplers"]["way"]
-    assert (told["model"], told["transport"], told["with_ends"]) == ("pretrained", "HTTP", True)
+    sampler = json.loads((out / "manifest.json").read_text())["samplers"]["way"]
+    assert (sampler["model"], sampler["transport"], sampler["with_ends"]) == ("pretrained", "HTTP", True)
     frame = pd.read_parquet(out / "runs.parquet")
     learned = frame[frame["sampler"] == "way"]
     assert len(learned) == 3 * len(NAMES)

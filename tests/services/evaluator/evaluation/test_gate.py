@@ -11,8 +11,8 @@ from services.evaluator.evaluation.gate import (
     Comparison,
     Gain,
     PathCandidate,
-    judge,
-    judge_paths,
+    path_verdict_of,
+    verdict_of,
 )
 from services.evaluator.statistics import Interval
 
@@ -43,21 +43,21 @@ SAME, BETTER, WORSE = ("coverage", -0.01, 0.01), ("precision", 0.001, 0.02), ("E
 
 def test_too_few_scenes_promote_nobody():
     few = Candidate(Interval(0.3, 0.3, 0.3, 4), 0.98, GOOD)
-    verdict = judge(few, Bar(), PLANAR)
+    verdict = verdict_of(few, Bar(), PLANAR)
     assert not verdict.promoted
-    assert "judged on 4 scenes; fewer than 5 tell nothing of others" in verdict.reasons
-    assert judge(replace(few, precision_gain=Interval(0.3, 0.3, 0.3, 5)), Bar(), PLANAR).promoted
+    assert "evaluated on 4 scenes; fewer than 5 say nothing about others" in verdict.reasons
+    assert verdict_of(replace(few, precision_gain=Interval(0.3, 0.3, 0.3, 5)), Bar(), PLANAR).promoted
 
 
 def test_a_first_version_that_beats_uniform_and_covers_is_promoted():
-    verdict = judge(candidate(), Bar(), PLANAR)
+    verdict = verdict_of(candidate(), Bar(), PLANAR)
     assert verdict.promoted
     assert verdict.bar.against is None
     assert any("no earlier champion" in reason for reason in verdict.reasons)
 
 
 def test_a_gain_whose_interval_touches_zero_is_not_enough():
-    verdict = judge(candidate(gain_low=0.0), Bar(), PLANAR)
+    verdict = verdict_of(candidate(gain_low=0.0), Bar(), PLANAR)
     assert not verdict.promoted
     assert any("does not beat uniform beyond the interval" in reason for reason in verdict.reasons)
 
@@ -73,14 +73,14 @@ def test_a_gain_whose_interval_touches_zero_is_not_enough():
     ],
 )
 def test_coverage_is_held_against_what_real_samples_reach(coverage, real, held):
-    verdict = judge(candidate(coverage=coverage, real_coverage=real), Bar(), PLANAR)
+    verdict = verdict_of(candidate(coverage=coverage, real_coverage=real), Bar(), PLANAR)
     assert verdict.promoted is held
     words = "at least" if held else "less than"
     assert f"coverage {coverage:.3f} is {words} 0.80 of the {real:.3f} of real samples" in verdict.reasons
 
 
 def test_a_version_that_is_worse_than_a_rival_in_nothing_and_better_in_one_is_promoted():
-    verdict = judge(candidate(), Bar((beside(SAME, BETTER),)), PLANAR)
+    verdict = verdict_of(candidate(), Bar((beside(SAME, BETTER),)), PLANAR)
     assert verdict.promoted
     assert "worse than the shipped model beyond the interval: in nothing" in verdict.reasons
     assert any(
@@ -91,13 +91,13 @@ def test_a_version_that_is_worse_than_a_rival_in_nothing_and_better_in_one_is_pr
 
 @pytest.mark.parametrize("gains", [(SAME,), (WORSE, BETTER), (WORSE,), (("precision", 0.0, 0.0),)])
 def test_a_version_that_is_worse_in_one_or_better_in_nothing_is_refused(gains):
-    assert not judge(candidate(), Bar((beside(*gains),)), PLANAR).promoted
-    assert not judge_paths(path_candidate(), Bar((beside(*gains),)), PLANAR).promoted
+    assert not verdict_of(candidate(), Bar((beside(*gains),)), PLANAR).promoted
+    assert not path_verdict_of(path_candidate(), Bar((beside(*gains),)), PLANAR).promoted
 
 
 def test_every_rival_has_to_be_passed():
     rivals = (beside(BETTER), beside(SAME, rival="version 3, the present champion"))
-    verdict = judge(candidate(), Bar(rivals, against=3), PLANAR)
+    verdict = verdict_of(candidate(), Bar(rivals, against=3), PLANAR)
     assert not verdict.promoted
     assert verdict.reasons[-1] == (
         "only as good as version 3, the present champion: worse in nothing, better in nothing beyond the "
@@ -106,22 +106,22 @@ def test_every_rival_has_to_be_passed():
 
 
 def test_a_version_that_is_worse_and_better_in_nothing_is_not_called_as_good():
-    refused = judge(candidate(), Bar((beside(SAME, WORSE),)), PLANAR)
+    refused = verdict_of(candidate(), Bar((beside(SAME, WORSE),)), PLANAR)
     assert not any("as good as" in reason for reason in refused.reasons)
     assert "better than the shipped model beyond the interval: in nothing" in refused.reasons
 
 
 def test_the_notes_are_among_the_reasons_and_decide_nothing():
-    verdict = judge(candidate(), Bar(notes=("not compared with anybody",)), PLANAR)
+    verdict = verdict_of(candidate(), Bar(notes=("not compared with anybody",)), PLANAR)
     assert verdict.promoted
     assert "not compared with anybody" in verdict.reasons
 
 
 def test_a_version_within_the_margins_of_recorded_metrics_is_promoted():
-    verdict = judge(candidate(precision=0.845, edr=0.29), recorded(champion()), PLANAR)
+    verdict = verdict_of(candidate(precision=0.845, edr=0.29), recorded(champion()), PLANAR)
     assert verdict.promoted
     # A smaller energy distance is better.
-    assert judge(candidate(edr=0.01), recorded(champion()), PLANAR).promoted
+    assert verdict_of(candidate(edr=0.01), recorded(champion()), PLANAR).promoted
     assert verdict.bar.against == 3
     assert (
         "precision 0.845 is within the margin of 0.020 of the 0.860 recorded of version 3" in verdict.reasons
@@ -133,7 +133,7 @@ def test_a_version_within_the_margins_of_recorded_metrics_is_promoted():
     [("precision", 0.83), ("coverage", 0.86), ("edr", 0.31), ("planning_success", 0.84)],
 )
 def test_a_version_worse_on_one_gated_metric_is_refused_with_the_numbers(metric, value):
-    verdict = judge(candidate(**{metric: value}), recorded(champion()), PLANAR)
+    verdict = verdict_of(candidate(**{metric: value}), recorded(champion()), PLANAR)
     assert not verdict.promoted
     worse = [reason for reason in verdict.reasons if "is worse than" in reason]
     assert len(worse) == 1
@@ -143,28 +143,28 @@ def test_a_version_worse_on_one_gated_metric_is_refused_with_the_numbers(metric,
 def test_many_small_steps_down_do_not_add_up():
     # Each champion was within the margin of the one before; the candidate is so of the last, not of the best.
     champions = [champion(1, precision=0.90), champion(2, precision=0.885), champion(3, precision=0.881)]
-    verdict = judge(candidate(precision=0.87), recorded(*champions), PLANAR)
+    verdict = verdict_of(candidate(precision=0.87), recorded(*champions), PLANAR)
     assert not verdict.promoted
     assert any("0.900 recorded of version 1" in reason for reason in verdict.reasons)
 
 
 def test_a_gated_metric_that_was_not_measured_is_no_pass():
     metrics = {name: value for name, value in GOOD.items() if name != "planning_success"}
-    verdict = judge(Candidate(Interval(0.2, 0.1, 0.3, 60), 0.98, metrics), recorded(champion()), PLANAR)
+    verdict = verdict_of(Candidate(Interval(0.2, 0.1, 0.3, 60), 0.98, metrics), recorded(champion()), PLANAR)
     assert not verdict.promoted
     assert any("planning_success was not measured" in reason for reason in verdict.reasons)
 
 
 def test_champions_without_a_metric_do_not_bind_it():
     old = Champion(1, {"precision": 0.86, "coverage": 0.9})
-    assert judge(candidate(), recorded(old), PLANAR).promoted
+    assert verdict_of(candidate(), recorded(old), PLANAR).promoted
 
 
 def test_share_of_coverage_and_margins_are_the_worlds():
     strict = replace(PLANAR, coverage_share=0.95)
-    assert not judge(candidate(), Bar(), strict).promoted
+    assert not verdict_of(candidate(), Bar(), strict).promoted
     narrow = replace(PLANAR, margins={"precision": 0.001})
-    verdict = judge(candidate(precision=0.858, edr=9.0), recorded(champion()), narrow)
+    verdict = verdict_of(candidate(precision=0.858, edr=9.0), recorded(champion()), narrow)
     assert not verdict.promoted
     assert [reason for reason in verdict.reasons if "margin" in reason] == [
         "precision 0.858 is worse than the margin of 0.001 of the 0.860 recorded of version 3"
@@ -180,7 +180,7 @@ def path_candidate(low=1.5, uniform_success=0.9, **changes):
 
 
 def test_a_path_model_that_saves_checks_and_solves_as_much_is_promoted():
-    verdict = judge_paths(path_candidate(), Bar(), PLANAR)
+    verdict = path_verdict_of(path_candidate(), Bar(), PLANAR)
     assert verdict.promoted
     assert any(reason.startswith("saves edge checks in narrow problems") for reason in verdict.reasons)
 
@@ -193,7 +193,7 @@ def test_a_path_model_that_saves_checks_and_solves_as_much_is_promoted():
     ],
 )
 def test_a_path_model_that_saves_nothing_or_solves_less_is_refused(candidate, words):
-    verdict = judge_paths(candidate, Bar(), PLANAR)
+    verdict = path_verdict_of(candidate, Bar(), PLANAR)
     assert not verdict.promoted
     assert any(reason.startswith(words) for reason in verdict.reasons)
 
@@ -208,14 +208,14 @@ def test_a_path_model_that_saves_nothing_or_solves_less_is_refused(candidate, wo
 )
 def test_a_path_model_stays_near_the_best_of_its_champions(changes, held):
     champions = [Champion(1, PATHS), Champion(2, PATHS | {"narrow_edge_checks_ratio": 2.0})]
-    verdict = judge_paths(path_candidate(uniform_success=0.5, **changes), recorded(*champions), PLANAR)
+    verdict = path_verdict_of(path_candidate(uniform_success=0.5, **changes), recorded(*champions), PLANAR)
     assert (verdict.promoted, verdict.bar.against) == (held, 2)
 
 
 def test_a_world_without_balls_that_tell_asks_for_no_coverage():
     measures = replace(PLANAR, coverage_share=None)
     collapsed = candidate(coverage=0.012)
-    assert judge(collapsed, Bar(), measures).promoted
+    assert verdict_of(collapsed, Bar(), measures).promoted
     without = replace(collapsed, metrics={"precision": 0.9, "edr": 0.2})
-    assert judge(without, Bar(), measures).promoted
-    assert not any("coverage" in reason for reason in judge(without, Bar(), measures).reasons)
+    assert verdict_of(without, Bar(), measures).promoted
+    assert not any("coverage" in reason for reason in verdict_of(without, Bar(), measures).reasons)

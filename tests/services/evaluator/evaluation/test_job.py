@@ -56,7 +56,7 @@ def stores(tmp_path, bundle, verified_here):
 
 
 @pytest.fixture(scope="module")
-def judged(tmp_path_factory, bundle):
+def refused(tmp_path_factory, bundle):
     """An evaluation that refused the challenger: its outcome, run, lines, tracking and registry."""
     tracking, registry = challenged(tmp_path_factory.mktemp("judged"), bundle)
     lines = []
@@ -72,20 +72,20 @@ def evaluated(stores, **changes):
 @pytest.fixture
 def passing(monkeypatch):
     """The gate passes: the tiny model is no better than uniform, and the decision is not the point here."""
-    judge = report.judge
-    monkeypatch.setattr(report, "judge", lambda *given: replace(judge(*given), promoted=True))
+    verdict_of = report.verdict_of
+    monkeypatch.setattr(report, "verdict_of", lambda *given: replace(verdict_of(*given), promoted=True))
 
 
-def test_an_evaluation_is_a_child_of_the_training_with_metrics_report_and_pictures(judged):
-    outcome, run = judged.outcome, judged.run
+def test_an_evaluation_is_a_child_of_the_training_with_metrics_report_and_pictures(refused):
+    outcome, run = refused.outcome, refused.run
     assert (run.name, run.status) == (f"{MODEL_NAME}/1 judged, seed 0, {run.run_id[:6]}", "FINISHED")
-    assert run.parent_run_id == judged.registry.version(MODEL_NAME, 1).run_id
+    assert run.parent_run_id == refused.registry.version(MODEL_NAME, 1).run_id
     flat = flat_metrics(outcome.evaluation)
     assert run.history["validation/precision"][0][1] == flat["precision"]
     assert run.history["test/uniform_precision"][0][1] == flat["test_uniform_precision"]
     assert len(run.history) <= MAX_METRICS
-    told = {"stage": "evaluation", "model_version": f"{MODEL_NAME}/1", "world": "planar, two-link"}
-    assert told.items() <= run.tags.items()
+    tags = {"stage": "evaluation", "model_version": f"{MODEL_NAME}/1", "world": "planar, two-link"}
+    assert tags.items() <= run.tags.items()
     assert run.params["samples"] == str(outcome.evaluation.setting.budget.samples)
     assert b"\n\nJudged on scenes of the planar world with 3 discs" in run.artifacts["report/evaluation.md"]
     assert b"## Decision" in run.artifacts["report/evaluation.md"]
@@ -93,13 +93,13 @@ def test_an_evaluation_is_a_child_of_the_training_with_metrics_report_and_pictur
     assert {f"figures/{name}.png" for name in outcome.figures} <= set(run.artifacts)
 
 
-def test_every_estimate_stands_in_a_table_with_its_limits(judged):
-    table = json.loads(judged.run.artifacts["tables/measures.json"])
+def test_every_estimate_stands_in_a_table_with_its_limits(refused):
+    table = json.loads(refused.run.artifacts["tables/measures.json"])
     rows = [dict(zip(table["columns"], row, strict=True)) for row in table["data"]]
     of = ("task", "split", "family", "sampler", "measure")
     found = {tuple(row[name] for name in of): row for row in rows}
     one = found["reconstruction", "test", "uniform", "uniform", "coverage"]
-    flat = flat_metrics(judged.outcome.evaluation)
+    flat = flat_metrics(refused.outcome.evaluation)
     assert [one[name] for name in ("value", "low", "high")] == [
         flat[f"test_uniform_coverage{end}"] for end in ("", "_low", "_high")
     ]
@@ -108,32 +108,32 @@ def test_every_estimate_stands_in_a_table_with_its_limits(judged):
     assert one["shown"] == f"{one['value']:.4f} [{one['low']:.4f}, {one['high']:.4f}]"
 
 
-def test_the_headline_is_shown_on_the_version_and_on_the_run_that_made_it(judged):
-    shown, version = judged.registry.shown[MODEL_NAME, 1], judged.registry.version(MODEL_NAME, 1)
+def test_the_headline_is_shown_on_the_version_and_on_the_run_that_made_it(refused):
+    shown, version = refused.registry.shown[MODEL_NAME, 1], refused.registry.version(MODEL_NAME, 1)
     assert {"validation/precision", "test/coverage", "validation/edr"} <= set(shown.metrics)
     assert len(shown.metrics) <= MAX_HEADLINE
-    made = judged.tracking.runs[version.run_id].history
+    made = refused.tracking.runs[version.run_id].history
     assert {name: points[-1][1] for name, points in made.items()} == shown.metrics
     assert shown.note.startswith(f"## {MODEL_NAME}/1: not promoted")
-    assert all(f"- {reason}" in shown.note for reason in judged.outcome.verdict.reasons)
-    assert judged.run.artifacts["report/comparison.md"].decode() == shown.note
+    assert all(f"- {reason}" in shown.note for reason in refused.outcome.verdict.reasons)
+    assert refused.run.artifacts["report/comparison.md"].decode() == shown.note
 
 
-def test_a_refused_version_is_recorded_and_the_champion_stays(judged):
-    assert not judged.outcome.verdict.promoted
-    (decision,) = decisions(judged.registry, MODEL_NAME)
+def test_a_refused_version_is_recorded_and_the_champion_stays(refused):
+    assert not refused.outcome.verdict.promoted
+    (decision,) = decisions(refused.registry, MODEL_NAME)
     assert not decision.promoted
-    assert decision.reasons == judged.outcome.verdict.reasons
+    assert decision.reasons == refused.outcome.verdict.reasons
     assert set(decision.metrics) == {"precision", "coverage", "edr"}
     with pytest.raises(ModelNotFoundError):
-        judged.registry.by_alias(MODEL_NAME, ALIAS_CHAMPION)
+        refused.registry.by_alias(MODEL_NAME, ALIAS_CHAMPION)
 
 
-def test_progress_tells_every_unit(judged):
-    count, lines = len(units(TINY, simulator_of(PlanarWorld()).families)), judged.lines
+def test_progress_tells_every_unit(refused):
+    count, lines = len(units(TINY, simulator_of(PlanarWorld()).families)), refused.lines
     assert len(lines) == 2 + count
     assert f"{MODEL_NAME}/1" in lines[0]
-    assert lines[1].startswith("judged on scenes of the planar world with 3 discs of radius 1.0 m (robot ")
+    assert lines[1].startswith("evaluated on scenes of the planar world with 3 discs of radius 1.0 m (robot ")
     assert "2 validation and 2 test scenes of the family uniform" in lines[1]
     assert lines[1].endswith("seed 0")
     assert lines[-1].lstrip().startswith(f"{count}/{count}")
@@ -182,7 +182,7 @@ def test_a_path_model_is_not_judged_without_problems(stores, tmp_path):
     bundle = Bundle.load(write_tiny_bundle(tmp_path / "path", THREE_LINK, kind="path"))
     run_id = tracking.start(MODEL_NAME, "cluster-train").run_id
     registry.register(MODEL_NAME, bundle.folder, run_id, bundle.digest, {})
-    with pytest.raises(EvaluationError, match="path models are judged on uniform problems"):
+    with pytest.raises(EvaluationError, match="path models are evaluated on uniform problems"):
         evaluated(stores, model=f"{MODEL_NAME}/2")
 
 
@@ -213,25 +213,25 @@ def test_the_command_prints_the_tables_a_block_and_a_result_line(commanded, caps
     data = tmp_path / "data"
     assert command.main([], SERVER | {"CSPACE_DATA_DIR": str(data)}) == 0
     *lines, last = capsys.readouterr().out.splitlines()
-    told = json.loads(last.removeprefix("RESULT "))
-    assert (told["model"], told["version"], told["promoted"]) == (MODEL_NAME, 1, False)
-    assert told["metrics"]["real_precision"] == 1.0
+    result = json.loads(last.removeprefix("RESULT "))
+    assert (result["model"], result["version"], result["promoted"]) == (MODEL_NAME, 1, False)
+    assert result["metrics"]["real_precision"] == 1.0
     assert any(line.startswith("not promoted") for line in lines)
-    assert told["judged_on"] in lines
-    kept = data / "jobs" / told["run_id"] / "result.json"
-    assert json.loads(kept.read_text()) == told
+    assert result["judged_on"] in lines
+    kept = data / "jobs" / result["run_id"] / "result.json"
+    assert json.loads(kept.read_text()) == result
     block = lines[lines.index("result") :]
-    assert block[1] == f"  model     {MODEL_NAME}/1, digest {told['digest'][:12]}"
-    assert block[2:4] == ["  promoted  no", f"  run       {told['run_id']}"]
+    assert block[1] == f"  model     {MODEL_NAME}/1, digest {result['digest'][:12]}"
+    assert block[2:4] == ["  promoted  no", f"  run       {result['run_id']}"]
     assert block[-1] == f"  as JSON   {kept}"
 
 
 @pytest.mark.parametrize("environment", [{}, {"CSPACE_DATA_DIR": ""}, {"CSPACE_DATA_DIR": "here"}])
 def test_without_a_data_folder_the_result_is_the_line_alone(
-    environment, commanded, judged, monkeypatch, capsys, tmp_path
+    environment, commanded, refused, monkeypatch, capsys, tmp_path
 ):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(command, "evaluate_version", lambda *given: judged.outcome)
+    monkeypatch.setattr(command, "evaluate_version", lambda *given: refused.outcome)
     assert command.main([], SERVER | environment) == 0
     printed = capsys.readouterr().out
     assert printed.splitlines()[-1].startswith("RESULT {")

@@ -47,8 +47,8 @@ def register(registry, tiny):
         if precision is not None:
             promoted, metrics = True, {"precision": precision}
             digest = robot_digest(PlanarWorld(robot))
-            told = Decision(MODEL_NAME, number, promoted, ("made",), metrics, None, number, digest)
-            record_decision(registry, told)
+            decision = Decision(MODEL_NAME, number, promoted, ("made",), metrics, None, number, digest)
+            record_decision(registry, decision)
 
     return add
 
@@ -78,7 +78,7 @@ def test_the_present_champion_and_the_best_before_it_are_measured_and_the_others
     assert names(field) == ["version 4, the present champion", "version 2, the best before it"]
     assert [champion.version for champion in field.recorded] == [1, 3]
     assert field.against == 4
-    assert field.notes == ("not compared with the shipped model, as was asked for",)
+    assert field.notes == ("not compared with the shipped model, as requested",)
 
 
 @pytest.mark.parametrize("damage", [None, b"no graph"])

@@ -14,7 +14,15 @@ from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.problems import Family
 from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.evaluation.measured import flat_metrics, occupancy_table
-from services.evaluator.evaluation.units import JUDGED, Budget, Kind, Setting, Unit, assemble, run_unit
+from services.evaluator.evaluation.units import (
+    EVALUATED_SPLITS,
+    Budget,
+    Kind,
+    Setting,
+    Unit,
+    assemble,
+    run_unit,
+)
 from services.evaluator.measures.occupancy import reliability_diagram, scene_occupancy, summarise_occupancy
 from services.evaluator.measures.sample_quality import summarise
 from services.evaluator.measures.scenes import Scene, ScoredBundleSampler, Stage, bundle_sampler, reconstruct
@@ -122,7 +130,9 @@ def test_confident_samples_of_a_bundle_are_those_whose_score_reaches_its_thresho
 def test_a_head_is_judged_by_family(tmp_path):
     sampler = bundle_sampler(scored_bundle(tmp_path / "bundle", 0.3))
     work = [
-        Unit(Kind.RECONSTRUCTION, split, 0, 1, family) for split in JUDGED for family in (None, DISCONNECTED)
+        Unit(Kind.RECONSTRUCTION, split, 0, 1, family)
+        for split in EVALUATED_SPLITS
+        for family in (None, DISCONNECTED)
     ]
     budget = Budget(1, 50, 0, 0, 1, 0, 1, disconnected_scenarios=1)
     setting = Setting(PlanarWorld(TWO_LINK, Camera()), 5, budget)

@@ -66,14 +66,14 @@ def trial(uniform, learned, family=Family.UNIFORM, index=0):
 
 def planned_by(found, *, sampler=None, settings=SETTINGS, goal=GOAL):
     """A trial whose planner gives this result, and what it was asked."""
-    asked = []
+    calls = []
 
     def solver(*given):
-        asked.append(given)
+        calls.append(given)
         return found
 
     sampler = sampler or UniformSampler(TWO_LINK.space)
-    return plan_trial(problem(goal=goal), 3, 77, sampler, settings, solver), asked
+    return plan_trial(problem(goal=goal), 3, 77, sampler, settings, solver), calls
 
 
 def at(first, second):
@@ -167,9 +167,9 @@ def scored(threshold):
 
 
 def test_a_validity_head_adds_a_run_with_as_many_samples_that_pass_it():
-    found, asked = planned_by(result([START, GOAL]), sampler=scored(0.5))
+    found, calls = planned_by(result([START, GOAL]), sampler=scored(0.5))
     assert found.confident.success
-    uniform, learned, confident = (call[2] for call in asked)
+    uniform, learned, confident = (call[2] for call in calls)
     assert uniform is None
     assert learned.shape == confident.shape == (300, 2)
     assert (learned[:, 0] > 0.0).any()

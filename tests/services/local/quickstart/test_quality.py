@@ -20,11 +20,11 @@ class Api(SampleSource):
     """Answers with uniform samples; of the model ``short`` too few where it filters."""
 
     def __init__(self):
-        self.asked, self.short = [], None
+        self.calls, self.short = [], None
         self.source = UniformSampler(default_world().space)
 
     def answer(self, picture, query, model=None):
-        self.asked.append((model, query.min_confidence, query.seed))
+        self.calls.append((model, query.min_confidence, query.seed))
         found = self.source.answer(picture, query)
         if (model, query.min_confidence) == (self.short, None):
             return replace(found, samples=found.samples[:-1])
@@ -48,8 +48,8 @@ def api(monkeypatch):
 def test_both_models_are_asked_on_the_same_scenarios_with_the_same_seeds_with_and_without_filter(api):
     found = quickstart.served_quality("http://api", MODELS, TOUR)
     assert list(found) == list(MODELS)
-    assert [asked[:2] for asked in api.asked] == 2 * [(m, least) for m in MODELS for least in (0.0, None)]
-    assert [len({seed for _, _, seed in api.asked[first : first + 4]}) for first in (0, 4)] == [1, 1]
+    assert [call[:2] for call in api.calls] == 2 * [(m, least) for m in MODELS for least in (0.0, None)]
+    assert [len({seed for _, _, seed in api.calls[first : first + 4]}) for first in (0, 4)] == [1, 1]
     # Uniform samples under the same seeds: all equal, and so comparable.
     assert len({one.sampler.precision.estimate for one in found.values()}) == 1
     assert len({one.confident.precision.estimate for one in found.values()}) == 1
@@ -58,7 +58,7 @@ def test_both_models_are_asked_on_the_same_scenarios_with_the_same_seeds_with_an
 def test_the_summary_shows_both_models_side_by_side_and_why_the_shipped_one_was_left_out(api):
     api.short = MODELS[0]
     found = quickstart.served_quality("http://api", MODELS, TOUR)
-    note = "not compared with the shipped model, as was asked for"
+    note = "not compared with the shipped model, as requested"
     text = quickstart.summary(
         TrainingResult(run_id="run", model="cspace-sampler", version=1, digest="digest"),
         EvaluationResult(run_id="run", version=1, promoted=True, reasons=(note,), metrics={}),

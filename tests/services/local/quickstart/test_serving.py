@@ -28,7 +28,7 @@ def wait(transport: httpx.MockTransport, *, default: bool, limit_s: float = 60.0
         default=default,
         limit_s=limit_s,
         transport=transport,
-        pause=pauses.append,
+        sleep=pauses.append,
     )
     return pauses
 

@@ -18,8 +18,10 @@ def plain_answers(head: GridHead, arm: GridArm, picture: Tensor, rows: Tensor) -
     places = torch.cumsum(moving, dim=0) - 1
     members = places[buffer(arm.members, torch.long)]
     near, sight = margins[:, members].amin(dim=2), unseen[:, members].mean(dim=2)
-    told = torch.cat([at_groups(head, arm, picture, spheres, groups), scales(near), sight[..., None]], dim=2)
-    inner = head.group(torch.cat([told, head.names.expand(len(rows), -1, -1)], dim=2))
+    inputs = torch.cat(
+        [at_groups(head, arm, picture, spheres, groups), scales(near), sight[..., None]], dim=2
+    )
+    inner = head.group(torch.cat([inputs, head.names.expand(len(rows), -1, -1)], dim=2))
     hazards = head.hazard(inner).squeeze(-1)
     volumes = functional.normalize(buffer(arm.spheres_m[:, 3])[moving] ** 3, p=1.0, dim=0)
     share = (unseen * volumes).sum(dim=1)
@@ -39,7 +41,7 @@ def at_spheres(head: GridHead, arm: GridArm, picture: Tensor, spheres: Tensor) -
     """Margins to the surface seen, m, and whether not seen free, (n, S)."""
     points = grid_points(arm, spheres, head.counts, arm.voxel_m, 2)
     table = picture.reshape(-1, 1)
-    near = points.between(table).reshape(len(spheres), -1) * 255.0 * arm.distance_step_m
+    near = points.interpolate(table).reshape(len(spheres), -1) * 255.0 * arm.distance_step_m
     codes = table[points.nearest(1)].reshape(len(spheres), -1)
     radii = buffer(arm.spheres_m[arm.links > 0, 3])
     return near - radii, (codes > 0.5 / 255.0).float()
@@ -49,7 +51,7 @@ def at_groups(head: GridHead, arm: GridArm, picture: Tensor, spheres: Tensor, gr
     """All but margins, sight and names, (n, G, k)."""
     rows, x, y, z = len(groups), *(count // STRIDE for count in head.counts)
     coarse = grid_points(arm, groups, (x, y, z), STRIDE * arm.voxel_m)
-    features = coarse.between(head.encode(picture)).reshape(rows, head.groups, -1)
+    features = coarse.interpolate(head.encode(picture)).reshape(rows, head.groups, -1)
     inside = (coarse.places - coarse.places.floor() - 0.5).reshape(3, rows, -1).permute(1, 2, 0)
     fine = grid_points(arm, groups, head.counts, arm.voxel_m, 2)
     code = picture.reshape(-1)[fine.nearest(1)].reshape(rows, -1, 1)

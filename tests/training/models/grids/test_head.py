@@ -193,8 +193,8 @@ def test_where_the_groups_truth_is_known_it_is_learned_too(head, picture, rows):
     hits[0, 3, 2] = True
     known = head_losses(belief, batch(picture, rows, hits))
     clear = np.arange(len(rows)) != 3
-    told = belief.clear[0].clamp(max=-1e-6)
-    each = -torch.where(torch.from_numpy(clear), told, torch.log(-torch.expm1(told)))
+    log_free = belief.clear[0].clamp(max=-1e-6)
+    each = -torch.where(torch.from_numpy(clear), log_free, torch.log(-torch.expm1(log_free)))
     assert known["validity_loss"].item() == pytest.approx(each.mean().item(), rel=1e-5)
     wrong = torch.nn.functional.binary_cross_entropy_with_logits(belief.hazards, hits.float())
     assert known["hazard_loss"].item() == pytest.approx(wrong.item(), rel=1e-5)

@@ -34,15 +34,15 @@ def test_ways_through_a_picture_are_nearly_free_in_the_scene(index):
     truth, picture, ends = planar(index)
     checkers = seen_checkers(PLANAR, picture, ends)
     found = find_paths(checkers, *ends, 4, 0, time.thread_time() + LATE)
-    assert (len(found.ways), found.late) == (4, False)
+    assert (len(found.paths), found.late) == (4, False)
     assert found.checker in checkers
-    for path in found.ways:
+    for path in found.paths:
         assert np.array_equal(path[[0, -1]], ends)
         # Pixels are 0.2 m wide.
         assert truth.clearance(path).min() > -0.1
     again = find_paths(checkers, *ends, 4, 0, time.thread_time() + LATE)
-    assert all(np.array_equal(one, other) for one, other in zip(found.ways, again.ways, strict=True))
-    assert len({path.tobytes() for path in found.ways}) > 1
+    assert all(np.array_equal(one, other) for one, other in zip(found.paths, again.paths, strict=True))
+    assert len({path.tobytes() for path in found.paths}) > 1
 
 
 def test_the_more_careful_checks_know_more_obstacles():
@@ -68,7 +68,7 @@ def test_the_time_ends_a_search():
     _, picture, ends = planar(1)
     found = find_paths(seen_checkers(PLANAR, picture, ends), *ends, 1000, 0, time.thread_time() + 0.05)
     assert found.late
-    assert len(found.ways) < 1000
+    assert len(found.paths) < 1000
 
 
 def test_what_a_search_waits_for_others_is_not_its_own_time():
@@ -84,7 +84,7 @@ def test_what_a_search_waits_for_others_is_not_its_own_time():
     began = time.monotonic()
     found = find_paths(checkers, *ends, 10, 0, time.thread_time() + limit_s, check_cancelled=wait)
     assert time.monotonic() - began > limit_s
-    assert (len(found.ways), found.late) == (10, False)
+    assert (len(found.paths), found.late) == (10, False)
 
 
 class Wall:
@@ -106,19 +106,19 @@ class Wall:
 def test_no_way_is_found_where_there_is_none():
     wall = Wall()
     found = find_paths([wall], np.zeros(2), np.ones(2), 3, 0, time.thread_time() + LATE)
-    assert (found.ways, found.late, found.checker) == ([], False, None)
+    assert (found.paths, found.late, found.checker) == ([], False, None)
     assert wall.states == sum(SearchLimits().rounds()) == 256 + 1024 + 4096
 
 
 def test_a_careful_checker_without_a_way_takes_few_states_before_the_next_is_tried():
     wall, (truth, _, ends) = Wall(), planar(2)
     found = find_paths([wall, truth], *ends, 3, 0, time.thread_time() + LATE)
-    assert (len(found.ways), found.late, wall.states) == (3, False, 256)
+    assert (len(found.paths), found.late, wall.states) == (3, False, 256)
     assert found.checker is truth
     alone = find_paths(
         [Wall(), truth], *ends, 3, 0, time.thread_time() + LATE, limits=SearchLimits(first=4096)
     )
-    for path, other in zip(found.ways, alone.ways, strict=True):
+    for path, other in zip(found.paths, alone.paths, strict=True):
         np.testing.assert_array_equal(path, other)
 
 

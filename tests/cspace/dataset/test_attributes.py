@@ -1,4 +1,4 @@
-"""What a data set tells of each configuration beside its angles."""
+"""Attributes of configurations in a data set: clearance and origin."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from cspace.errors import DatasetError
 from tests.dataset_content import content
 
 
-def told(name, change=lambda values: values):
+def attribute(name, change=lambda values: values):
     """One array for all scenarios of the content, changed."""
     rows, what = name.split("_")
     parts = content()[rows]
@@ -22,12 +22,12 @@ def told(name, change=lambda values: values):
 
 @pytest.mark.parametrize("name", ["free_origin", "collision_clearance"])
 def test_it_is_read_back_by_scenario(tmp_path, name):
-    given = told(name)
-    write_dataset(tmp_path / "data", **content(), told=given)
+    given = attribute(name)
+    write_dataset(tmp_path / "data", **content(), attributes=given)
     dataset = open_dataset(tmp_path / "data")
-    assert dataset.told == (name,)
+    assert dataset.attributes == (name,)
     for scenario, values in enumerate(given[name]):
-        np.testing.assert_allclose(dataset.told_of(name, scenario), values, rtol=1e-6)
+        np.testing.assert_allclose(dataset.attribute_of(name, scenario), values, rtol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -41,11 +41,11 @@ def test_it_is_read_back_by_scenario(tmp_path, name):
 )
 def test_what_cannot_be_is_refused(tmp_path, name, change, message):
     with pytest.raises(DatasetError, match=message):
-        write_dataset(tmp_path / "data", **content(), told=told(name, change))
+        write_dataset(tmp_path / "data", **content(), attributes=attribute(name, change))
     assert list(tmp_path.iterdir()) == []
 
 
-def test_nothing_is_told_of_configurations_that_are_not_there(tmp_path):
+def test_nothing_is_attribute_of_configurations_that_are_not_there(tmp_path):
     without = content() | {"collision": None}
     with pytest.raises(DatasetError, match=r"collision_origin\.npy belongs to collision\.npy"):
-        write_dataset(tmp_path / "data", **without, told=told("collision_origin"))
+        write_dataset(tmp_path / "data", **without, attributes=attribute("collision_origin"))

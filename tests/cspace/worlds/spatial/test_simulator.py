@@ -20,51 +20,51 @@ from cspace.worlds.spatial.simulator import open_simulator
 from cspace.worlds.spatial.world import SpatialWorld, shipped, usual
 
 WORLD: SpatialWorld = usual(shipped("panda"))
-SHOP: Simulator = open_simulator(WORLD)
+SIMULATOR: Simulator = open_simulator(WORLD)
 
 
 @pytest.fixture(scope="module")
 def scenes():
-    return SHOP.scenes(Split.VALIDATION, 0, 3)
+    return SIMULATOR.scenes(Split.VALIDATION, 0, 3)
 
 
 def test_the_world_is_read_from_what_it_tells():
     world: World = WORLD
-    told = world.to_dict()
-    assert told["kind"] == "spatial"
-    again = read_world(parse_json(json.dumps(told).encode()))
+    values = world.to_dict()
+    assert values["kind"] == "spatial"
+    again = read_world(parse_json(json.dumps(values).encode()))
     assert again == world
     assert hash(again) == hash(world)
     unknown = replace(WORLD, scenes=None)
     assert read_world(parse_json(json.dumps(unknown.to_dict()).encode())) == unknown
     with pytest.raises(ScenarioError, match="colour is unknown"):
-        read_world(told | {"colour": 1})
+        read_world(values | {"colour": 1})
 
 
 def test_what_earlier_releases_wrote_has_arms_that_hide_nothing():
-    told = WORLD.to_dict()
-    older = {name: value for name, value in told["cameras"].items() if name not in ("arm_hides", "holes")}
-    found = read_world(told | {"cameras": older}).sensor
+    values = WORLD.to_dict()
+    older = {name: value for name, value in values["cameras"].items() if name not in ("arm_hides", "holes")}
+    found = read_world(values | {"cameras": older}).sensor
     assert found == replace(WORLD.sensor, arm_hides=False, holes=0.0)
     assert "arm_hides" not in found.convention
     assert WORLD.sensor.convention == found.convention | {"arm_hides": True}
 
 
 def test_a_scene_is_that_of_its_split_seed_and_index(scenes):
-    again = SHOP.scenes(Split.VALIDATION, 0, 2)
+    again = SIMULATOR.scenes(Split.VALIDATION, 0, 2)
     assert list(again) == list(scenes[:2])
     assert scenes[0] != scenes[1]
-    assert SHOP.scenes(Split.TRAIN, 0, 1)[0] != scenes[0]
+    assert SIMULATOR.scenes(Split.TRAIN, 0, 1)[0] != scenes[0]
     assert all(scene.state is not None for scene in scenes)
-    assert all(SHOP.checker(scene).valid(scene.state) for scene in scenes)
+    assert all(SIMULATOR.checker(scene).valid(scene.state) for scene in scenes)
 
 
 def test_a_scene_s_file_is_read_as_its_picture(scenes):
     for scene in scenes:
-        picture = SHOP.render(scene)
+        picture = SIMULATOR.render(scene)
         assert picture.shape == WORLD.sensor.picture_shape
         assert picture.dtype == np.uint8
-        assert np.array_equal(WORLD.read_picture(SHOP.picture_file(scene)), picture)
+        assert np.array_equal(WORLD.read_picture(SIMULATOR.picture_file(scene)), picture)
         assert 0.02 < (picture[..., 1] == 0).mean() < 0.98
         assert (picture[..., 0] < 255).mean() > 0.01
 
@@ -77,9 +77,9 @@ def test_pictures_have_holes_and_noise_and_are_the_same_each_time(scenes):
         assert ((after > 0) <= (before > 0)).all()
     read = [sum(int((picture > 0).sum()) for picture in one.view().pictures) for one in (whole, holed)]
     assert read[1] < read[0]
-    assert np.array_equal(SHOP.render(holed), SHOP.render(holed))
+    assert np.array_equal(SIMULATOR.render(holed), SIMULATOR.render(holed))
     assert scenes[0].noise in WORLD.sensor.noise
-    assert not np.array_equal(SHOP.render(scenes[0]), SHOP.render(replace(scenes[0], noise=None)))
+    assert not np.array_equal(SIMULATOR.render(scenes[0]), SIMULATOR.render(replace(scenes[0], noise=None)))
     assert {scene.holes for scene in scenes} == {WORLD.sensor.holes}
     with pytest.raises(ScenarioError, match="holes does not fit"):
         replace(WORLD.sensor, holes=1.5)
@@ -92,7 +92,7 @@ def test_a_picture_of_nothing_is_free_where_it_looks():
 
 
 def test_networks_take_channels_first(scenes):
-    picture = SHOP.render(scenes[0])
+    picture = SIMULATOR.render(scenes[0])
     found = WORLD.sensor.to_network(np.stack([picture, picture]))
     assert found.shape == (2, 2, *WORLD.sensor.grid.counts)
     assert found.dtype == np.float32
@@ -103,7 +103,7 @@ def test_networks_take_channels_first(scenes):
 
 def test_obstacles_are_kept_as_rows(scenes):
     for scene in scenes:
-        rows = SHOP.arrays_of(scene)
+        rows = SIMULATOR.arrays_of(scene)
         assert obstacles_of(rows["boxes"], rows["cylinders"]) == scene.obstacles
     stacked = {
         name: np.stack([rows_of(scene.obstacles)[name] for scene in scenes]) for name in WORLD.scene_files
@@ -115,29 +115,29 @@ def test_obstacles_are_kept_as_rows(scenes):
 
 
 def test_every_family_has_problems_whose_names_are_known():
-    assert SHOP.families.names[0] == UNIFORM
-    SHOP.require("shelf")
+    assert SIMULATOR.families.names[0] == UNIFORM
+    SIMULATOR.require("shelf")
     with pytest.raises(ScenarioError, match="no such family"):
-        SHOP.require("narrow")
+        SIMULATOR.require("narrow")
     with pytest.raises(ScenarioError, match="no such family"):
-        SHOP.problem("narrow", Split.TEST, 0)
+        SIMULATOR.problem("narrow", Split.TEST, 0)
 
 
 @pytest.mark.slow
 def test_a_problem_is_seen_from_where_the_arm_starts():
-    problem = SHOP.problem("bin", Split.VALIDATION, 1, 2)
+    problem = SIMULATOR.problem("bin", Split.VALIDATION, 1, 2)
     assert problem.family == "bin"
     assert problem.scenario.state == tuple(problem.start)
-    checker = SHOP.checker(problem.scenario)
+    checker = SIMULATOR.checker(problem.scenario)
     assert checker.valid_batch(np.stack([problem.start, problem.goal])).all()
-    assert SHOP.obstruction(problem) is None
-    path = SHOP.path_search(problem.scenario)(problem.start, problem.goal)
+    assert SIMULATOR.obstruction(problem) is None
+    path = SIMULATOR.path_search(problem.scenario)(problem.start, problem.goal)
     assert checker.edge_batch(path[:-1], path[1:], 0.01).all()
-    again = SHOP.problem("bin", Split.VALIDATION, 1, 2)
+    again = SIMULATOR.problem("bin", Split.VALIDATION, 1, 2)
     assert np.array_equal(again.goal, problem.goal)
     assert again.scenario == problem.scenario
     buried = replace(problem, goal=np.zeros(7))
-    assert "the goal is" in SHOP.obstruction(buried)
+    assert "the goal is" in SIMULATOR.obstruction(buried)
 
 
 def test_where_nobody_knows_the_scenes_none_are_drawn():
@@ -166,8 +166,8 @@ def test_what_a_sensor_cannot_be_is_refused():
 
 def test_scene_and_robot_are_drawn(scenes):
     axes = Figure().subplots()
-    SHOP.draw_scene(axes, scenes[0], "grey")
+    SIMULATOR.draw_scene(axes, scenes[0], "grey")
     obstacles = len(axes.patches)
-    SHOP.draw_robot(axes, np.asarray(scenes[0].state), "blue", 3)
+    SIMULATOR.draw_robot(axes, np.asarray(scenes[0].state), "blue", 3)
     assert obstacles == len(scenes[0].obstacles)
     assert len(axes.patches) == obstacles + WORLD.body.sphere_count

@@ -56,15 +56,15 @@ def test_clearance_is_the_distance_of_the_shapes(meshes: RobotMeshes) -> None:
         (block(0.1, 0.35, 0.1), -0.05),
         (Cylinder(pose_of(np.diag([1.0, -1.0, -1.0, 1.0]) + np.eye(4, k=3) * 0.2), 0.1, 2.0), -0.02),
     ):
-        judge = meshes.among(Obstacles.of([obstacle]))
-        assert judge.clearance_m([[0.0, 0.0]])[0] == pytest.approx(expected, abs=1e-4)
-        assert judge.valid_batch([[0.0, 0.0]])[0] == (expected > 0.0)
+        checker = meshes.among(Obstacles.of([obstacle]))
+        assert checker.clearance_m([[0.0, 0.0]])[0] == pytest.approx(expected, abs=1e-4)
+        assert checker.valid_batch([[0.0, 0.0]])[0] == (expected > 0.0)
 
 
 def test_a_turned_arm_meets_what_is_beside_it(meshes: RobotMeshes) -> None:
-    judge = meshes.among(Obstacles.of([block(0.9, 0.1, 0.05)]))
+    checker = meshes.among(Obstacles.of([block(0.9, 0.1, 0.05)]))
     # The gripper ends 0.85 m from the shoulder; bent by the elbow it is out of the way.
-    assert judge.valid_batch([[0.0, 0.0], [pi / 2, 0.0], [pi / 2, pi / 2], [pi / 2, 2 * pi]]).tolist() == [
+    assert checker.valid_batch([[0.0, 0.0], [pi / 2, 0.0], [pi / 2, pi / 2], [pi / 2, 2 * pi]]).tolist() == [
         *(True, False, True, False)
     ]
 
@@ -73,9 +73,9 @@ def test_pairs_that_can_touch_are_held_apart(tmp_path: Path, meshes: RobotMeshes
     folded = [[0.0, 0.0], [0.0, pi], [0.0, -pi]]
     assert meshes.among(Obstacles()).valid_batch(folded).tolist() == [True, False, False]
     loose = SerialArm(TWO.name, TWO.joints, TWO.parts, (), TWO.tool)
-    judge = RobotMeshes(loose, Description(described(tmp_path))).among(Obstacles())
-    assert judge.valid_batch(folded).all()
-    assert judge.clearance_m(folded).tolist() == [np.inf] * 3
+    checker = RobotMeshes(loose, Description(described(tmp_path))).among(Obstacles())
+    assert checker.valid_batch(folded).all()
+    assert checker.clearance_m(folded).tolist() == [np.inf] * 3
 
 
 @pytest.mark.parametrize(
@@ -105,8 +105,8 @@ def test_joints_that_are_held_are_where_they_are_held(tmp_path: Path) -> None:
     obstacles = Obstacles.of([block(-0.2, 0.9, 0.05)])
     # The finger slides to where the base's -x is; elsewhere the gripper, of radius 0.03, is the closest.
     for value, expected in ((0.0, 0.12), (0.1, 0.04), (-0.1, 0.12)):
-        judge = RobotMeshes(TWO, Description(urdf, {"slide": value})).among(obstacles)
-        assert judge.clearance_m([[0.0, 0.0]])[0] == pytest.approx(expected, abs=1e-4)
+        checker = RobotMeshes(TWO, Description(urdf, {"slide": value})).among(obstacles)
+        assert checker.clearance_m([[0.0, 0.0]])[0] == pytest.approx(expected, abs=1e-4)
 
 
 def test_without_the_libraries_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -139,16 +139,16 @@ def test_all_ends_of_the_pandas_problems_are_free_by_its_meshes(panda: RobotMesh
 def test_a_collision_that_coal_misses_without_contacts_is_told(panda: RobotMeshes) -> None:
     problem = problems(Split.VALIDATION, families=["cage"])[16]
     row = [[-2.9671, 0.102454, 2.756017, -1.950074, 2.367983, 2.934542, -2.209954]]
-    judge = panda.among(problem.obstacles)
-    assert judge.clearance_m(row)[0] < -0.01
-    assert not judge.valid_batch(row)[0]
+    checker = panda.among(problem.obstacles)
+    assert checker.clearance_m(row)[0] < -0.01
+    assert not checker.valid_batch(row)[0]
 
 
 def test_the_verdict_is_the_sign_of_the_clearance(panda: RobotMeshes) -> None:
     rng, space = np.random.default_rng(0), PANDA.space
     for problem in problems(Split.VALIDATION)[::70]:
-        judge = panda.among(problem.obstacles)
+        checker = panda.among(problem.obstacles)
         rows = rng.uniform(space.lower, space.upper, (200, 7))
-        free = judge.valid_batch(rows)
+        free = checker.valid_batch(rows)
         assert 0.4 < free.mean() < 0.95
-        np.testing.assert_array_equal(free, judge.clearance_m(rows) > 0.0)
+        np.testing.assert_array_equal(free, checker.clearance_m(rows) > 0.0)

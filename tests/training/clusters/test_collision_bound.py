@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from training.clusters.calibration import FINE, Scored, choose_promised, make_promise
+from training.clusters.calibration import FINE, Scored, choose_bounded, collision_bound
 
 
 def drawn(rng: np.random.Generator, size: int = 400) -> Scored:
@@ -20,17 +20,17 @@ def scenes(seed: int, count: int) -> list[Scored]:
 
 def test_the_lowest_threshold_that_would_promise_enough_is_chosen_by_its_third_alone() -> None:
     given = scenes(0, 300)
-    found = choose_promised(given, 0.04)
+    found = choose_bounded(given, 0.04)
     assert FINE[0] < found < FINE[-1]
     as_made = [given[index - index % 3] for index in range(300)]
     lower = FINE[FINE.index(found) - 1]
-    assert make_promise(as_made, found).at_most <= 0.04 < make_promise(as_made, lower).at_most
+    assert collision_bound(as_made, found).at_most <= 0.04 < collision_bound(as_made, lower).at_most
     others = [one if index % 3 == 0 else drawn(np.random.default_rng(1)) for index, one in enumerate(given)]
-    assert choose_promised(others, 0.04) == found
+    assert choose_bounded(others, 0.04) == found
 
 
 def test_promises_are_kept_on_average_over_draws_of_scenes() -> None:
-    found = [make_promise(scenes(seed, 60), 0.8) for seed in range(40)]
+    found = [collision_bound(scenes(seed, 60), 0.8) for seed in range(40)]
     assert np.mean([one.measured for one in found]) <= np.mean([one.at_most for one in found])
     # The nineteenth of twenty: at most two scenes of twenty-one, and the error of 800 of them.
     assert np.mean([one.violations for one in found]) <= 2.0 / 21.0 + 0.03
@@ -39,16 +39,16 @@ def test_promises_are_kept_on_average_over_draws_of_scenes() -> None:
 
 def test_few_scenes_cannot_promise_much_however_good_the_head() -> None:
     perfect = [Scored(np.full(10, 0.999), np.ones(10, dtype=bool))] * 60
-    assert choose_promised(perfect, 0.01) == FINE[-1]
-    found = make_promise(perfect, FINE[-1])
+    assert choose_bounded(perfect, 0.01) == FINE[-1]
+    found = collision_bound(perfect, FINE[-1])
     assert found.at_most == pytest.approx(1.0 / 21.0)
     assert (found.measured, found.violations, found.in_most) == (0.0, 0.0, 0.0)
-    assert make_promise(perfect[:9], FINE[-1]).in_most == 1.0
+    assert collision_bound(perfect[:9], FINE[-1]).in_most == 1.0
 
 
 def test_what_lets_nothing_pass_risks_nothing() -> None:
     bad = Scored(np.array([0.9, 0.9, 0.1]), np.array([True, False, False]))
     none = Scored(np.array([0.1]), np.array([False]))
-    found = make_promise([none, bad, bad] * 2, 0.8)
+    found = collision_bound([none, bad, bad] * 2, 0.8)
     assert (found.at_most, found.measured) == (pytest.approx((0.5 * 2 + 1.0) / 3.0), pytest.approx(0.5))
-    assert make_promise([bad, none, none], 0.8).measured == 0.0
+    assert collision_bound([bad, none, none], 0.8).measured == 0.0
