@@ -22,7 +22,7 @@ from benchmarks.machine import ROOT, machine
 from benchmarks.serving.load import Client, capacity
 from benchmarks.serving.memory import arm_plan
 from benchmarks.serving.served import CLIENT_CORE, Asker, new_pictures, served
-from cspace.query import DEFAULT_WAYS
+from cspace.query import DEFAULT_PATHS
 from services.evaluator.tables import markdown
 
 SAMPLES, WARM_UP, STRETCH_S, AT_ONCE = 300, 30, 2.0, 8
@@ -52,7 +52,7 @@ def plans(ports: list[int], count: int) -> Took:
     """Milliseconds of plans of the arm from a new depth picture, by server."""
     took: Took = [[], []]
     for turn in range(count + 2):
-        path, headers, body = arm_plan(np.random.default_rng(turn), DEFAULT_WAYS, 2)
+        path, headers, body = arm_plan(np.random.default_rng(turn), DEFAULT_PATHS, 2)
         for which in in_order(turn):
             connection = http.client.HTTPConnection("127.0.0.1", ports[which], timeout=60)
             began = time.perf_counter()
