@@ -49,6 +49,15 @@ class Problem:
     rejected: int = 0
 
     @property
+    def passage(self) -> str:
+        """The bottleneck in words; nothing where it is not known."""
+        if math.isnan(self.bottleneck_rad):
+            return ""
+        if math.isinf(self.bottleneck_rad):
+            return "nothing in reach"
+        return f"bottleneck {self.bottleneck_rad:.3f} rad" if self.bottleneck_rad > 0.0 else "no path"
+
+    @property
     def space(self) -> JointSpace:
         """The robot's joint space."""
         return self.scenario.world.space

@@ -90,14 +90,8 @@ def problem_line(problem: Problem) -> str:
     """A problem in a few words."""
     if problem.family == OWN:
         return f"your own, {problem.space.dim} joints"
-    passage = (
-        f"bottleneck {problem.bottleneck_rad:.3f} rad"
-        if 0.0 < problem.bottleneck_rad < math.inf
-        else "no path"
-        if problem.bottleneck_rad == 0.0
-        else "nothing in reach"
-    )
-    return f"{problem.family}, seed {problem.seed}, {problem.space.dim} joints, {passage}"
+    words = (problem.family, f"seed {problem.seed}", f"{problem.space.dim} joints", problem.passage)
+    return ", ".join(filter(None, words))
 
 
 def _samples_line(comparison: Comparison) -> str:

@@ -406,8 +406,7 @@ def page(
             checks = f"{result.iterations} iterations, {result.edge_checks} edges"
             outcome = f"{checks}, {result.length_rad:.2f} rad"
         one.set_title(f"{arm.name}\n{outcome}", fontsize=10)
-    gap = "none" if problem.bottleneck_rad == 0.0 else f"{problem.bottleneck_rad:.3f} rad"
-    figure.suptitle(f"{title}, bottleneck {gap}")
+    figure.suptitle(", ".join(filter(None, (title, problem.passage))))
     marks = (("start", START, "o"), ("goal", GOAL, "D"), ("learned samples", LEARNED, "."))
     handles = [Line2D([], [], ls="", marker=mark, color=colour, label=name) for name, colour, mark in marks]
     lines = (("search tree", TREE, 1.0), ("path", PATH, 2.4))

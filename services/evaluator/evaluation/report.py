@@ -125,10 +125,7 @@ def _truth(axes: Axes, scene: Scene) -> None:
 
 
 def _passage(scene: Scene) -> str:
-    if scene.problem is None:
-        return ""
-    bottleneck_rad = scene.problem.bottleneck_rad
-    return f"\nbottleneck {bottleneck_rad:.3f} rad" if bottleneck_rad > 0.0 else "\nno path"
+    return "" if scene.problem is None else f"\n{scene.problem.passage}"
 
 
 def _samples(axes: Axes, scene: Scene, sampler: SampleSource) -> None:
