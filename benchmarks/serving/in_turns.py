@@ -15,6 +15,7 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 
+import httpx
 import numpy as np
 
 from benchmarks.command import arguments
@@ -51,6 +52,9 @@ def requests(ports: list[int], count: int) -> dict[str, Took]:
 def plans(ports: list[int], count: int) -> Took:
     """Milliseconds of plans of the arm from a new depth picture, by server."""
     took: Took = [[], []]
+    for port in ports:
+        while httpx.get(f"http://127.0.0.1:{port}/health/ready", timeout=60).status_code != 200:
+            time.sleep(1)
     for turn in range(count + 2):
         path, headers, body = arm_plan(np.random.default_rng(turn), DEFAULT_PATHS, 2)
         for which in in_order(turn):
@@ -59,11 +63,11 @@ def plans(ports: list[int], count: int) -> Took:
             connection.request("POST", path, body, headers)
             answer = connection.getresponse()
             content = answer.read()
+            connection.close()
             if answer.status != 200:
                 raise RuntimeError(content)
             if turn >= 2:
                 took[which].append(1e3 * (time.perf_counter() - began))
-            connection.close()
     return took
 
 

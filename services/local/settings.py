@@ -377,8 +377,6 @@ def service_environment(settings: Settings, base: Mapping[str, str] = os.environ
         "RAY_DEDUP_LOGS": "0",
         # `ray job stop` gives a job this long to write its checkpoints.
         "RAY_JOB_STOP_WAIT_TIME_S": "20",
-        # A worker whose trial is over keeps some 0.5 GB, and Ray would keep one for each core.
-        "RAY_num_workers_soft_limit": "1",
         # Without this, Ray takes 127.0.0.1 for the machine's outer address and listens there. The switch is
         # named after the systems on which a head keeps to the loopback address by default.
         "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",
