@@ -14,6 +14,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import apsw
 import numpy as np
 from backports import zstd
 from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
@@ -41,14 +42,14 @@ _QUATERNION_TOLERANCE, _FAR_M = 1e-2, 1e6
 class Bag:
     """Recordings that are open, read message by message within limits."""
 
-    def __init__(self, readers: Sequence[Reader], name: str, time_limit_s: float) -> None:
+    def __init__(self, readers: Sequence[Reader], name: str, time_limit_s: float, until: float) -> None:
         self.name = name
         found: list[tuple[Reader, Any]] = [(reader, reader.connections) for reader in readers]
         # A damaged .db3 file has topics without a name.
         self._readers = [
             (reader, [one for one in ones if isinstance(one.topic, str)]) for reader, ones in found
         ]
-        self._until = time.monotonic() + time_limit_s
+        self._until = until
         self._limit_s, self._count = time_limit_s, 0
         self._types = get_typestore(Stores.LATEST)
         self.topics = {one.topic: one.msgtype for _, connections in self._readers for one in connections}
@@ -113,8 +114,10 @@ def opened(source: Path, time_limit_s: float) -> Iterator[Bag]:
     Raises:
         DatasetError: there is none, one lies elsewhere, or it cannot be read.
     """
+    until = time.monotonic() + time_limit_s
     with ExitStack() as stack:
-        stack.enter_context(_bounded_chunks())
+        stack.enter_context(_bounded_chunks(until))
+        stack.enter_context(_bounded_tables(until))
         readers = []
         for path in _files(source):
             with _read_errors(source.name):
@@ -122,7 +125,7 @@ def opened(source: Path, time_limit_s: float) -> Iterator[Bag]:
         with _read_errors(source.name):
             # By time: the names of the parts of a long recording end in _9, _10, ...
             readers.sort(key=lambda reader: reader.start_time)
-        yield Bag(readers, source.name, time_limit_s)
+        yield Bag(readers, source.name, time_limit_s, until)
 
 
 def _files(source: Path) -> list[Path]:
@@ -164,8 +167,11 @@ def _read_errors(name: str) -> Iterator[None]:
 
 
 @contextmanager
-def _bounded_chunks() -> Iterator[None]:
-    """Compressed chunks are no larger than they say; rosbags decompresses first and compares then."""
+def _bounded_chunks(until: float) -> Iterator[None]:
+    """Compressed chunks are no larger than they say; rosbags decompresses first and compares then.
+
+    Chunks without a message that is asked for take time too, and a file may name one many times.
+    """
     table = storage_mcap.DECOMPRESSORS
     before = dict(table)
 
@@ -173,6 +179,8 @@ def _bounded_chunks() -> Iterator[None]:
         def decompress(data: bytes, size: int) -> Any:
             if size > MAX_CHUNK_BYTES:
                 raise ValueError(f"a chunk of {size} bytes, more than {MAX_CHUNK_BYTES}")
+            if time.monotonic() > until:
+                raise ValueError("the time is over")
             return decompressor().decompress(data, max_length=size + 1)
 
         return decompress
@@ -182,6 +190,22 @@ def _bounded_chunks() -> Iterator[None]:
         yield
     finally:
         table.update(before)
+
+
+@contextmanager
+def _bounded_tables(until: float) -> Iterator[None]:
+    """Tables hold what they seem to: no views, which may be endless, and no long values that are computed."""
+
+    def bound(connection: apsw.Connection) -> None:
+        connection.config(apsw.SQLITE_DBCONFIG_ENABLE_VIEW, 0)
+        connection.limit(apsw.SQLITE_LIMIT_LENGTH, MAX_MESSAGE_BYTES)
+        connection.set_progress_handler(lambda: time.monotonic() > until, 10_000)
+
+    apsw.connection_hooks.append(bound)
+    try:
+        yield
+    finally:
+        apsw.connection_hooks.remove(bound)
 
 
 class Series:

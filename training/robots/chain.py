@@ -18,6 +18,8 @@ _TURNING = ("revolute", "continuous")
 # Joints turn twice at most, some wrists a little more; more than four times is a range in degrees.
 MAX_RANGE_RAD = 8.0 * np.pi
 _AGREE = 1e-6
+# Of joints that follow each other.
+_MOST_LEADERS = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,10 +125,10 @@ class _Reader:
     limits: dict[str, Limits]
     held: list[Held] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    by_name: dict[str, Any] = field(init=False)
 
-    @property
-    def by_name(self) -> dict[str, Any]:
-        return {joint.name: joint for joint in self.description.joints.values()}
+    def __post_init__(self) -> None:
+        self.by_name = {joint.name: joint for joint in self.description.joints.values()}
 
     def hold(self, joint: Any) -> Matrix:
         """(4, 4): the transform of a joint that does not move."""
@@ -214,8 +216,8 @@ class _Reader:
             return (near, "beside the chain") if given is None else (given, "--lock")
         name = joint.mimic.joint
         leader = self.by_name.get(name)
-        if leader is None or name in seen:
-            got = f"a ring through {name}" if leader is not None else repr(name)
+        if leader is None or name in seen or len(seen) > _MOST_LEADERS:
+            got = repr(name) if leader is None else f"a ring or a long row through {name}"
             raise ScenarioError(f"{where} mimics no joint", expected="a joint of the description", got=got)
         if leader.mimic is None and name not in self.locked and leader.child in self.path[1:]:
             raise ScenarioError(

@@ -4,6 +4,7 @@ Inside is where the winding number of the surface is above a half (Jacobson, Kav
 Barill et al. 2018), so that meshes with holes have an inside too.
 """
 
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
@@ -140,12 +141,16 @@ def load_mesh(path: Path, scale: Floats, where: str) -> Any:
     """
     data = read_bounded(path, _MAX_FILE_BYTES, ScenarioError)
     kind = path.suffix.lower().removeprefix(".")
-    if kind == "dae":
-        read_xml(data, path.name, "COLLADA")
+    root = read_xml(data, path.name, "COLLADA") if kind == "dae" else None
     try:
-        scene = trimesh.load_scene(
-            BytesIO(data), file_type=_FORMATS[kind], process=False, skip_materials=True
-        )
+        if root is not None:
+            _check_size(root)
+        with warnings.catch_warnings():
+            # NumPy warns of numbers after which it stops.
+            warnings.simplefilter("error", DeprecationWarning)
+            scene = trimesh.load_scene(
+                BytesIO(data), file_type=_FORMATS[kind], process=False, skip_materials=True
+            )
         mesh = scene.to_mesh()
         unit = mesh.units or scene.units
         vertices = np.asarray(mesh.vertices, dtype=np.float64)
@@ -170,7 +175,42 @@ def load_mesh(path: Path, scale: Floats, where: str) -> Any:
     return mesh
 
 
-def found_file(name: str, folder: Path, packages: Mapping[str, Path]) -> Path:
+def _check_size(root: Any) -> None:
+    """Check that a COLLADA file does not grow where it is read, for pycollada does as it says.
+
+    Polygons have as many corners as there are, and with all instances it is no larger than a file may be.
+
+    Raises:
+        ValueError: it grows.
+    """
+    for one in root.iter("{*}polylist"):
+        offsets = [int(row.get("offset", 0)) for row in one.iterfind("{*}input")]
+        corners, indices = (
+            np.fromstring(one.findtext(tag, ""), np.int64, sep=" ") for tag in ("{*}vcount", "{*}p")
+        )
+        stride, most = max(offsets, default=0) + 1, len(indices)
+        if not 0 <= corners.min(initial=0) <= corners.max(initial=0) <= most == stride * corners.sum():
+            raise ValueError(f"polygons of {corners.sum()} corners, and {most} indices")
+    named: dict[str | None, list[Any]] = {}
+    for one in root.iter("{*}node", "{*}geometry"):
+        named.setdefault(one.get("id"), []).append(one)
+    sizes: dict[Any, float] = {}
+
+    def size(one: Any) -> float:
+        if one not in sizes:
+            # Of what holds itself.
+            sizes[one] = np.inf
+            instances = named.get((one.get("url") or "").removeprefix("#"), [])
+            sizes[one] = 1 + len(one.text or "") + sum(map(size, [*one, *instances]))
+        return sizes[one]
+
+    if sum(map(size, root.iter("{*}visual_scene"))) > _MAX_FILE_BYTES:
+        raise ValueError(
+            f"nodes that hold others, or themselves, more than {_MAX_FILE_BYTES} characters in all"
+        )
+
+
+def found_file(name: str | None, folder: Path, packages: Mapping[str, Path]) -> Path:
     """The file that a description names: in its package, in its folder, or in a package that is given.
 
     A package is looked for among those given, else in the folders above the description.
@@ -178,7 +218,7 @@ def found_file(name: str, folder: Path, packages: Mapping[str, Path]) -> Path:
     Raises:
         ScenarioError: there is none, or it lies elsewhere, also by a symbolic link.
     """
-    name = unquote(name)
+    name = unquote(name or "")
     if name.startswith(_PACKAGE):
         package, _, rest = name.removeprefix(_PACKAGE).partition("/")
         places: list[tuple[Path, tuple[Path, ...]]]

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 _HARMLESS = ("builtins", "code", "compile", "exec", "import", "marshal", "object", "sys")
-_MEMORY_BYTES, _CPU_S = 1_000_000_000, 10
+_MEMORY_BYTES, _CPU_S, _MAX_CHARACTERS = 400_000_000, 1.7, 16_000_000
 
 
 def package_of(folder: Path) -> Path:
@@ -37,6 +37,7 @@ def package_roots(name: str, folder: Path, packages: Mapping[str, Path]) -> list
 def _expand(file: str, packages: dict[str, str], arguments: dict[str, str]) -> str:
     """The expanded text of a xacro file."""
     import resource  # noqa: PLC0415 # of the script alone
+    import signal  # noqa: PLC0415
     from xml.dom import expatbuilder  # noqa: F401, PLC0415
 
     import xacro  # noqa: PLC0415
@@ -58,7 +59,12 @@ def _expand(file: str, packages: dict[str, str], arguments: dict[str, str]) -> s
         if event == "open":
             path, mode = details[:2]
             real = Path(os.path.realpath(path)) if isinstance(path, str) else Path("/")
-            if mode in {"r", "rb"} and any(real.is_relative_to(root) for root in allowed):
+            # A pipe has no end.
+            if (
+                mode in {"r", "rb"}
+                and any(real.is_relative_to(root) for root in allowed)
+                and not real.is_fifo()
+            ):
                 return
             raise PermissionError(errno.EACCES, "outside of the description's packages", str(real))
         if event.partition(".")[0] not in _HARMLESS:
@@ -67,9 +73,13 @@ def _expand(file: str, packages: dict[str, str], arguments: dict[str, str]) -> s
     substitution_args._eval_find = find  # noqa: SLF001 # as xacro's documentation of use without ROS does
     substitution_args._eval_dict["find"] = find  # noqa: SLF001
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY_BYTES, _MEMORY_BYTES))
-    resource.setrlimit(resource.RLIMIT_CPU, (_CPU_S, _CPU_S))
+    # Ends the process.
+    signal.setitimer(signal.ITIMER_PROF, _CPU_S)
     sys.addaudithook(audit)
-    return str(xacro.process_file(file, mappings=arguments).toxml())
+    text = str(xacro.process_file(file, mappings=arguments).toxml())
+    if len(text) > _MAX_CHARACTERS:
+        raise ValueError(f"it has {len(text)} characters when it is expanded, more than {_MAX_CHARACTERS}")
+    return text
 
 
 if __name__ == "__main__":

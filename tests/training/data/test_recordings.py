@@ -312,6 +312,27 @@ def test_a_topic_without_a_name_is_none(tmp_path):
     refused(tmp_path, path, "no topic of depth images")
 
 
+ENDLESS = "WITH RECURSIVE r(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM r) SELECT"
+LONG = "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id, timestamp, data AS (zeroblob(900000000)));"
+
+
+@pytest.mark.parametrize(
+    ("statements", "message"),
+    [
+        (
+            f"CREATE VIEW schema AS {ENDLESS} max(x) AS schema_version FROM r",
+            "cannot be read.*no such table: main.r",
+        ),
+        (f"{LONG} INSERT INTO messages VALUES(1, 3, 1)", "cannot be read.*too big"),
+    ],
+)
+def test_tables_that_are_computed_without_end_are_refused(tmp_path, statements, message):
+    path = only_file(usual().write(tmp_path / "bag", StoragePlugin.SQLITE3), ".db3")
+    with closing(sqlite3.connect(path)) as database:
+        database.executescript(f"DROP TABLE {statements.split()[2].split('(')[0]}; {statements}")
+    refused(tmp_path, path, message)
+
+
 def test_limits_hold(tmp_path, monkeypatch):
     bag = usual().write(tmp_path / "bag")
     refused(tmp_path, bag, "takes too long.*--time-limit", time_limit_s=1e-9)

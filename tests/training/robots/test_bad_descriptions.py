@@ -13,6 +13,13 @@ SLIDING = TWO_LINKS.replace('"continuous"', '"prismatic"')
 LIMITS = 'lower="-2" upper="2"'
 BOMB = '<!DOCTYPE robot [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;">]><robot name="&b;"/>'
 
+# Each joint follows the next.
+MIMICS = [
+    f'<link name="l{n}"/><joint name="j{n}" type="revolute"><child link="l{n}"/><mimic joint="j{n + 1}"/>'
+    f'<parent link="{f"l{n - 1}" if n else "gripper"}"/></joint>'
+    for n in range(900)
+]
+
 
 def shoulder(limits: str) -> str:
     return TWO_LINKS.replace(LIMITS, limits)
@@ -35,11 +42,18 @@ def shoulder(limits: str) -> str:
             TWO_LINKS.replace('"2 0 0"', '"0 0 nan"'),
             r"<axis> in line 21, of joint elbow \(line 19\).*3 finite",
         ),
+        (TWO_LINKS.replace('<axis xyz="2 0 0"/>', "<axis/>"), "xyz of <axis> in line 21.*3 finite numbers"),
+        (with_more("".join(MIMICS) + "</robot>"), "mimics no joint.*a long row"),
         # An axis that is too long for floats is one.
         (TWO_LINKS.replace('"2 0 0"', '"0 1e308 1e308"').replace('"0.12"', '"-1"'), "base.*a sphere with"),
         (TWO_LINKS.replace('"0.05" length="0.3"', '"1e-9" length="1e6"'), "upper.*a cylinder with sizes"),
         (TWO_LINKS.replace('"0.04 0.06 0.1"', '"0.1 0.1 1e-300"'), "link lower.*a box with sizes"),
         (with_more("".join(f'<link name="l{n}"/>' for n in range(1000)) + "</robot>"), "too many links"),
+        (with_more("".join(f'<joint name="j{n}"/>' for n in range(1000)) + "</robot>"), "too many joints"),
+        # Numbers of Python that are none of XML.
+        (TWO_LINKS.replace('"0.12"', '"0.1_2"'), "radius of <sphere> in line 4.*1 finite numbers"),
+        (shoulder('lower="-\u0662" upper="2"'), "lower of <limit> in line 17.*a number; got '-\u0662'"),
+        (TWO_LINKS.replace('<sphere radius="0.12"/>', "<mesh/>"), "a mesh is not found"),
         (TWO_LINKS.replace('child link="upper"', 'child link="missing"'), "unknown links .*missing"),
         (TWO_LINKS.replace('child link="gripper"', 'child link="upper"'), "two parents"),
         (TWO_LINKS.replace('parent link="base"', 'parent link="gripper"'), "no tree of links.*root"),

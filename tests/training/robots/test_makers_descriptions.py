@@ -1,5 +1,6 @@
 """Descriptions as makers write them: the right robot, or an error with names, line and what to do."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -169,15 +170,19 @@ def test_xacro_files_are_expanded_with_arguments_and_packages(tmp_path: Path) ->
         ('<link name="$(env HOME)"/>', "HOME"),
         ("<link name=\"${{''.__class__}}\"/>", "__class__"),
         ('<xacro:macro name="m"><xacro:m/></xacro:macro><xacro:m/>', "recursion"),
+        ('<xacro:include filename="pipe.xacro"/>', "outside of the .*pipe.xacro"),
+        ("<link name=\"${{'a' * 20000000}}\"/>", "it has 20000... characters"),
+        ('<link name="${{9**9**9}}"/>', "no end within"),
     ],
 )
-def test_xacro_reads_nothing_outside_its_packages(tmp_path: Path, text: str, message: str) -> None:
+def test_xacro_reads_nothing_outside_its_packages_and_ends(tmp_path: Path, text: str, message: str) -> None:
     outside, folder = tmp_path / "outside", tmp_path / "arm"
     outside.mkdir()
     folder.mkdir()
     (outside / "secret.xacro").write_text(XACRO + '<link name="secret"/></robot>', encoding="utf-8")
     (outside / "secret.yaml").write_text("a: secret", encoding="utf-8")
     (folder / "link.xacro").symlink_to(outside / "secret.xacro")
+    os.mkfifo(folder / "pipe.xacro")
     path = described(folder, XACRO + text.format(outside=outside) + "</robot>", "made.xacro")
     with pytest.raises(ScenarioError, match=rf"xacro cannot expand made\.xacro.*{message}"):
         import_robot(Request(path))

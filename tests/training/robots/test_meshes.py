@@ -1,3 +1,4 @@
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -99,6 +100,9 @@ def test_a_scale_that_leaves_no_mesh_is_refused(tmp_path: Path, scale: float) ->
         ("bad.step", "ISO-10303-21;"),
         ("far.ply", BOX.export(file_type="ply", encoding="ascii").decode().replace("3 1 3 0", "3 1 99 0")),
         ("nan.obj", CORNER.replace("v 1 0 0", "v nan 0 0")),
+        # A reader that ends at what is no number leaves out what follows.
+        ("cut.obj", CORNER.replace("f 1 2 4", "f x 2 4")),
+        ("cut.stl", BOX.export(file_type="stl_ascii").replace("vertex", "vertex x", 13).replace("x", "", 12)),
     ],
 )
 def test_a_file_that_is_no_mesh_is_refused(tmp_path: Path, name: str, data: str) -> None:
@@ -113,6 +117,42 @@ def test_a_mesh_file_reads_no_other_file_and_no_entity(tmp_path: Path) -> None:
     file.write_text('<!DOCTYPE COLLADA [<!ENTITY a "aaaa">]><COLLADA>&a;</COLLADA>', encoding="utf-8")
     with pytest.raises(ScenarioError, match="a document type"):
         load_mesh(file, np.ones(3), "link a")
+
+
+def _repeated(text: str) -> str:
+    """The nodes of a COLLADA file in nodes that each hold the one before ten times."""
+    nodes = text.replace('id="node0"', 'id="n0"').split("<visual_scene", 1)
+    tens = [f"""<node id="n{n + 1}">{f'<instance_node url="#n{n}"/>' * 10}</node>""" for n in range(8)]
+    return nodes[0] + "<visual_scene" + nodes[1].replace("</visual_scene>", "".join(tens) + "</visual_scene>")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        _repeated,
+        lambda text: text.replace("<p>", "<vcount>3 2000000000</vcount><p>").replace("triangles", "polylist"),
+        lambda text: text.replace("<node ", '<node id="a"><instance_node url="#a"/></node><node ', 1),
+    ],
+)
+def test_a_collada_file_that_grows_where_it_is_read_is_refused(
+    tmp_path: Path, change: Callable[[str], str]
+) -> None:
+    file = tmp_path / "bomb.dae"
+    file.write_text(change(_two_boxes("dae")), encoding="utf-8")
+    with pytest.raises(ScenarioError, match=r"cannot be read.*ValueError.*(nodes that hold others|corners)"):
+        load_mesh(file, np.ones(3), "link a")
+
+
+def test_polygons_and_nodes_that_are_used_twice_are_read(tmp_path: Path) -> None:
+    text = _two_boxes("dae")
+    counts = f"<vcount>{'3 ' * 12}</vcount><p>"
+    text = text.replace("<p>", counts).replace("triangles", "polylist").replace('id="node0"', 'id="n0"')
+    twice = '<node><translate>1 0 0</translate><instance_node url="#n0"/></node></visual_scene>'
+    file = tmp_path / "twice.dae"
+    file.write_text(text.replace("</visual_scene>", twice), encoding="utf-8")
+    mesh = load_mesh(file, np.ones(3), "link a")
+    assert mesh.area == pytest.approx(1.5 * 0.0416)
+    assert mesh.bounds[1, 0] == pytest.approx(1.04)
 
 
 def _imported(folder: Path, mesh: str) -> Imported:

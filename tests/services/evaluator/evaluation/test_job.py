@@ -87,7 +87,9 @@ def test_an_evaluation_is_a_child_of_the_training_with_metrics_report_and_pictur
     tags = {"stage": "evaluation", "model_version": f"{MODEL_NAME}/1", "world": "planar, two-link"}
     assert tags.items() <= run.tags.items()
     assert run.params["samples"] == str(outcome.evaluation.setting.budget.samples)
-    assert b"\n\nEvaluated on scenes of the planar world with 3 discs" in run.artifacts["report/evaluation.md"]
+    assert (
+        b"\n\nEvaluated on scenes of the planar world with 3 discs" in run.artifacts["report/evaluation.md"]
+    )
     assert b"## Decision" in run.artifacts["report/evaluation.md"]
     assert json.loads(run.artifacts["report/evaluation.json"])["setting"]["seed"] == 0
     assert {f"figures/{name}.png" for name in outcome.figures} <= set(run.artifacts)
