@@ -97,7 +97,15 @@ class _Candidates:
 
     def _reach(self) -> None:
         """Take more spheres until each point is in one."""
+        left = np.inf
         while len(far := self.points[~self.covered.any(axis=1)]):
+            if len(far) == left:
+                raise ScenarioError(
+                    "a shape cannot be covered by spheres",
+                    expected="triangles that lie where their points do",
+                    got=f"points that no sphere reaches, as {far[0].tolist()}",
+                )
+            left = len(far)
             far = self._rng.permutation(far)[:_MORE_POINTS]
             steps = self._rng.normal(scale=self._allowances.excess_m, size=(len(far), _AROUND, 3))
             about = (far[:, None] + steps).reshape(-1, 3)

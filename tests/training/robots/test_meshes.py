@@ -119,6 +119,13 @@ def test_a_mesh_file_reads_no_other_file_and_no_entity(tmp_path: Path) -> None:
         load_mesh(file, np.ones(3), "link a")
 
 
+def test_corners_of_no_triangle_are_no_points_of_the_surface(tmp_path: Path) -> None:
+    file = tmp_path / "corner.obj"
+    file.write_text(f"{CORNER}v 9 9 9\n", encoding="utf-8")
+    solid = Solid(load_mesh(file, np.ones(3), "link a"))
+    assert np.abs(solid.depth_m(solid.surface(50, np.random.default_rng(0)))).max() < 1e-9
+
+
 def _repeated(text: str) -> str:
     """The nodes of a COLLADA file in nodes that each hold the one before ten times."""
     nodes = text.replace('id="node0"', 'id="n0"').split("<visual_scene", 1)
