@@ -178,7 +178,7 @@ def test_a_strangers_port_is_an_error_before_anything_starts(tmp_path: Path) -> 
     assert list(idle.settings.run_folder.glob("*.json")) == []
 
 
-def wait_for(holds: Callable[[], bool], limit_s: float = 120.0) -> None:
+def wait_for(holds: Callable[[], bool], limit_s: float = 240.0) -> None:
     """Look again and again until something holds."""
     deadline = time.monotonic() + limit_s
     while not holds():
