@@ -197,7 +197,8 @@ class Place:
         sys.addaudithook(self._audit)
 
     def _audit(self, event: str, details: tuple[object, ...]) -> None:
-        if event == "socket.connect" or (event == "open" and "/out/" in os.path.realpath(str(details[0]))):
+        outside = event == "open" and os.path.realpath(str(details[0])).startswith(f"{self.out}/")
+        if outside or event == "socket.connect":
             self.opened.append(f"{event} {details[0]}")
 
     def fresh(self) -> Path:
