@@ -144,7 +144,7 @@ def _expanded(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, 
         got = "no end within 60 s"
     raise ScenarioError(
         f"xacro cannot expand {path.name}",
-        expected="a file that takes 1.7 s and 400 MB at most, and files of its packages alone",
+        expected="a file that takes 5 s and 400 MB at most, and files of its packages alone",
         got=got[:400],
         remedy="give arguments by --xacro NAME=VALUE and folders of packages by --package NAME=FOLDER, "
         "or import what xacro makes of a larger file elsewhere",

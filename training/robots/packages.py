@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 _HARMLESS = ("builtins", "code", "compile", "exec", "import", "marshal", "object", "sys")
-_MEMORY_BYTES, _CPU_S, _MAX_CHARACTERS = 400_000_000, 1.7, 16_000_000
+_MEMORY_BYTES, _CPU_S, _MAX_CHARACTERS = 400_000_000, 5.0, 16_000_000
 
 
 def package_of(folder: Path) -> Path:
