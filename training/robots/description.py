@@ -137,7 +137,7 @@ def _expanded(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, 
         )
         if done.returncode == 0:
             return done.stdout
-        late = done.returncode == -signal.SIGPROF
+        late = done.returncode == -signal.SIGXCPU
         none = "no end within this time" if late else f"code {done.returncode}"
         got = " ".join(done.stderr.decode(errors="replace").split()) or none
     except subprocess.TimeoutExpired:

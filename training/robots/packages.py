@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 _HARMLESS = ("builtins", "code", "compile", "exec", "import", "marshal", "object", "sys")
-_MEMORY_BYTES, _CPU_S, _MAX_CHARACTERS = 400_000_000, 5.0, 16_000_000
+_MEMORY_BYTES, _CPU_S, _MAX_CHARACTERS = 400_000_000, 5, 16_000_000
 
 
 def package_of(folder: Path) -> Path:
@@ -37,7 +37,6 @@ def package_roots(name: str, folder: Path, packages: Mapping[str, Path]) -> list
 def _expand(file: str, packages: dict[str, str], arguments: dict[str, str]) -> str:
     """The expanded text of a xacro file."""
     import resource  # noqa: PLC0415 # of the script alone
-    import signal  # noqa: PLC0415
     from xml.dom import expatbuilder  # noqa: F401, PLC0415
 
     import xacro  # noqa: PLC0415
@@ -73,8 +72,8 @@ def _expand(file: str, packages: dict[str, str], arguments: dict[str, str]) -> s
     substitution_args._eval_find = find  # noqa: SLF001 # as xacro's documentation of use without ROS does
     substitution_args._eval_dict["find"] = find  # noqa: SLF001
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY_BYTES, _MEMORY_BYTES))
-    # Ends the process.
-    signal.setitimer(signal.ITIMER_PROF, _CPU_S)
+    # The first ends the process by SIGXCPU.
+    resource.setrlimit(resource.RLIMIT_CPU, (_CPU_S, _CPU_S + 1))
     sys.addaudithook(audit)
     text = str(xacro.process_file(file, mappings=arguments).toxml())
     if len(text) > _MAX_CHARACTERS:
