@@ -3,11 +3,12 @@
 import pytest
 
 from tests.training.data.recording_fuzz import run
+from tests.training.robots.description_fuzz import alone
 
 
 @pytest.mark.parametrize("count", [5, pytest.param(100, marks=pytest.mark.slow)])
 def test_a_changed_recording_is_imported_or_refused(count: int) -> None:
-    found = run(0, count)
+    found = alone(run, 0, count)
     assert found.faults == []
     assert sum(found.counts.values()) == count
     if count == 100:

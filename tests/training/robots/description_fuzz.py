@@ -14,9 +14,11 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from copy import deepcopy
 from dataclasses import dataclass, field
 from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -176,6 +178,12 @@ class Found:
     def __str__(self) -> str:
         most = "slowest {} s ({}), largest {} MB ({})".format(*self.slowest, *self.largest)
         return "\n".join([f"{dict(sorted(self.counts.items()))}; {most}", *self.faults])
+
+
+def alone(run: Callable[..., Found], *arguments: object) -> Found:
+    """What a run finds in a process of its own: a child's memory counts that of the process it came from."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        return pool.submit(run, *arguments).result()
 
 
 def _memory_mb(name: str) -> float:
