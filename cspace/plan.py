@@ -14,8 +14,8 @@ from cspace.planning.rrt_connect import CheckCancelled, connect_trees
 from cspace.planning.search import find_paths, with_deadline
 from cspace.query import Plan, PlanQuery
 from cspace.simulator import Checker
-from cspace.world import Image, World
-from cspace.worlds import best_view, examples, seen_checkers
+from cspace.world import Contact, Image, Known, World
+from cspace.worlds import best_view, examples, load_known, seen_checkers
 
 
 def load_kernels(checker: Checker, configuration: NDArray[np.float64], step_rad: float) -> None:
@@ -39,6 +39,7 @@ def load_examples() -> list[str]:
         nothing = np.zeros(world.sensor.picture_shape, dtype=np.uint8)
         ends = np.zeros((2, world.dim))
         load_kernels(seen_checkers(world, nothing, ends)[0], ends[0], 0.1)
+        load_known(world)
     return list(examples())
 
 
@@ -65,12 +66,14 @@ class Seen:
         picture: of the scene.
         predict: what the model says of configurations in it.
         plan_calibration: (a, b), see :mod:`cspace.planning.cost`.
+        known: of it beside the picture.
     """
 
     world: World
     picture: Image
     predict: Predict
     plan_calibration: tuple[float, float] = (0.0, 1.0)
+    known: Known | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,7 +124,23 @@ def plan(
             found = replace(found, next_view=view)
     else:
         found = Plan("timeout" if searched.late else "refused", np.empty((0, seen.world.dim)))
+    if found.status != "solved" and (query.explain or seen.known is not None):
+        found = replace(found, contact=_contact(seen, ends, found))
     return replace(found, search_ms=searched.search_ms, score_ms=searched.score_ms)
+
+
+def _contact(seen: Seen, ends: NDArray[np.float64], found: Plan) -> Contact | None:
+    """What is in the way of start or goal if they touch something for certain, else of the tightest place."""
+    for end in ends:
+        contact = seen.world.contact(end, seen.picture, seen.known)
+        # Pictures may show the robot itself there, so that surfaces at the ends are not held against them.
+        if contact is not None and contact.kind in ("known", "self"):
+            return contact
+    return (
+        None
+        if found.least is None
+        else seen.world.contact(found.least.configuration, seen.picture, seen.known)
+    )
 
 
 def search_paths(
@@ -145,7 +164,7 @@ def search_paths(
     Raises:
         ImportError: the compiler of the checks is not installed.
     """
-    checkers = seen_checkers(seen.world, seen.picture, ends)
+    checkers = seen_checkers(seen.world, seen.picture, ends, seen.known)
     # Before the time counts.
     load_kernels(checkers[0], ends[0], STEP_RAD)
     began = time.monotonic()

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cspace.errors import InputError
-from cspace.world import NextView
+from cspace.world import Contact, NextView
 
 MAX_SEED = 2**64 - 1
 MAX_EPSILON = 10.0
@@ -153,6 +153,7 @@ class PlanQuery:
         views: cameras to choose it from, as plain values; none for some about the uncertain places.
         alternatives: whether all paths of sufficient confidence are wanted, for those who can check them.
         seen_by: cameras that the picture is from, where they are known: the next view is one from elsewhere.
+        explain: whether it is wanted what is in the way where no path is returned.
     """
 
     start: tuple[float, ...]
@@ -165,6 +166,7 @@ class PlanQuery:
     views: tuple[Mapping[str, Any], ...] = ()
     alternatives: bool = False
     seen_by: tuple[Mapping[str, Any], ...] = ()
+    explain: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -221,6 +223,7 @@ class Plan:
             were not asked for.
         search_ms: looking for paths.
         score_ms: asking the model about them.
+        contact: what is in the way where there is no path; None where nothing is, or nobody asked.
     """
 
     status: Status
@@ -236,3 +239,4 @@ class Plan:
     alternatives: tuple[AlternativePath, ...] = ()
     search_ms: float = 0.0
     score_ms: float = 0.0
+    contact: Contact | None = None

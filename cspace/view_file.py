@@ -3,7 +3,8 @@
 A view file is a line and the pictures' files behind it, one after the other. The line is the word
 ``cspace-view``, the version 1, and an object in JSON with ``pictures`` (their sizes in bytes), ``cameras``
 (each in a form of :func:`cspace.worlds.spatial.camera_info.read_pinhole`), ``state`` (rad, or null where the
-robot is in no picture) and, where the unit of the pictures is another, ``depth_scale_m`` (metres per unit).
+robot is in no picture) and, where the unit of the pictures is another, ``depth_scale_m`` (metres per unit);
+``known`` is the size in bytes of a planning scene in JSON behind the pictures, where there is one.
 Here it is only packed and unpacked; what it holds is checked by the world that takes such pictures.
 """
 
@@ -32,12 +33,14 @@ class ViewFile:
         cameras: plain values of JSON, one for each picture.
         state: likewise; None where the robot is in no picture.
         depth_scale_m: likewise, metres per unit of the pictures; None for mm.
+        known: JSON of a planning scene; None without one.
     """
 
     pictures: list[bytes]
     cameras: list[object]
     state: object
     depth_scale_m: object = None
+    known: bytes | None = None
 
 
 def is_view(data: bytes) -> bool:
@@ -46,7 +49,11 @@ def is_view(data: bytes) -> bool:
 
 
 def pack_view(
-    pictures: Sequence[bytes], cameras: Sequence[object], state: object, depth_scale_m: object = None
+    pictures: Sequence[bytes],
+    cameras: Sequence[object],
+    state: object,
+    depth_scale_m: object = None,
+    known: bytes | None = None,
 ) -> bytes:
     """A view file of files and plain values.
 
@@ -55,6 +62,7 @@ def pack_view(
         cameras: plain values of JSON, one for each picture.
         state: likewise; None where the robot is in no picture.
         depth_scale_m: likewise, metres per unit of the pictures; None for mm.
+        known: JSON of a planning scene; None without one.
 
     Raises:
         ImageError: the counts do not fit.
@@ -63,12 +71,13 @@ def pack_view(
     header = {"pictures": [len(one) for one in pictures], "cameras": list(cameras), "state": state}
     # Readers of files in mm need not know the key.
     header |= {} if depth_scale_m is None else {"depth_scale_m": depth_scale_m}
+    header |= {} if known is None else {"known": len(known)}
     line = json.dumps(header, separators=(",", ":")).encode()
     if len(line) > _MAX_LINE_BYTES:
         raise ImageError(
             "the cameras are too long", expected=f"at most {_MAX_LINE_BYTES} bytes", got=f"{len(line)} bytes"
         )
-    return b"".join((_MAGIC, line, b"\n", *pictures))
+    return b"".join((_MAGIC, line, b"\n", *pictures, known or b""))
 
 
 def unpack_view(data: bytes) -> ViewFile:
@@ -86,11 +95,11 @@ def unpack_view(data: bytes) -> ViewFile:
         )
     header, rest = _line_of(data)
     check_counts(len(header.pictures), len(header.cameras))
-    if sum(header.pictures) != len(rest):
-        raise no_view(f"pictures of {header.pictures!r} bytes"[:200], f"{len(rest)} bytes")
-    ends = accumulate(header.pictures, initial=0)
-    files = [rest[begin:end] for begin, end in pairwise(ends)]
-    return ViewFile(files, header.cameras, header.state, header.depth_scale_m)
+    sizes = [*header.pictures, header.known or 0]
+    if sum(sizes) != len(rest):
+        raise no_view(f"parts of {sizes!r} bytes"[:200], f"{len(rest)} bytes")
+    *files, known = (rest[begin:end] for begin, end in pairwise(accumulate(sizes, initial=0)))
+    return ViewFile(files, header.cameras, header.state, header.depth_scale_m, known or None)
 
 
 def check_counts(pictures: int, cameras: int) -> None:
@@ -118,6 +127,7 @@ class _Line:
     cameras: list[object]
     state: object
     depth_scale_m: Annotated[object, LEFT_OUT] = None
+    known: Annotated[NonNegativeInt | None, LEFT_OUT] = None
 
 
 def _line_of(data: bytes) -> tuple[_Line, bytes]:

@@ -114,6 +114,46 @@ class Finding:
         return f"{self.seen}: {self.effect}; {self.remedy}"
 
 
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """Why a configuration is not free.
+
+    Args:
+        kind: ``known`` body, ``self``, ``seen`` surface, or space that is ``hidden`` behind a surface,
+            ``unread``, or ``out of view``.
+        link: the part of the robot, or the name of what is attached to it.
+        other: the body or part that it touches; nothing for what pictures show.
+        position_m: of the place on the robot, in the base frame.
+        depth_m: how deep, 0 or more; 0 for space that nobody saw.
+    """
+
+    kind: str
+    link: str
+    other: str
+    position_m: tuple[float, float, float]
+    depth_m: float
+
+    @property
+    def text(self) -> str:
+        """In words."""
+        place = ", ".join(f"{value:.3f}" for value in self.position_m)
+        what = {
+            "seen": "touches a surface that a picture shows",
+            "hidden": "is where a surface hides what is there",
+            "unread": "is where the cameras read nothing",
+            "out of view": "is out of view",
+        }.get(self.kind, f"touches {self.other}")
+        deep = f" by {1e3 * self.depth_m:.0f} mm" if self.depth_m > 0.0 else ""
+        return f"{self.link} {what}{deep} at ({place}) m"
+
+
+class Known(Protocol):
+    """What is known of a scene beside its pictures."""
+
+    def free(self, configurations: NDArray[np.floating]) -> NDArray[np.bool_]:
+        """Which of (N, d) rad touch nothing that is known."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Examined:
     """Pictures that were read, and what is to be said of them.
@@ -122,11 +162,13 @@ class Examined:
         images: uint8 (b, ...), as :meth:`World.read_tensors` has them.
         findings: that answers carry.
         without_state: whether it is not known where the robot stands in them.
+        known: beside the pictures; None where they are all.
     """
 
     images: Image
     findings: tuple[Finding, ...] = ()
     without_state: bool = False
+    known: Known | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -340,6 +382,14 @@ class World(Protocol):
             image: with ``start``.
             start: (d,) rad, of a plan.
             colliding: share of many configurations that are held to collide.
+        """
+
+    def contact(
+        self, configuration: NDArray[np.floating], image: Image, known: Known | None
+    ) -> Contact | None:
+        """What is in the way of a configuration (d,) rad, or unseen about it.
+
+        None where nothing is, and in worlds that are seen whole.
         """
 
     def blank_picture(self) -> bytes:

@@ -6,6 +6,7 @@ threads, and the client pays there for what its request costs.
 """
 
 import asyncio
+import base64
 import re
 from collections.abc import AsyncGenerator, Callable, Mapping
 from dataclasses import dataclass
@@ -49,6 +50,8 @@ _MARKS = (("values", (b",", b":", b"[", b"{"), MAX_MARKS), ("escapes", (b"\\",),
 MAX_FIELDS, MAX_FILES, MAX_FIELD_BYTES = 1_100, 16, 64 * 1024
 # In the header of a part. Reading an option costs a microsecond, in each of many parts.
 MAX_SEMICOLONS = 32
+# Files of a form, and the field that they become.
+MESH, MESHES = "mesh", "meshes"
 _PIECE_BYTES = 64 * 1024
 # RFC 2046, section 5.1.1.
 _BOUNDARY = re.compile(rb"[0-9A-Za-z'()+_,./:=? -]{0,69}[0-9A-Za-z'()+_,./:=?-]", re.ASCII)
@@ -163,10 +166,12 @@ class Body:
     Args:
         text: JSON; None for a form.
         parts: of a form, in their order: bytes of files, and texts.
+        meshes: files of a form that come as `mesh`, by their names, in base64.
     """
 
     text: bytes | None = None
     parts: tuple[tuple[str, bytes | str], ...] = ()
+    meshes: tuple[tuple[str, str], ...] = ()
 
     @property
     def json_bytes(self) -> int:
@@ -187,7 +192,8 @@ class Body:
             if name == "image" and isinstance(value, str):
                 raise InputError("image came as text", expected="a file in a form", got="text")
             values.setdefault(name, []).append(_form_value(name, value, kind))
-        return {name: found[0] if len(found) == 1 else found for name, found in values.items()}
+        found = {name: many[0] if len(many) == 1 else many for name, many in values.items()}
+        return found | ({MESHES: dict(self.meshes)} if self.meshes else {})
 
 
 def _form_value(name: str, value: bytes | str, kind: type[RequestFields]) -> object:
@@ -289,13 +295,18 @@ async def read_body(request: Request) -> Body:
         form = await parser.parse()
     except MultiPartException as error:
         raise _malformed(error.message) from error
-    parts = [
-        (name, value if isinstance(value, str) else await value.read()) for name, value in form.multi_items()
-    ]
+    parts, meshes = [], []
+    for name, value in form.multi_items():
+        if isinstance(value, str):
+            parts.append((name, value))
+        elif name == MESH:
+            meshes.append((value.filename or "", base64.b64encode(await value.read()).decode()))
+        else:
+            parts.append((name, await value.read()))
     await form.close()
     if not parser.ended:
         raise _malformed("a body without its last boundary")
-    return Body(parts=tuple(parts))
+    return Body(parts=tuple(parts), meshes=tuple(meshes))
 
 
 class _FormParser(MultiPartParser):

@@ -5,6 +5,7 @@ The fields of a request stand here once: with their types, their bounds, and the
 
 import base64
 import binascii
+import json
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
@@ -23,14 +24,25 @@ from cspace.query import (
     SampleQuery,
     random_seed,
 )
+from cspace.strict_json import LEFT_OUT
 from cspace.view_file import MAX_PICTURES, pack_view
-from cspace.world import Finding
+from cspace.world import Contact, Finding
+from cspace.worlds.spatial.planning_scene import (
+    MAX_ATTACHED,
+    MAX_BODIES,
+    MAX_IGNORED,
+    MAX_MESHES,
+    MAX_PAIRS,
+    MAX_TRIANGLES,
+    read_planning_scene,
+)
 from inference_api.models.served import ServedModel
 from inference_api.problem_types import FieldProblem, FieldsError, brief
 from services.registry.ports import ModelReference
 
 MAX_JOINTS, MAX_EPSILONS, MAX_VIEWS = 64, 1000, 64
 MIN_SCALE_M, MAX_SCALE_M = 1e-6, 1.0
+MAX_EXPLAINED = 1000
 LEAST_TIME_S, MAX_TIME_S, MAX_PATHS = 0.01, 10.0, 64
 # Wrong fields that one answer reports.
 MAX_REPORTED = 8
@@ -72,7 +84,7 @@ def _one_or_many(schema: dict[str, Any], most: int, least: int = 0) -> WithJsonS
     return WithJsonSchema({"anyOf": [schema, many]})
 
 
-_NUMBER = {"type": "number"}
+_NUMBER, _TEXT = {"type": "number"}, {"type": "string"}
 
 
 def _numbers(count: int, items: dict[str, Any] = _NUMBER) -> dict[str, Any]:
@@ -180,6 +192,42 @@ _Configurations = Annotated[
 _Angles = Expected("an array of finite angles in rad")
 
 
+# What is in a body is checked as :mod:`cspace.worlds.spatial.planning_scene` has it.
+_SHAPE = {
+    "box": _object({"size_m": _numbers(3)}),
+    "cylinder": _object({"radius_m": _NUMBER, "length_m": _NUMBER}),
+    "sphere": _object({"radius_m": _NUMBER}),
+    "mesh": _object({"file": _TEXT}, scale=_NUMBER),
+}
+_VOLUME = _object({}, name=_TEXT, pose=_ANY_POSE["pose"], **_SHAPE)
+_BODY = _object({"name": _TEXT}, pose=_ANY_POSE["pose"], **_SHAPE)
+_HELD = _object(
+    {"name": _TEXT},
+    pose=_ANY_POSE["pose"],
+    link=_TEXT,
+    touch_links={"type": "array", "items": _TEXT},
+    **_SHAPE,
+)
+
+
+_Many = Annotated[tuple[dict[str, Any], ...], Strict(strict=False)]
+_Scene = Annotated[
+    Annotated[_Many, Field(max_length=MAX_BODIES)],
+    Expected("an array of bodies: name, box, cylinder, sphere or mesh, and pose"),
+    WithJsonSchema({"type": "array", "items": _BODY, "maxItems": MAX_BODIES}),
+]
+_Attached = Annotated[
+    Annotated[_Many, Field(max_length=MAX_ATTACHED)],
+    Expected("an array of bodies with link and touch_links"),
+    WithJsonSchema({"type": "array", "items": _HELD, "maxItems": MAX_ATTACHED}),
+]
+_Ignored = Annotated[
+    Annotated[_Many, Field(max_length=MAX_IGNORED)],
+    Expected("an array of volumes: box, cylinder, sphere or mesh, and pose"),
+    WithJsonSchema({"type": "array", "items": _VOLUME, "maxItems": MAX_IGNORED}),
+]
+
+
 class RequestFields(BaseModel):
     """Fields of a request; unknown ones are errors."""
 
@@ -238,6 +286,10 @@ class ModelFields(RequestFields):
         return ModelReference.parse(self.model if "model" in self.model_fields_set else default)
 
 
+# Fields of what is known beside the pictures.
+_KNOWN = ("scene", "attached", "allowed", "ignore", "meshes")
+
+
 class SceneFields(ModelFields):
     """Fields that show the scene."""
 
@@ -274,16 +326,65 @@ class SceneFields(ModelFields):
         "one refuses with 409. Absent, whichever robot the model is of.",
     )
 
+    scene: _Scene = Field(
+        (),
+        description="For models of depth cameras: bodies that are known to stand in the base frame, checked "
+        "exactly, whatever the pictures show. Each has a `name`, one of `box`, `cylinder` (about its own z), "
+        "`sphere` or `mesh`, and `pose`, as of a camera; sizes in m.",
+    )
+    attached: _Attached = Field(
+        (),
+        description="Bodies that move with the arm, with their pose in the frame of `link`, a part of the "
+        "robot or `tool`; they touch neither known bodies nor what is seen, nor the arm but for "
+        "`touch_links`. Their pixels are taken out of the pictures as the arm's are.",
+    )
+    allowed: Annotated[
+        Annotated[tuple[tuple[str, str], ...], Field(max_length=MAX_PAIRS), Strict(strict=False)],
+        Expected("an array of pairs of names"),
+    ] = Field((), description="Pairs of names, of parts of the robot and of bodies, that may touch.")
+    ignore: _Ignored = Field(
+        (),
+        description="Volumes that count as free, whatever the pictures show there: an object that is about "
+        "to be grasped, or a region that you vouch for.",
+    )
+    meshes: Annotated[
+        Annotated[dict[str, str], Field(max_length=MAX_MESHES)],
+        Expected(f"at most {MAX_MESHES} binary STL files in base64 by name"),
+    ] = Field(
+        {},
+        description=f"The files that `mesh` names: binary STL of at most {MAX_TRIANGLES} triangles, in "
+        "base64. In a form they are files, parts with the name `mesh` whose file names count.",
+    )
+
+    @property
+    def has_known(self) -> bool:
+        """Whether anything is known beside the pictures."""
+        return any(getattr(self, name) for name in _KNOWN)
+
+    def known(self) -> bytes | None:
+        """JSON of the planning scene; None where nothing is known beside the pictures.
+
+        Raises:
+            InputError: it does not fit.
+        """
+        if not self.has_known:
+            return None
+        text = json.dumps({name: getattr(self, name) for name in _KNOWN}).encode()
+        read_planning_scene(text)
+        return text
+
     def picture(self) -> bytes:
         """The one file that a world reads as the picture of a scene.
 
         Raises:
             ImageError: there is not a camera for each of several images.
-            InputError: several images come without cameras, or a unit of depths does.
+            InputError: several images come without cameras, or a unit of depths does, or what is known does
+                not fit.
         """
-        if self.camera or self.state is not None:
+        known = self.known()
+        if self.camera or self.state is not None or known is not None:
             state = None if self.state is None else list(self.state)
-            return pack_view(self.image, self.camera, state, self.depth_scale_m)
+            return pack_view(self.image, self.camera, state, self.depth_scale_m, known)
         if self.depth_scale_m is not None:
             raise InputError(
                 "depth_scale_m comes without a camera",
@@ -341,6 +442,11 @@ class SampleRequest(QueryFields, SceneFields):
 class ValidityRequest(SceneFields):
     """A question whether configurations are free."""
 
+    explain: Annotated[bool, Expected("true or false")] = Field(
+        default=False,
+        description="Whether the answer says for each configuration whose confidence is below 0.5 what is in "
+        f"the way; then at most {MAX_EXPLAINED} configurations.",
+    )
     configurations: _Configurations = Field(
         description=f"1 to {MAX_SAMPLES} configurations in rad, circles at any turn, other joints within "
         "their limits. In JSON, or in a form as a `.npy` file: float32 or float64 of shape (n, joints)."
@@ -382,6 +488,11 @@ class PlanRequest(SceneFields):
     alternatives: Annotated[bool, Expected("true or false")] = Field(
         default=False,
         description="Whether the answer holds all paths that reach the confidence, for own checks.",
+    )
+    explain: Annotated[bool, Expected("true or false")] = Field(
+        default=False,
+        description="Whether an answer without a path says in `contact` what is in the way; it does so, too, "
+        "where bodies are known.",
     )
     next_view: Annotated[bool, Expected("true or false")] = Field(
         default=False,
@@ -543,6 +654,29 @@ class SampleAnswer(SceneAnswer):
     timing_ms: TimingMs
 
 
+class ContactInfo(BaseModel):
+    """What is in the way of a configuration."""
+
+    kind: Literal["known", "self", "seen", "hidden", "unread", "out of view"] = Field(
+        description="A known body, a part of the robot, a surface that was seen; or unknown space: hidden "
+        "behind a surface, without a reading, or out of view."
+    )
+    link: str = Field(description="The part of the robot, or the attached body.")
+    other: str = Field(description="The body or part that it touches; empty for what pictures show.")
+    position_m: list[float] = Field(description="Of the place on the robot, in its base frame.")
+    depth_m: float = Field(description="How deep it is in; 0 in unknown space.")
+    text: str = Field(description="In words.")
+
+    @classmethod
+    def of(cls, contact: Contact | None) -> "ContactInfo | None":
+        """As answers carry it."""
+        if contact is None:
+            return None
+        values = contact.kind, contact.link, contact.other, list(contact.position_m), contact.depth_m
+        names = "kind", "link", "other", "position_m", "depth_m"
+        return cls.model_construct(**dict(zip(names, values, strict=True)), text=contact.text)
+
+
 class ValidityAnswer(SceneAnswer):
     """What a model predicts for configurations in a picture's scenario."""
 
@@ -553,6 +687,10 @@ class ValidityAnswer(SceneAnswer):
     )
     threshold: float | None = Field(
         description="The confidence that training recommends to ask for; null without one."
+    )
+    why: Annotated[list[ContactInfo | None] | None, LEFT_OUT] = Field(
+        None,
+        description="With `explain`: what is in the way of each configuration; null of those that pass.",
     )
     timing_ms: ScoreTimingMs
 
@@ -642,6 +780,9 @@ class PlanAnswer(SceneAnswer):
     length_rad: float
     ways: int = Field(description="Paths that were found.")
     least_sure: LeastSure | None
+    contact: Annotated[ContactInfo | None, LEFT_OUT] = Field(
+        None, description="What is in the way, of an answer without a path; with `explain` or known bodies."
+    )
     alternatives: list[Alternative] | None = Field(
         description="All paths that reach the confidence, the best first; null where they were not requested."
     )

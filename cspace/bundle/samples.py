@@ -11,7 +11,7 @@ from cspace.bundle.spec import BundleSpec
 from cspace.errors import BundleError, InputError, OtherRobotError
 from cspace.query import PlanQuery, SampleQuery
 from cspace.space import JointSpace
-from cspace.world import Sensor
+from cspace.world import Known, Sensor
 from cspace.worlds import robot_digest
 
 
@@ -39,6 +39,7 @@ class Picture:
         encoding: the encoder's view of it.
         novelty: how unlike the training scenarios it is, 0 to 1; None for a bundle that does not tell.
         map: float32, what the bundle's map graph makes of it; None for a bundle without.
+        known: of the scene beside the picture; what touches it has no confidence.
     """
 
     digest: str
@@ -47,6 +48,7 @@ class Picture:
     encoding: Encoding
     novelty: float | None = None
     map: NDArray[np.float32] | None = None
+    known: Known | None = None
 
     @cached_property
     def pixels(self) -> NDArray[np.float32]:

@@ -61,7 +61,10 @@ class Head:
         def score(part: NDArray[np.float32]) -> NDArray[np.float32]:
             shapes = dict.fromkeys(self._outputs, (len(part),))
             found = self._graph.run(fixed | {"configurations": part}, shapes)
-            return np.stack([found[name] for name in self._outputs], axis=1)
+            columns = np.stack([found[name] for name in self._outputs], axis=1)
+            if picture.known is not None:
+                columns[~picture.known.free(part), 0] = 0.0
+            return columns
 
         def run(rows: slice) -> NDArray[np.float32]:
             part = configurations[rows]
@@ -93,6 +96,7 @@ class Head:
             picture.image,
             lambda rows: self.predict(picture, rows, check_cancelled),
             spec.plan_calibration or (0.0, 1.0),
+            picture.known,
         )
 
 
@@ -329,7 +333,7 @@ class GeneratorSampler:
 
         wanted = shares(request.n, len(request.epsilon_sigma))
         if head is None or not request.min_confidence:
-            samples = space.to_float32(_inside(generate, wanted, space, check_cancelled))
+            samples = space.to_float32(_inside(generate, wanted, _keeps(space, picture), check_cancelled))
             scores = (
                 head.scores(picture, samples, check_cancelled)
                 if head is not None and report_confidence
@@ -383,21 +387,21 @@ class GeneratorSampler:
 def _inside(
     draw_rows: Callable[[Sequence[int], int], NDArray[np.float32]],
     wanted: Sequence[int],
-    space: JointSpace,
+    is_kept: Callable[[NDArray[np.float32]], NDArray[np.bool_]],
     check_cancelled: CheckCancelled | None,
 ) -> NDArray[np.float32]:
-    """Rows (n, d) of a first turn, where further ones replace what that puts outside the limits.
+    """Rows (n, d) of a first turn, where further ones replace what is not kept.
 
     What the budget of :func:`rejection_sample` does not replace stays, for the limits to bound.
     """
     rows = draw_rows(wanted, 0)
-    inside = space.keeps_pose(rows)
+    inside = is_kept(rows)
     if inside.all():
         return rows
 
     def again(counts: Sequence[int], turn: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         more = draw_rows(counts, turn + 1)
-        return more, space.keeps_pose(more).astype(np.float32)
+        return more, is_kept(more).astype(np.float32)
 
     belongs = np.repeat(np.arange(len(wanted)), wanted)
     missing = np.bincount(belongs[~inside], minlength=len(wanted)).tolist()
@@ -406,6 +410,14 @@ def _inside(
     ).samples
     rows[np.flatnonzero(~inside)[: len(found)]] = found
     return rows
+
+
+def _keeps(space: JointSpace, picture: Picture) -> Callable[[NDArray[np.float32]], NDArray[np.bool_]]:
+    """Which rows (n, d) are within the limits and touch nothing that is known."""
+    known = picture.known
+    if known is None:
+        return space.keeps_pose
+    return lambda rows: space.keeps_pose(rows) & known.free(rows)
 
 
 def expected_share(spec: BundleSpec) -> float:

@@ -17,7 +17,7 @@ from pydantic import PlainSerializer, PlainValidator
 from cspace.errors import ScenarioError
 from cspace.simulator import Checker, PartlySeen, Simulator
 from cspace.strict_json import read_object
-from cspace.world import Body, Image, NextView, Scene, World
+from cspace.world import Body, Image, Known, NextView, Scene, World
 
 # Each folder has ``world`` (NumPy alone) with ``read``, ``EXAMPLES`` (worlds by name), ``add_options`` and
 # ``described``, which gives None where none of its options was used and the kind is not the first;
@@ -145,7 +145,9 @@ def partly_seen(world: World) -> PartlySeen:
     return cast("PartlySeen", _part(world.kind, "benchmark").open_partly_seen(world))
 
 
-def seen_checkers(world: World, picture: Image, ends: NDArray[np.float64]) -> Sequence[Checker]:
+def seen_checkers(
+    world: World, picture: Image, ends: NDArray[np.float64], known: Known | None = None
+) -> Sequence[Checker]:
     """Checks against what a picture shows, the most careful first; what it does not show is free.
 
     Of the compiled code of a world only what checks is loaded, at the first call: nothing that draws.
@@ -154,11 +156,20 @@ def seen_checkers(world: World, picture: Image, ends: NDArray[np.float64]) -> Se
         world: whose.
         picture: of it.
         ends: (k, d) rad, where the robot is taken to be free: of what seems to stand there nothing is kept.
+        known: beside the picture, as :attr:`cspace.world.Examined.known` has it.
 
     Raises:
         ImportError: the compiler of the checks is not installed.
     """
-    return cast("Sequence[Checker]", _part(world.kind, "checks").seen_checkers(world, picture, ends))
+    options = {} if known is None else {"known": known}
+    found = _part(world.kind, "checks").seen_checkers(world, picture, ends, **options)
+    return cast("Sequence[Checker]", found)
+
+
+def load_known(world: World) -> None:
+    """Have the compiled code of what is known beside pictures in this process, where a world's can be."""
+    if world.kind in _PARTLY_SEEN:
+        _part(world.kind, "situation").load_kernels(world)
 
 
 def best_view(

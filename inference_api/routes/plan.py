@@ -22,6 +22,7 @@ from inference_api.routes.sample import SAMPLE_PROBLEMS, answer_responses, prepa
 from inference_api.scheduler import Job
 from inference_api.schemas import (
     Alternative,
+    ContactInfo,
     LeastSure,
     NextViewInfo,
     PlanAnswer,
@@ -100,6 +101,7 @@ def _answer(
         ]
         if request.alternatives
         else None,
+        contact=ContactInfo.of(found.contact),
         next_view=None if view is None else NextViewInfo(camera=dict(view.camera), sees=view.sees),
         seed=str(query.seed),
         scenario=ScenarioInfo(novelty=prepared.picture.novelty),
@@ -130,6 +132,7 @@ def query_of(request: PlanRequest) -> PlanQuery:
         request.view,
         request.alternatives,
         request.camera,
+        request.explain,
     )
 
 
@@ -144,7 +147,8 @@ def _reason(found: Plan, query: PlanQuery, warnings: Sequence[Finding]) -> str |
     if found.status == "solved":
         return None
     notes = "".join(f"; {one.message}" for one in warnings if one.code in _WHY)
-    return f"{_why(found, query)}{notes}"
+    touches = "" if found.contact is None else f"; {found.contact.text}"
+    return f"{_why(found, query)}{touches}{notes}"
 
 
 def _why(found: Plan, query: PlanQuery) -> str:

@@ -163,6 +163,8 @@ def _answer(
 ) -> Response:
     bundle, spec = served.bundle, served.bundle.spec
     query = fitted(request.query(), spec, has_validity=bundle.has_validity)
+    if request.has_known:
+        store.planner.require()
     with job.sampling(spec, query) as check_cancelled:
         prepared = prepared_picture(store, bundle, request.picture(), job)
         # A ``.npy`` holds samples alone: nobody would see the scores of those that are not filtered.

@@ -9,16 +9,20 @@ from fastapi import APIRouter, Request
 from fastapi.responses import Response
 from numpy.typing import NDArray
 
+from cspace.bundle import Picture
 from cspace.bundle.samples import fitted_configurations, require_robot
 from cspace.errors import InputError
 from cspace.files import read_npy
 from cspace.query import MAX_SAMPLES
+from cspace.world import World
 from inference_api.models.served import ServedModel
 from inference_api.models.store import ModelStore
 from inference_api.requests import Serving, both_bodies, prefers_npy
 from inference_api.routes.sample import model_headers, npy_response, npy_responses, prepared_picture
 from inference_api.scheduler import Job, rows_of
 from inference_api.schemas import (
+    MAX_EXPLAINED,
+    ContactInfo,
     ScenarioInfo,
     ScoreTimingMs,
     ValidityAnswer,
@@ -31,6 +35,7 @@ from inference_api.telemetry import Answered
 
 # Fewer configurations may well all collide.
 MANY_ROWS = 20
+HALF = 0.5
 _TYPES = ("<f4", "<f8")
 
 router = APIRouter()
@@ -67,6 +72,15 @@ def _answer(
     require_robot(request.robot, spec)
     configurations = fitted_configurations(given, spec)
     job.spend(rows_of(rows=len(configurations)))
+    if request.explain and len(configurations) > MAX_EXPLAINED:
+        raise InputError(
+            "there are too many configurations to explain",
+            expected=f"at most {MAX_EXPLAINED} with explain",
+            got=str(len(configurations)),
+            remedy="send those alone that you want to have explained",
+        )
+    if request.explain or request.has_known:
+        store.planner.require()
     prepared = prepared_picture(store, bundle, image, job)
     scoring = time.perf_counter()
     confidence, unseen = bundle.predict(prepared.picture, configurations, job.check_cancelled)
@@ -77,7 +91,7 @@ def _answer(
         score=1e3 * (ended - scoring),
         total=1e3 * (ended - began),
     )
-    colliding = float((confidence < 0.5).mean()) if len(confidence) >= MANY_ROWS else 0.0
+    colliding = float((confidence < HALF).mean()) if len(confidence) >= MANY_ROWS else 0.0
     warnings = warnings_of(prepared.findings_with(spec.world, colliding=colliding))
     name, novelty = f"{served.name}/{served.version}", prepared.picture.novelty
     store.observer.answered(Answered("scores", name, served.fallback, n=len(confidence)))
@@ -95,6 +109,7 @@ def _answer(
         confidence=confidence.tolist(),
         unseen=None if unseen is None else unseen.tolist(),
         threshold=spec.confidence_threshold,
+        why=_why(prepared.picture, spec.world, configurations, confidence, job) if request.explain else None,
         scenario=ScenarioInfo(novelty=novelty),
         warnings=warnings,
         joint_space=joint_space_info(spec.joint_space),
@@ -102,6 +117,22 @@ def _answer(
         timing_ms=timing,
     )
     return Response(body.model_dump_json(), media_type="application/json")
+
+
+def _why(
+    picture: Picture,
+    world: World,
+    configurations: NDArray[np.float32],
+    confidence: NDArray[np.float32],
+    job: Job,
+) -> list[ContactInfo | None]:
+    """What is in the way of those that do not pass."""
+    found: list[ContactInfo | None] = []
+    for row, value in zip(configurations, confidence, strict=True):
+        job.check_cancelled()
+        contact = None if value >= HALF else world.contact(row, picture.image, picture.known)
+        found.append(ContactInfo.of(contact))
+    return found
 
 
 def _array_of(given: bytes | tuple[tuple[float, ...], ...]) -> NDArray[np.floating]:

@@ -102,6 +102,10 @@ class PlanarWorld:
         del answer
         return ()
 
+    def contact(self, configuration: object, image: object, known: object) -> None:
+        """None: this world is seen whole."""
+        del configuration, image, known
+
     def blank_picture(self) -> bytes:
         """All white."""
         return self.sensor.encode(np.full(self.sensor.picture_shape, 255, np.uint8))

@@ -1,6 +1,6 @@
 """Collision checks of a serial arm by its spheres: kernels, and the checkers of scenes and of pictures."""
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -9,6 +9,7 @@ from cspace.kernel_cache import njit
 from cspace.planning.kernels import SceneKernels
 from cspace.simulator import Checker
 from cspace.worlds.spatial.arm import SerialArm, grouped
+from cspace.worlds.spatial.bodies import NO_BODIES, BodyArrays, bodies_clearance, bodies_hit
 from cspace.worlds.spatial.distances import (
     NOTHING,
     DistanceGrid,
@@ -34,6 +35,9 @@ from cspace.worlds.spatial.poses import moved
 from cspace.worlds.spatial.visibility import distances_m
 from cspace.worlds.spatial.world import SpatialWorld
 
+if TYPE_CHECKING:
+    from cspace.worlds.spatial.situation import Situation
+
 
 class SceneArrays(NamedTuple):
     """An arm of d joints among obstacles as the kernels take it.
@@ -43,6 +47,7 @@ class SceneArrays(NamedTuple):
         boxes: (B, 16), see :class:`cspace.worlds.spatial.obstacles.ObstacleArrays`.
         cylinders: (C, 15), likewise.
         grid: distances to what pictures show.
+        bodies: that are known.
         lower: (d,) rad.
         upper: (d,) rad.
         periodic: (d,) which joints are circles.
@@ -52,19 +57,23 @@ class SceneArrays(NamedTuple):
     boxes: NDArray[np.float64]
     cylinders: NDArray[np.float64]
     grid: DistanceGrid
+    bodies: BodyArrays
     lower: NDArray[np.float64]
     upper: NDArray[np.float64]
     periodic: NDArray[np.bool_]
 
 
-def scene_arrays(arm: SerialArm, obstacles: Obstacles, grid: DistanceGrid = NOTHING) -> SceneArrays:
-    """The arrays of an arm among obstacles, and what stands on a grid beside them."""
+def scene_arrays(
+    arm: SerialArm, obstacles: Obstacles, grid: DistanceGrid = NOTHING, bodies: BodyArrays = NO_BODIES
+) -> SceneArrays:
+    """The arrays of an arm among obstacles, and what stands on a grid and is known beside them."""
     space, stood = arm.space, obstacles.arrays
     return SceneArrays(
         arm_arrays(arm),
         stood.boxes,
         stood.cylinders,
         grid,
+        bodies,
         np.asarray(space.lower, dtype=np.float64),
         np.asarray(space.upper, dtype=np.float64),
         np.asarray(space.periodic, dtype=np.bool_),
@@ -99,7 +108,7 @@ def state_is_free(q, scene, room):  # type: ignore[no-untyped-def]
     for index in range(scene.cylinders.shape[0]):
         if _cylinder_hits(scene.cylinders[index], arm, centres, bounds):
             return False
-    if grid_hits(scene.grid, arm, centres, bounds):
+    if grid_hits(scene.grid, arm, centres, bounds) or bodies_hit(scene.bodies, arm, centres, bounds):
         return False
     return not _hits_itself(arm, centres, bounds)
 
@@ -113,6 +122,7 @@ def state_clearance(q, scene, room):  # type: ignore[no-untyped-def]
     points_into(frames, arm.bound_links, arm.bound_centres, bounds)
     points_into(frames, arm.links, arm.centres, centres)
     least = min(grid_clearance(scene.grid, arm, centres), self_distance(centres, bounds, arm))
+    least = min(least, bodies_clearance(scene.bodies, arm, centres))
     return min(set_clearance(centres, arm.radii, scene.boxes, scene.cylinders), least)
 
 
@@ -180,10 +190,17 @@ class CollisionChecker(Checker):
         arm: with its spheres.
         obstacles: in the base frame.
         grid: distances to what else is there, as pictures show it.
+        bodies: that are known.
     """
 
-    def __init__(self, arm: SerialArm, obstacles: Obstacles, grid: DistanceGrid = NOTHING) -> None:
-        super().__init__(arm.space, scene_arrays(arm, obstacles, grid), KERNELS)
+    def __init__(
+        self,
+        arm: SerialArm,
+        obstacles: Obstacles,
+        grid: DistanceGrid = NOTHING,
+        bodies: BodyArrays = NO_BODIES,
+    ) -> None:
+        super().__init__(arm.space, scene_arrays(arm, obstacles, grid, bodies), KERNELS)
         self.arm, self.obstacles = arm, obstacles
 
 
@@ -229,19 +246,22 @@ def seen_checkers(
     picture: NDArray[np.uint8],
     ends: NDArray[np.float64],
     obstacles: Obstacles = _NO_OBSTACLES,
+    *,
+    known: "Situation | None" = None,
 ) -> list[CollisionChecker]:
     """See :func:`cspace.worlds.seen_checkers`; distances are those of the picture's voxels.
 
     Obstacles are known to stand there, too, whatever the picture shows.
     """
-    arm, grid = world.body, world.sensor.grid
+    arm, bodies = (world.body, NO_BODIES) if known is None else (known.arm, known.bodies)
+    grid = world.sensor.grid
     arrays = arm_arrays(arm)
     moving = arrays.links > 0
     centres = sphere_centres_batch(np.ascontiguousarray(ends, dtype=np.float64), arrays)[:, moving]
     radii = np.tile(arrays.radii[moving], len(centres))
     found = []
     for margin_m in MARGINS_M:
-        known = distance_grid(distances_m(picture) - np.float32(margin_m), grid.low_m, grid.voxel_m)
-        clear_spheres(known, centres.reshape(-1, 3), radii, _ROOM_M)
-        found.append(CollisionChecker(arm, obstacles, known))
+        away = distance_grid(distances_m(picture) - np.float32(margin_m), grid.low_m, grid.voxel_m)
+        clear_spheres(away, centres.reshape(-1, 3), radii, _ROOM_M)
+        found.append(CollisionChecker(arm, obstacles, away, bodies))
     return found

@@ -19,6 +19,7 @@ from cspace.worlds.spatial.camera import (
 )
 from cspace.worlds.spatial.camera_info import PINHOLE, read_pinhole, undistorted
 from cspace.worlds.spatial.depth_files import in_mm, pixels_in, read_depth, read_number
+from cspace.worlds.spatial.planning_scene import PlanningScene, read_planning_scene
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,6 +30,7 @@ class DepthView:
         pictures: one to four, (H, W) uint16 mm along the optical axis, 0 = no reading.
         cameras: one each.
         state: (d,) rad, where the arm was when they were taken; None where it is in no picture.
+        known: of the scene beside the pictures; None without anything.
 
     Raises:
         ImageError: there are too few or too many pictures, not a camera each, one does not fit its camera, or
@@ -38,6 +40,7 @@ class DepthView:
     pictures: tuple[NDArray[np.uint16], ...]
     cameras: tuple[DepthCamera, ...]
     state: tuple[float, ...] | None = None
+    known: PlanningScene | None = None
 
     def __post_init__(self) -> None:
         check_counts(len(self.pictures), len(self.cameras))
@@ -85,6 +88,7 @@ def read_view(data: bytes, space: JointSpace, check_cancelled: CheckCancelled | 
     Raises:
         ImageError: it is none, a picture or a camera is none, they do not fit each other, no picture has a
             reading, or the state lies outside of the arm's limits.
+        InputError: what is known does not fit.
     """
     file = unpack_view(data)
     check_cancelled = check_cancelled or (lambda: None)
@@ -96,7 +100,8 @@ def read_view(data: bytes, space: JointSpace, check_cancelled: CheckCancelled | 
         camera, distortion = read_pinhole(values, pictures[number].shape)
         pictures[number] = undistorted(pictures[number], camera, distortion, check_cancelled)
         cameras.append(camera)
-    return DepthView(tuple(pictures), tuple(cameras), state_of(file.state, space))
+    known = None if file.known is None else read_planning_scene(file.known)
+    return DepthView(tuple(pictures), tuple(cameras), state_of(file.state, space), known)
 
 
 _UNIT = (

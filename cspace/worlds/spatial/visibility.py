@@ -1,6 +1,6 @@
 """What depth pictures say of the space round an arm: self filter, visibility, fused grid. NumPy alone."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -345,9 +345,12 @@ def observe_one(
     spheres: ArrayLike | None = None,
     *,
     arm_hides: bool = True,
+    is_explained: Callable[[NDArray[np.float64]], NDArray[np.bool_]] | None = None,
     check_cancelled: CheckCancelled | None = None,
 ) -> NDArray[np.uint8]:
     """:func:`observe` of one picture.
+
+    Surfaces at points (N, 3) m that ``is_explained`` knows hide what is behind them and are none themselves.
 
     Raises:
         ImageError: it does not fit its camera.
@@ -360,13 +363,29 @@ def observe_one(
         smaller, camera, np.empty((0, 4)) if spheres is None else spheres, check_cancelled=check_cancelled
     )
     surface_m = to_m(kept.depth_mm)
-    shown = patches(surface_m, camera, grid)
+    shown = patches(_unexplained(surface_m, camera, is_explained), camera, grid)
     check_cancelled()
     away = distance_codes(shown, grid, check_cancelled)
     check_cancelled()
     known = sight(surface_m, kept.front_m, camera, grid, arm_hides=arm_hides)
     check_cancelled()
     return np.stack((away, known), axis=-1)
+
+
+def _unexplained(
+    surface_m: NDArray[np.float32],
+    camera: DepthCamera,
+    is_explained: Callable[[NDArray[np.float64]], NDArray[np.bool_]] | None,
+) -> NDArray[np.float32]:
+    """The surfaces (H, W) m that are not explained, 0 for the others."""
+    if is_explained is None:
+        return surface_m
+    rows, columns = np.nonzero(surface_m)
+    pose = camera.matrix
+    points = camera.rays()[rows, columns] * surface_m[rows, columns, None] @ pose[:3, :3].T + pose[:3, 3]
+    found = surface_m.copy()
+    found[rows, columns] = np.where(is_explained(points), np.float32(0.0), surface_m[rows, columns])
+    return found
 
 
 def fused(single: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:

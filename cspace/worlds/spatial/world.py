@@ -4,23 +4,26 @@ import argparse
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cspace.errors import ConfigError, DatasetError, ImageError, ScenarioError
+from cspace.errors import ConfigError, DatasetError, ImageError, InputError, ScenarioError
 from cspace.files import read_bounded
 from cspace.space import JointSpace
 from cspace.strict_json import parse_json, read_object, validated
 from cspace.world import (
     Arrays,
     CheckCancelled,
+    Contact,
     Diagnosis,
     Examined,
     Finding,
     GridArm,
+    Known,
     Levers,
     TensorInput,
     World,
@@ -38,6 +41,7 @@ from cspace.worlds.spatial.diagnostics import (
 from cspace.worlds.spatial.doctor import diagnosed, nothing_in_reach
 from cspace.worlds.spatial.furniture import SpatialScenes
 from cspace.worlds.spatial.obstacles import BOX_VALUES, CYLINDER_VALUES
+from cspace.worlds.spatial.planning_scene import PlanningScene
 from cspace.worlds.spatial.sensor import DISTANCE_STEP_M, NO_READING, OUT_OF_VIEW, DepthSensor, grid_of
 from cspace.worlds.spatial.view import (
     DepthView,
@@ -48,6 +52,9 @@ from cspace.worlds.spatial.view import (
     write_view,
 )
 from cspace.worlds.spatial.visibility import fused, observe_one
+
+if TYPE_CHECKING:
+    from cspace.worlds.spatial.situation import Situation
 
 KIND = "spatial"
 _ROBOTS = Path(__file__).with_name("robots")
@@ -159,10 +166,37 @@ class SpatialWorld:
         Raises:
             ImageError: no camera sees any of the space that the arm can reach.
         """
-        single = self._each(view, check_cancelled)
+        known = None if view.known is None else self.situation(view.known)
+        single = self._each(view, check_cancelled, known)
         image = fused(single)
+        if known is not None:
+            known.complete(image, self.sensor.grid)
         findings = diagnose(self.body, self.sensor, view, single, image)
-        return Examined(image[None], findings, without_state=view.state is None)
+        return Examined(image[None], findings, view.state is None, known)
+
+    def situation(self, known: PlanningScene) -> "Situation":
+        """What is known, for this arm.
+
+        Raises:
+            InputError: it does not fit the arm, or the compiler of the checks is not installed.
+        """
+        try:
+            made = import_module("cspace.worlds.spatial.situation").Situation(self.body, known)
+        except ImportError as error:
+            raise InputError(
+                "known bodies cannot be checked here",
+                expected="the extra plan",
+                got=f"no {error.name}",
+                remedy="pip install -c constraints.txt '.[plan]'",
+            ) from error
+        return cast("Situation", made)
+
+    def contact(
+        self, configuration: NDArray[np.floating], image: NDArray[np.uint8], known: Known | None
+    ) -> Contact | None:
+        """See :meth:`cspace.world.World.contact`."""
+        found = self.situation(PlanningScene()) if known is None else cast("Situation", known)
+        return found.contact(configuration, image, self.sensor.grid)
 
     def diagnosis(self, data: bytes, check_cancelled: CheckCancelled | None = None) -> Diagnosis:
         """See :func:`cspace.worlds.spatial.doctor.diagnosed`."""
@@ -177,19 +211,29 @@ class SpatialWorld:
         spheres = None if view.state is None else self.spheres_at(view.state)
         return diagnosed(self.body, self.sensor, view, spheres, cheap, check_cancelled or (lambda: None))
 
-    def _each(self, view: DepthView, check_cancelled: CheckCancelled | None) -> list[NDArray[np.uint8]]:
+    def _each(
+        self, view: DepthView, check_cancelled: CheckCancelled | None, known: "Situation | None" = None
+    ) -> list[NDArray[np.uint8]]:
         """What each picture of a view says alone."""
-        spheres = None if view.state is None else self.spheres_at(view.state)
+        arm = self.body if known is None else known.arm
+        spheres = None if view.state is None else _spheres_at(arm, view.state)
         grid, hides = self.sensor.grid, self.sensor.arm_hides
         return [
-            observe_one(picture, camera, grid, spheres, arm_hides=hides, check_cancelled=check_cancelled)
+            observe_one(
+                picture,
+                camera,
+                grid,
+                spheres,
+                arm_hides=hides,
+                is_explained=None if known is None else known.explains,
+                check_cancelled=check_cancelled,
+            )
             for picture, camera in zip(view.pictures, view.cameras, strict=True)
         ]
 
     def spheres_at(self, state: tuple[float, ...]) -> NDArray[np.float64]:
         """The arm's spheres at a configuration (d,) rad, (S, 4): place in the base frame and radius, m."""
-        centres = self.body.sphere_centres_m([state])[0]
-        return np.concatenate([centres, self.body.spheres_m()[:, 3:]], axis=1)
+        return _spheres_at(self.body, state)
 
     def levers(self, points_per_link: int, side_m: float) -> Levers:
         """None: pictures of this world are not read by levers.
@@ -264,6 +308,10 @@ class SpatialWorld:
             "cameras": self.sensor.to_dict(),
             "scenes": scenes,
         }
+
+
+def _spheres_at(arm: SerialArm, state: tuple[float, ...]) -> NDArray[np.float64]:
+    return np.concatenate([arm.sphere_centres_m([state])[0], arm.spheres_m()[:, 3:]], axis=1)
 
 
 def usual(arm: SerialArm) -> SpatialWorld:

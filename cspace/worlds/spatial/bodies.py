@@ -1,0 +1,372 @@
+"""Signed distances to known bodies, compiled: boxes, cylinders, spheres and triangle meshes.
+
+A mesh is looked up in a tree of bounding boxes; a closed one is solid, an open one is its surface alone.
+Source of the point's distance to a triangle: Ericson, Real-Time Collision Detection (2005), section 5.1.5.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.kernel_cache import njit
+from cspace.worlds.spatial.distances import box_distance, cylinder_distance
+from cspace.worlds.spatial.sensor import BEHIND_STEP_M, DISTANCE_STEP_M, FARTHEST, MOST_BEHIND
+
+# What counts as farther than a bound is so much farther at least.
+_MORE_M = 1e-6
+_LEAF = 4
+_STACK = 96
+# Of a ray that meets no edge of usual meshes.
+_RAY = (0.5298129428260175, 0.6324555320336759, 0.5651003626478917)
+
+
+class BodyArrays(NamedTuple):
+    """K bodies as the kernels take them: boxes first, then cylinders, spheres and meshes.
+
+    Attributes:
+        boxes: (B, 16), see :class:`cspace.worlds.spatial.obstacles.ObstacleArrays`.
+        cylinders: (C, 15), likewise.
+        spheres: (Q, 4) centres and radii, m.
+        corners: (T, 3, 3) of all triangles in the base frame, m, in the order of the trees' leaves.
+        lows: (M, 3) lowest corner of each node's box.
+        highs: (M, 3) highest corner.
+        rights: (M,) the second child, the first is the next node; -1 of a leaf.
+        firsts: (M,) a leaf's first triangle.
+        counts: (M,) of a leaf's triangles.
+        roots: (R,) of the meshes' trees.
+        closed: (R,) whether a mesh bounds a solid.
+        centres: (K, 3) of a sphere round each body.
+        reaches: (K,) its radius.
+        exempt: (P, K) parts of the arm that may touch a body.
+    """
+
+    boxes: NDArray[np.float64]
+    cylinders: NDArray[np.float64]
+    spheres: NDArray[np.float64]
+    corners: NDArray[np.float64]
+    lows: NDArray[np.float64]
+    highs: NDArray[np.float64]
+    rights: NDArray[np.int64]
+    firsts: NDArray[np.int64]
+    counts: NDArray[np.int64]
+    roots: NDArray[np.int64]
+    closed: NDArray[np.bool_]
+    centres: NDArray[np.float64]
+    reaches: NDArray[np.float64]
+    exempt: NDArray[np.bool_]
+
+
+def body_arrays(
+    boxes: NDArray[np.float64],
+    cylinders: NDArray[np.float64],
+    spheres: NDArray[np.float64],
+    meshes: list[NDArray[np.float64]],
+) -> BodyArrays:
+    """The arrays of bodies that no part of the arm may touch; meshes are corners (T, 3, 3) m."""
+    rounds = [(mesh.min(axis=(0, 1)), mesh.max(axis=(0, 1))) for mesh in meshes]
+    centres = [boxes[:, :3], cylinders[:, :3], spheres[:, :3]]
+    centres += [((low + high) / 2.0)[None] for low, high in rounds]
+    reaches = [boxes[:, -1], cylinders[:, -1], spheres[:, 3]]
+    reaches += [np.array([np.linalg.norm(high - low) / 2.0]) for low, high in rounds]
+    nodes: list[tuple[NDArray[np.float64], NDArray[np.float64], int, int, int]] = []
+    ordered: list[NDArray[np.float64]] = [np.empty((0, 3, 3))]
+    roots = []
+    for mesh in meshes:
+        roots.append(len(nodes))
+        order = _add_nodes(mesh, nodes, sum(map(len, ordered)))
+        ordered.append(mesh[order])
+    lows, highs, rights, firsts, counts = zip(*nodes, strict=True) if nodes else ((),) * 5
+    every = np.concatenate(centres)
+    return BodyArrays(
+        np.ascontiguousarray(boxes),
+        np.ascontiguousarray(cylinders),
+        np.ascontiguousarray(spheres),
+        np.ascontiguousarray(np.concatenate(ordered)),
+        np.asarray(lows, dtype=np.float64).reshape(-1, 3),
+        np.asarray(highs, dtype=np.float64).reshape(-1, 3),
+        np.asarray(rights, dtype=np.int64),
+        np.asarray(firsts, dtype=np.int64),
+        np.asarray(counts, dtype=np.int64),
+        np.asarray(roots, dtype=np.int64),
+        np.asarray([_is_closed(mesh) for mesh in meshes], dtype=np.bool_),
+        np.ascontiguousarray(every),
+        np.concatenate(reaches),
+        np.zeros((0, len(every)), dtype=np.bool_),
+    )
+
+
+def _add_nodes(mesh: NDArray[np.float64], nodes: list[tuple[object, ...]], first: int) -> NDArray[np.int64]:  # type: ignore[type-arg]
+    """Add the nodes of a mesh's tree; the order of its triangles, the first of which has a number."""
+    lows, highs = mesh.min(axis=1), mesh.max(axis=1)
+    middles = (lows + highs) / 2.0
+    leaves: list[NDArray[np.int64]] = []
+
+    def add(some: NDArray[np.int64]) -> None:
+        at = len(nodes)
+        box = lows[some].min(axis=0), highs[some].max(axis=0)
+        if len(some) <= _LEAF:
+            nodes.append((*box, -1, first + sum(map(len, leaves)), len(some)))
+            leaves.append(some)
+            return
+        nodes.append(())
+        axis = int(np.argmax(np.ptp(middles[some], axis=0)))
+        halves = np.argpartition(middles[some, axis], len(some) // 2)
+        add(some[halves[: len(some) // 2]])
+        right = len(nodes)
+        add(some[halves[len(some) // 2 :]])
+        nodes[at] = (*box, right, 0, 0)
+
+    add(np.arange(len(mesh)))
+    return np.concatenate(leaves)
+
+
+def _is_closed(mesh: NDArray[np.float64]) -> bool:
+    """Whether every edge belongs to two triangles, with corners that are equal taken as one."""
+    _, names = np.unique(mesh.reshape(-1, 3), axis=0, return_inverse=True)
+    names = names.reshape(-1, 3)
+    edges = np.sort(np.concatenate([names[:, [0, 1]], names[:, [1, 2]], names[:, [2, 0]]]), axis=1)
+    _, counts = np.unique(edges, axis=0, return_counts=True)
+    return bool((counts == 2).all())
+
+
+NO_BODIES = body_arrays(np.empty((0, 16)), np.empty((0, 15)), np.empty((0, 4)), [])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def body_distance(x, y, z, number, bodies, bound):  # type: ignore[no-untyped-def]
+    """Signed distance of a point to a body, m; something above ``bound`` where it is farther than that."""
+    px, py, pz = x - bodies.centres[number, 0], y - bodies.centres[number, 1], z - bodies.centres[number, 2]
+    far = bound + bodies.reaches[number]
+    if far < 0.0 or px * px + py * py + pz * pz > far * far:
+        return bound + _MORE_M
+    if number < bodies.boxes.shape[0]:
+        return box_distance(x, y, z, bodies.boxes[number])
+    number -= bodies.boxes.shape[0]
+    if number < bodies.cylinders.shape[0]:
+        return cylinder_distance(x, y, z, bodies.cylinders[number])
+    number -= bodies.cylinders.shape[0]
+    if number < bodies.spheres.shape[0]:
+        return np.sqrt(px * px + py * py + pz * pz) - bodies.spheres[number, 3]
+    return _mesh_distance(x, y, z, number - bodies.spheres.shape[0], bodies, bound)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _mesh_distance(x, y, z, mesh, bodies, bound):  # type: ignore[no-untyped-def]
+    root = bodies.roots[mesh]
+    inside = bodies.closed[mesh] and _gap_to_box(x, y, z, bodies, root) == 0.0
+    if inside and _crossings(x, y, z, bodies, root) % 2 == 1:
+        return -np.sqrt(_least_square(x, y, z, bodies, root, np.inf))
+    if bound < 0.0:
+        return bound + _MORE_M
+    least = (bound + _MORE_M) ** 2
+    return np.sqrt(_least_square(x, y, z, bodies, root, least))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _gap_to_box(x, y, z, bodies, node):  # type: ignore[no-untyped-def]
+    """Square of the distance of a point to a node's box."""
+    low, high = bodies.lows[node], bodies.highs[node]
+    dx = max(low[0] - x, 0.0, x - high[0])
+    dy = max(low[1] - y, 0.0, y - high[1])
+    dz = max(low[2] - z, 0.0, z - high[2])
+    return dx * dx + dy * dy + dz * dz
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _least_square(x, y, z, bodies, root, least):  # type: ignore[no-untyped-def]
+    """Square of the distance to the nearest triangle, ``least`` where none is nearer."""
+    stack = np.empty(_STACK, np.int64)
+    stack[0], held = root, 1
+    while held:
+        held -= 1
+        node = stack[held]
+        if _gap_to_box(x, y, z, bodies, node) >= least:
+            continue
+        if bodies.rights[node] < 0:
+            for at in range(bodies.firsts[node], bodies.firsts[node] + bodies.counts[node]):
+                least = min(least, _triangle_square(x, y, z, bodies.corners[at]))
+            continue
+        near, other = node + 1, bodies.rights[node]
+        if _gap_to_box(x, y, z, bodies, near) > _gap_to_box(x, y, z, bodies, other):
+            near, other = other, near
+        stack[held], stack[held + 1] = other, near
+        held += 2
+    return least
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _triangle_square(x, y, z, corners):  # type: ignore[no-untyped-def]
+    """Square of the distance of a point to a triangle (3, 3)."""
+    a, b, c = corners[0], corners[1], corners[2]
+    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    px, py, pz = x - a[0], y - a[1], z - a[2]
+    uu, uv, vv = _dot(ux, uy, uz, ux, uy, uz), _dot(ux, uy, uz, vx, vy, vz), _dot(vx, vy, vz, vx, vy, vz)
+    up, vp = _dot(ux, uy, uz, px, py, pz), _dot(vx, vy, vz, px, py, pz)
+    # Scalar products of the edges from a with the ways from b and c to the point.
+    up_b, vp_b, up_c, vp_c = up - uu, vp - uv, up - uv, vp - vv
+    at_c, at_b, at_a = up * vp_b - up_b * vp, up_c * vp - up * vp_c, up_b * vp_c - up_c * vp_b
+    if up <= 0.0 and vp <= 0.0:
+        s, t = 0.0, 0.0
+    elif up_b >= 0.0 and vp_b <= up_b:
+        s, t = 1.0, 0.0
+    elif vp_c >= 0.0 and up_c <= vp_c:
+        s, t = 0.0, 1.0
+    elif at_c <= 0.0 and up >= 0.0 and up_b <= 0.0:
+        s, t = up / uu, 0.0
+    elif at_b <= 0.0 and vp >= 0.0 and vp_c <= 0.0:
+        s, t = 0.0, vp / vv
+    elif at_a <= 0.0 and vp_b >= up_b and up_c >= vp_c:
+        t = (vp_b - up_b) / ((vp_b - up_b) + (up_c - vp_c))
+        s = 1.0 - t
+    else:
+        whole = at_a + at_b + at_c
+        s, t = at_b / whole, at_c / whole
+    dx, dy, dz = px - s * ux - t * vx, py - s * uy - t * vy, pz - s * uz - t * vz
+    return dx * dx + dy * dy + dz * dz
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _dot(a, b, c, x, y, z):  # type: ignore[no-untyped-def]
+    return a * x + b * y + c * z
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _crossings(x, y, z, bodies, root):  # type: ignore[no-untyped-def]
+    """How many triangles of a mesh a ray from a point meets (Moeller and Trumbore 1997)."""
+    stack = np.empty(_STACK, np.int64)
+    stack[0], held, found = root, 1, 0
+    point = (x, y, z)
+    while held:
+        held -= 1
+        node = stack[held]
+        enters, leaves = 0.0, np.inf
+        for axis in range(3):
+            one = (bodies.lows[node, axis] - point[axis]) / _RAY[axis]
+            other = (bodies.highs[node, axis] - point[axis]) / _RAY[axis]
+            enters, leaves = max(enters, one), min(leaves, other)
+        if enters > leaves:
+            continue
+        if bodies.rights[node] >= 0:
+            stack[held], stack[held + 1] = bodies.rights[node], node + 1
+            held += 2
+            continue
+        for at in range(bodies.firsts[node], bodies.firsts[node] + bodies.counts[node]):
+            found += _is_met(x, y, z, bodies.corners[at])
+    return found
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _is_met(x, y, z, corners):  # type: ignore[no-untyped-def]
+    a, b, c = corners[0], corners[1], corners[2]
+    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    hx, hy, hz = _RAY[1] * vz - _RAY[2] * vy, _RAY[2] * vx - _RAY[0] * vz, _RAY[0] * vy - _RAY[1] * vx
+    whole = _dot(ux, uy, uz, hx, hy, hz)
+    if whole == 0.0:
+        return False
+    sx, sy, sz = x - a[0], y - a[1], z - a[2]
+    qx, qy, qz = sy * uz - sz * uy, sz * ux - sx * uz, sx * uy - sy * ux
+    s = _dot(sx, sy, sz, hx, hy, hz) / whole
+    t = _dot(qx, qy, qz, _RAY[0], _RAY[1], _RAY[2]) / whole
+    return 0.0 <= s <= 1.0 and t >= 0.0 and s + t <= 1.0 and _dot(vx, vy, vz, qx, qy, qz) / whole > 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def bodies_hit(bodies, arm, centres, bounds):  # type: ignore[no-untyped-def]
+    """Whether a sphere of the arm touches a body that its part may not touch."""
+    for number in range(bodies.centres.shape[0]):
+        for part in range(bounds.shape[0]):
+            reach, at = arm.bound_radii[part], bounds[part]
+            if (
+                bodies.exempt[part, number]
+                or body_distance(at[0], at[1], at[2], number, bodies, reach) > reach
+            ):
+                continue
+            for index in range(arm.ranges[part, 0], arm.ranges[part, 1]):
+                radius, at = arm.radii[index], centres[index]
+                if body_distance(at[0], at[1], at[2], number, bodies, radius) <= radius:
+                    return True
+    return False
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def bodies_clearance(bodies, arm, centres):  # type: ignore[no-untyped-def]
+    """Least signed distance of a sphere to a body that its part may not touch, m; inf without such."""
+    least = np.inf
+    for number in range(bodies.centres.shape[0]):
+        for part in range(arm.ranges.shape[0]):
+            if not bodies.exempt[part, number]:
+                least = min(least, part_contact(bodies, arm, centres, number, part, least)[0])
+    return least
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def part_contact(bodies, arm, centres, number, part, least):  # type: ignore[no-untyped-def]
+    """Signed distance of a part to a body, m, ``least`` where it is not nearer, and the sphere's number."""
+    found = -1
+    for index in range(arm.ranges[part, 0], arm.ranges[part, 1]):
+        radius, at = arm.radii[index], centres[index]
+        away = body_distance(at[0], at[1], at[2], number, bodies, least + radius) - radius
+        if away < least:
+            least, found = away, index
+    return least, found
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def points_to_bodies(points, bodies, bound):  # type: ignore[no-untyped-def]
+    """Signed distance of points (N, 3) m to the nearest body, (N,) m, cut off a little above ``bound``."""
+    out = np.empty(points.shape[0])
+    for at in range(points.shape[0]):
+        least = bound + _MORE_M
+        for number in range(bodies.centres.shape[0]):
+            x, y, z = points[at, 0], points[at, 1], points[at, 2]
+            least = min(least, body_distance(x, y, z, number, bodies, max(least, 0.0)))
+        out[at] = least
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _span(centre, reach, low, voxel, count):  # type: ignore[no-untyped-def]
+    first = max(0, int(np.floor((centre - reach - low) / voxel)))
+    return first, min(count - 1, int(np.ceil((centre + reach - low) / voxel)))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_bodies(observed, low, voxel, bodies):  # type: ignore[no-untyped-def]
+    """Write bodies, in place, into an array (X, Y, Z, 2) as surfaces that were seen, solid behind them."""
+    farthest = FARTHEST * DISTANCE_STEP_M
+    for number in range(bodies.centres.shape[0]):
+        centre, reach = bodies.centres[number], bodies.reaches[number] + farthest
+        i0, i1 = _span(centre[0], reach, low[0], voxel, observed.shape[0])
+        j0, j1 = _span(centre[1], reach, low[1], voxel, observed.shape[1])
+        k0, k1 = _span(centre[2], reach, low[2], voxel, observed.shape[2])
+        for i in range(i0, i1 + 1):
+            x = low[0] + (i + 0.5) * voxel
+            for j in range(j0, j1 + 1):
+                y = low[1] + (j + 0.5) * voxel
+                for k in range(k0, k1 + 1):
+                    away = body_distance(x, y, low[2] + (k + 0.5) * voxel, number, bodies, farthest)
+                    code = np.uint8(min(np.rint(abs(away) / DISTANCE_STEP_M), FARTHEST))
+                    observed[i, j, k, 0] = min(observed[i, j, k, 0], code)
+                    if away < 0.0:
+                        behind = 1 + min(int(-away / BEHIND_STEP_M), MOST_BEHIND - 1)
+                        observed[i, j, k, 1] = np.uint8(behind)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def clear_bodies(observed, low, voxel, bodies, free):  # type: ignore[no-untyped-def]
+    """Mark what lies in bodies, in place, with the code ``free``."""
+    for number in range(bodies.centres.shape[0]):
+        centre, reach = bodies.centres[number], bodies.reaches[number]
+        i0, i1 = _span(centre[0], reach, low[0], voxel, observed.shape[0])
+        j0, j1 = _span(centre[1], reach, low[1], voxel, observed.shape[1])
+        k0, k1 = _span(centre[2], reach, low[2], voxel, observed.shape[2])
+        for i in range(i0, i1 + 1):
+            x = low[0] + (i + 0.5) * voxel
+            for j in range(j0, j1 + 1):
+                y = low[1] + (j + 0.5) * voxel
+                for k in range(k0, k1 + 1):
+                    if body_distance(x, y, low[2] + (k + 0.5) * voxel, number, bodies, 0.0) <= 0.0:
+                        observed[i, j, k, 1] = free

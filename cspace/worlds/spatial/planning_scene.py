@@ -1,0 +1,238 @@
+"""What a planner knows beside its pictures: bodies, what the arm holds, what may touch, what to ignore.
+
+The words are MoveIt's: a planning scene has world objects, attached objects and allowed collisions. NumPy
+alone; :mod:`cspace.worlds.spatial.situation` checks configurations against it.
+"""
+
+import base64
+import binascii
+import struct
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, ValidationError
+
+from cspace.errors import InputError
+from cspace.strict_json import Record, adapter_of, parse_json, refused, validated
+from cspace.worlds.spatial.poses import HERE, MAX_PLACE_M, Pose, check_pose, quaternion_pose
+
+MAX_BODIES, MAX_ATTACHED, MAX_IGNORED, MAX_PAIRS = 500, 16, 64, 1000
+MAX_TRIANGLES, MAX_MESHES = 20_000, 32
+MAX_BYTES = 8 * 2**20
+TOOL = "tool"
+_Size = Annotated[float, Field(gt=0.0, le=MAX_PLACE_M)]
+_Number = Annotated[float, Field(ge=-MAX_PLACE_M, le=MAX_PLACE_M)]
+_Name = Annotated[str, Field(min_length=1, max_length=100)]
+_QUATERNION_TOLERANCE = 1e-3
+_SHAPES = ("box", "cylinder", "sphere", "mesh")
+
+
+@validated(InputError)
+class BoxShape(Record):
+    """A cuboid of sizes along x, y and z, m."""
+
+    size_m: tuple[_Size, _Size, _Size]
+
+
+@validated(InputError)
+class CylinderShape(Record):
+    """A solid cylinder about its own z, centred, m."""
+
+    radius_m: _Size
+    length_m: _Size
+
+
+@validated(InputError)
+class SphereShape(Record):
+    """A ball, m."""
+
+    radius_m: _Size
+
+
+@validated(InputError)
+class MeshShape(Record):
+    """Triangles of a binary STL file that the request carries, times ``scale`` (0.001 for one in mm)."""
+
+    file: _Name
+    scale: _Size = 1.0
+
+
+@validated(InputError)
+class Placement(Record):
+    """A pose as a place in m and a quaternion x, y, z, w."""
+
+    translation: tuple[_Number, _Number, _Number]
+    quaternion_xyzw: tuple[_Number, _Number, _Number, _Number] = (0.0, 0.0, 0.0, 1.0)
+
+
+@validated(InputError)
+class Body(Record):
+    """A shape with a pose.
+
+    Args:
+        name: its own; only volumes to ignore need none.
+        box: one of four shapes, of which one is given.
+        cylinder: another.
+        sphere: another.
+        mesh: another.
+        pose: of the shape's centre, or of a mesh's origin: 4 x 4, or translation and quaternion; in the base
+            frame.
+
+    Raises:
+        InputError: it has no shape or several, or the pose is none.
+    """
+
+    name: Annotated[str, Field(max_length=100)] = ""
+    box: BoxShape | None = None
+    cylinder: CylinderShape | None = None
+    sphere: SphereShape | None = None
+    mesh: MeshShape | None = None
+    pose: Pose | Placement = HERE
+
+    def __post_init__(self) -> None:
+        given = [name for name in _SHAPES if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise InputError(
+                f"the body {self.name!r} has no single shape",
+                expected=f"one of {', '.join(_SHAPES)}",
+                got=", ".join(given) or "none",
+            )
+        if isinstance(self.pose, Placement):
+            norm = float(np.linalg.norm(self.pose.quaternion_xyzw))
+            if not abs(norm - 1.0) <= _QUATERNION_TOLERANCE:
+                raise InputError(
+                    f"the quaternion of {self.name!r} is no rotation",
+                    expected="x, y, z, w with a norm of 1",
+                    got=f"a norm of {norm:g}",
+                )
+        else:
+            check_pose(self.pose, f"the body {self.name!r}", InputError)
+
+    @property
+    def matrix(self) -> NDArray[np.float64]:
+        """(4, 4) of the pose."""
+        if isinstance(self.pose, Placement):
+            return quaternion_pose(self.pose.translation, self.pose.quaternion_xyzw)
+        return np.asarray(self.pose, dtype=np.float64)
+
+
+@validated(InputError)
+class Attached(Body):
+    """A body that moves with the arm.
+
+    Args:
+        link: a part of the arm, or ``tool``; the pose is in its frame.
+        touch_links: parts that it may touch, beside those that move with it.
+    """
+
+    link: _Name = TOOL
+    touch_links: Annotated[tuple[_Name, ...], Field(max_length=100)] = ()
+
+
+@validated(InputError)
+class PlanningScene(Record):
+    """What is known.
+
+    Args:
+        scene: bodies that stand in the base frame, with names.
+        attached: bodies that the arm holds, with names.
+        allowed: pairs of names, of parts and bodies, that may touch.
+        ignore: volumes in which pictures count for nothing: they are free.
+        meshes: binary STL files in base64, by the names that shapes give.
+
+    Raises:
+        InputError: names are missing or come twice, or a mesh is none.
+    """
+
+    scene: Annotated[tuple[Body, ...], Field(max_length=MAX_BODIES)] = ()
+    attached: Annotated[tuple[Attached, ...], Field(max_length=MAX_ATTACHED)] = ()
+    allowed: Annotated[tuple[tuple[_Name, _Name], ...], Field(max_length=MAX_PAIRS)] = ()
+    ignore: Annotated[tuple[Body, ...], Field(max_length=MAX_IGNORED)] = ()
+    meshes: Annotated[dict[_Name, str], Field(max_length=MAX_MESHES)] = Field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        names = [one.name for one in (*self.scene, *self.attached)]
+        if "" in names or len(set(names)) != len(names):
+            raise InputError("the bodies do not fit", expected="a name each", got=str(names)[:200])
+        every = (*self.scene, *self.attached, *self.ignore)
+        unknown = {one.mesh.file for one in every if one.mesh is not None} - set(self.meshes)
+        if unknown:
+            raise InputError(
+                "a body has a mesh that did not come",
+                expected=f"one of the files {sorted(self.meshes)}"[:200],
+                got=", ".join(sorted(unknown))[:200],
+                remedy="send the file as a part `mesh` of a form, or in `meshes` as base64",
+            )
+
+    def corners_m(self) -> dict[str, NDArray[np.float64]]:
+        """(T, 3, 3) of the triangles of each mesh, in its own unit.
+
+        Raises:
+            InputError: one is no mesh.
+        """
+        return {name: read_stl(_decoded(name, text), name) for name, text in self.meshes.items()}
+
+
+def read_planning_scene(values: bytes) -> PlanningScene:
+    """A planning scene of JSON, and of its meshes.
+
+    Raises:
+        InputError: a key or a value does not fit; the message names the place.
+    """
+    where = "the planning scene"
+    if len(values) > MAX_BYTES:
+        raise InputError(f"{where} is too large", expected=f"at most {MAX_BYTES} bytes", got=str(len(values)))
+    try:
+        parse_json(values)
+        found: PlanningScene = adapter_of(PlanningScene).validate_json(values, strict=True)
+    except ValidationError as problem:
+        raise refused(problem, InputError, where) from problem
+    except ValueError as problem:
+        raise InputError(f"{where} is not JSON", expected="JSON", got=str(problem)[:200]) from problem
+    return found
+
+
+def read_stl(data: bytes, name: str) -> NDArray[np.float64]:
+    """Corners (T, 3, 3) of the triangles of a binary STL file, those without area left out.
+
+    Raises:
+        InputError: it is none, has too many triangles, or numbers that are none.
+    """
+    count = struct.unpack_from("<I", data, 80)[0] if len(data) >= 84 else -1
+    if len(data) != 84 + 50 * count:
+        raise InputError(
+            f"the mesh {name} is no binary STL",
+            expected="80 bytes, the number of triangles as uint32, and 50 bytes for each",
+            got=f"{len(data)} bytes that begin with {data[:10]!r}",
+            remedy="trimesh.load(file, force='mesh').export('part.stl') writes one",
+        )
+    if not 1 <= count <= MAX_TRIANGLES:
+        raise InputError(
+            f"the mesh {name} has too many triangles, or none",
+            expected=f"1 to {MAX_TRIANGLES}",
+            got=str(count),
+            remedy="simplify the mesh, or send boxes and cylinders about it",
+        )
+    rows = np.frombuffer(
+        data, dtype=np.dtype([("n", "<f4", 3), ("c", "<f4", (3, 3)), ("a", "<u2")]), offset=84
+    )
+    corners = rows["c"].astype(np.float64)
+    if not np.isfinite(corners).all() or np.abs(corners).max() > 1e6:
+        raise InputError(
+            f"the mesh {name} has corners that are none", expected="finite numbers", got="others"
+        )
+    sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    corners = corners[np.linalg.norm(sides, axis=1) > 0.0]
+    if not len(corners):
+        raise InputError(f"the mesh {name} has no surface", expected="triangles with an area", got="none")
+    return corners
+
+
+def _decoded(name: str, text: str) -> bytes:
+    try:
+        return base64.b64decode(text, validate=True)
+    except (binascii.Error, ValueError) as error:
+        raise InputError(
+            f"the mesh {name} is not base64", expected="base64 of a binary STL", got=text[:50]
+        ) from error

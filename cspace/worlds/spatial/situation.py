@@ -1,0 +1,310 @@
+"""What a planner knows, as checks of one arm take it: known bodies, attached ones, contacts in words.
+
+The arm with what is attached to it is an arm again, so that searches, self filter and self-collision need not
+know of it. Compiled.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.errors import InputError
+from cspace.world import Contact
+from cspace.worlds.spatial.arm import MAX_SPHERES, Part, SerialArm
+from cspace.worlds.spatial.bodies import (
+    BodyArrays,
+    add_bodies,
+    body_arrays,
+    clear_bodies,
+    part_contact,
+    points_to_bodies,
+)
+from cspace.worlds.spatial.checks import KERNELS, scene_arrays
+from cspace.worlds.spatial.kinematics import arm_arrays
+from cspace.worlds.spatial.obstacles import Obstacles
+from cspace.worlds.spatial.planning_scene import TOOL, Attached, Body, BoxShape, PlanningScene
+from cspace.worlds.spatial.poses import HERE, moved
+from cspace.worlds.spatial.sensor import FREE, NO_READING, OUT_OF_VIEW, GridBox
+from cspace.worlds.spatial.visibility import SLACK_M, lookup
+from cspace.worlds.spatial.world import SpatialWorld
+
+# The base stands where it stands.
+_STILL = 0
+# Spheres that cover an attached body, most; the least side of the cells that they are about.
+_MOST_SPHERES, _CELL_M, _COARSER = 256, 0.008, 1.2
+# A cell is looked at in so many parts along each side.
+_PARTS = 4
+_MOST_CELLS = 20_000
+_UNSEEN = {NO_READING: "unread", OUT_OF_VIEW: "out of view"}
+
+
+class Situation:
+    """A planning scene for one arm, as checks take it; needs the compiler.
+
+    Args:
+        arm: with its spheres.
+        known: what is known.
+
+    Raises:
+        InputError: a name stands for nothing, two names are one, or what is attached has too many spheres.
+    """
+
+    def __init__(self, arm: SerialArm, known: PlanningScene) -> None:
+        self.known = known
+        meshes = known.corners_m()
+        self.bodies = bodies_of(known.scene, meshes)
+        self.ignored = bodies_of(known.ignore, meshes)
+        self._check_names(arm)
+        self.arm = self._holding(arm, meshes)
+        self.bodies = self.bodies._replace(exempt=self._exempt())
+        held = {one.name for one in known.attached}
+        pairs = tuple(pair for pair in self.arm.touching if held & set(pair))
+        limits = np.full(arm.dim, np.inf)
+        scene = scene_arrays(replace(self.arm, touching=pairs), Obstacles((), ()), bodies=self.bodies)
+        self._scene = scene._replace(lower=-limits, upper=limits)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the bodies, in the order of the arrays."""
+        return tuple(one.name for one in in_order(self.known.scene))
+
+    def free(self, configurations: NDArray[np.floating]) -> NDArray[np.bool_]:
+        """Which of (N, d) rad touch no known body, and nothing of the arm with what is attached to it.
+
+        Joint limits, pictures and the arm's own self-collision are left to others.
+        """
+        rows = np.ascontiguousarray(configurations, dtype=np.float64)
+        found: NDArray[np.bool_] = KERNELS.free_batch(rows, self._scene)
+        return found
+
+    def explains(self, points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which points (N, 3) m of pictures are of a known body, by 2 cm, or lie in a volume to ignore."""
+        points = np.ascontiguousarray(points_m)
+        near = points_to_bodies(points, self.bodies, SLACK_M) <= SLACK_M
+        return np.asarray(near | (points_to_bodies(points, self.ignored, 0.0) <= 0.0))
+
+    def complete(self, image: NDArray[np.uint8], grid: GridBox) -> None:
+        """Write what is known, in place, into what pictures show, (X, Y, Z, 2)."""
+        low = np.asarray(grid.low_m)
+        clear_bodies(image, low, grid.voxel_m, self.ignored, FREE)
+        add_bodies(image, low, grid.voxel_m, self.bodies)
+
+    def contact(
+        self, configuration: NDArray[np.floating], image: NDArray[np.uint8], grid: GridBox
+    ) -> Contact | None:
+        """What is in the way of a configuration (d,) rad: known, of the arm, seen or unseen, in this order.
+
+        Args:
+            configuration: of the arm.
+            image: (X, Y, Z, 2), what the pictures show.
+            grid: of it.
+
+        Returns:
+            None where nothing touches and all of the arm is in space that was seen free.
+        """
+        centres = self.arm.sphere_centres_m([configuration])[0]
+        return (
+            self._known_contact(centres) or self._self_contact(centres) or self._unfree(centres, image, grid)
+        )
+
+    def _known_contact(self, centres: NDArray[np.float64]) -> Contact | None:
+        arrays, names, best = arm_arrays(self.arm), self.names, None
+        for number, name in enumerate(names):
+            for part in np.flatnonzero(~self.bodies.exempt[:, number]):
+                away, sphere = part_contact(self.bodies, arrays, centres, number, part, 0.0)
+                if sphere >= 0 and (best is None or -away > best.depth_m):
+                    best = Contact("known", self.arm.parts[part].name, name, _place(centres[sphere]), -away)
+        return best
+
+    def _self_contact(self, centres: NDArray[np.float64]) -> Contact | None:
+        ends = np.cumsum([len(part.spheres_m) for part in self.arm.parts])
+        own = {
+            part.name: slice(end - len(part.spheres_m), end)
+            for part, end in zip(self.arm.parts, ends, strict=True)
+        }
+        radii, best = self.arm.spheres_m()[:, 3], None
+        for one, other in self.arm.touching:
+            first, second = own[one], own[other]
+            gaps = np.linalg.norm(centres[first, None] - centres[None, second], axis=2)
+            gaps -= radii[first, None] + radii[second]
+            deep = -float(gaps.min())
+            if deep >= 0.0 and (best is None or deep > best.depth_m):
+                sphere = first.start + int(np.argmin(gaps) // gaps.shape[1])
+                best = Contact("self", one, other, _place(centres[sphere]), deep)
+        return best
+
+    def _unfree(
+        self, centres: NDArray[np.float64], image: NDArray[np.uint8], grid: GridBox
+    ) -> Contact | None:
+        links, radii = self.arm.sphere_links(), self.arm.spheres_m()[:, 3]
+        moving = np.flatnonzero(links > _STILL)
+        known = lookup(image, grid, centres[moving])
+        deep = radii[moving] - known.distance_m
+        at, kind, depth = int(np.argmax(deep)), "seen", float(deep.max())
+        if depth < 0.0:
+            unseen = np.where(known.unseen, radii[moving], 0.0)
+            if not unseen.any():
+                return None
+            at, depth = int(np.argmax(unseen)), 0.0
+            kind = _UNSEEN.get(int(known.codes[at]), "hidden")
+        part = np.searchsorted(
+            np.cumsum([len(one.spheres_m) for one in self.arm.parts]), moving[at], side="right"
+        )
+        return Contact(kind, self.arm.parts[part].name, "", _place(centres[moving[at]]), depth)
+
+    def _check_names(self, arm: SerialArm) -> None:
+        parts = {part.name for part in arm.parts}
+        bodies = {one.name for one in (*self.known.scene, *self.known.attached)}
+        if both := sorted(bodies & (parts | {TOOL})):
+            raise InputError(
+                "a body has a part's name", expected="a name of its own", got=", ".join(both)[:200]
+            )
+        links = {name for one in self.known.attached for name in (one.link, *one.touch_links)} - {TOOL}
+        names = {name for pair in self.known.allowed for name in pair} - bodies
+        if unknown := sorted((links | names) - parts):
+            raise InputError(
+                "a link or body is unknown",
+                expected=f"{', '.join(sorted(parts | {TOOL}))}; for `allowed` also names of bodies"[:1000],
+                got=", ".join(unknown)[:200],
+            )
+
+    def _holding(self, arm: SerialArm, meshes: Mapping[str, NDArray[np.float64]]) -> SerialArm:
+        """The arm with what is attached to it, and without the pairs that may touch."""
+        allowed = {frozenset(pair) for pair in self.known.allowed}
+        links = {part.name: part.link for part in arm.parts}
+        parts, touching = list(arm.parts), [pair for pair in arm.touching if frozenset(pair) not in allowed]
+        for one in self.known.attached:
+            link = links.get(one.link, arm.dim)
+            frame = arm.tool.matrix() if one.link == TOOL else np.eye(4)
+            spheres = cover(one, meshes)
+            spheres[:, :3] = moved(frame @ one.matrix, spheres[:, :3])
+            parts.append(Part(one.name, link, tuple(tuple(row) for row in spheres.tolist())))
+            may_touch = set(one.touch_links) | {name for pair in allowed if one.name in pair for name in pair}
+            touching += [
+                (one.name, part.name)
+                for part in parts[:-1]
+                if part.link != link and part.name not in may_touch
+            ]
+        if (count := sum(len(part.spheres_m) for part in parts)) > MAX_SPHERES:
+            raise InputError(
+                "the attached bodies are covered by too many spheres",
+                expected=f"at most {MAX_SPHERES} with the arm's",
+                got=str(count),
+                remedy="attach fewer bodies, or simpler ones",
+            )
+        return replace(arm, parts=tuple(parts), touching=tuple(touching))
+
+    def _exempt(self) -> NDArray[np.bool_]:
+        """(P, K): the base, which stands where it stands, and pairs that may touch."""
+        allowed = {frozenset(pair) for pair in self.known.allowed}
+        rows = [
+            [part.link == _STILL or frozenset((part.name, name)) in allowed for name in self.names]
+            for part in self.arm.parts
+        ]
+        return np.asarray(rows, dtype=np.bool_).reshape(len(self.arm.parts), len(self.names))
+
+
+def _place(centre: NDArray[np.float64]) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in centre)
+    return x, y, z
+
+
+def in_order(bodies: Iterable[Body]) -> list[Body]:
+    """As :class:`cspace.worlds.spatial.bodies.BodyArrays` has them."""
+    every = list(bodies)
+    kinds = ("box", "cylinder", "sphere", "mesh")
+    return [one for kind in kinds for one in every if getattr(one, kind) is not None]
+
+
+def bodies_of(bodies: Iterable[Body], meshes: Mapping[str, NDArray[np.float64]]) -> BodyArrays:
+    """The arrays of bodies; meshes are corners (T, 3, 3) by file, in their own unit."""
+    boxes, cylinders, spheres, triangles = [], [], [], []
+    for one in bodies:
+        pose = one.matrix
+        placed = (*pose[:3, 3], *pose[:3, :3].ravel())
+        if one.box is not None:
+            half = np.asarray(one.box.size_m) / 2.0
+            boxes.append((*placed, *half, np.linalg.norm(half)))
+        elif one.cylinder is not None:
+            size = one.cylinder.radius_m, one.cylinder.length_m / 2.0
+            cylinders.append((*placed, *size, np.hypot(*size)))
+        elif one.sphere is not None:
+            spheres.append((*pose[:3, 3], one.sphere.radius_m))
+        elif one.mesh is not None:
+            triangles.append(moved(pose, meshes[one.mesh.file] * one.mesh.scale))
+    return body_arrays(
+        np.asarray(boxes, dtype=np.float64).reshape(-1, 16),
+        np.asarray(cylinders, dtype=np.float64).reshape(-1, 15),
+        np.asarray(spheres, dtype=np.float64).reshape(-1, 4),
+        triangles,
+    )
+
+
+def cover(body: Body, meshes: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Spheres (S, 4) in a body's own frame, at most 256, that cover its surface and what lies near it.
+
+    Each is about that part of the body that is in one cell of a grid over it; cells inside are left out.
+    """
+    if body.sphere is not None:
+        return np.array([[0.0, 0.0, 0.0, body.sphere.radius_m]])
+    own = bodies_of([replace(body, pose=HERE)], meshes)
+    low, high = _bounds(body, meshes)
+    cell_m = _CELL_M
+    while len(found := _cells(own, low, high, cell_m)) > _MOST_SPHERES:
+        cell_m *= _COARSER
+    return found
+
+
+def _bounds(
+    body: Body, meshes: Mapping[str, NDArray[np.float64]]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Lowest and highest corner (3,) in the body's own frame, m."""
+    if body.mesh is not None:
+        corners = meshes[body.mesh.file] * body.mesh.scale
+        return corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    size_m = np.zeros(3)
+    if body.box is not None:
+        size_m = np.asarray(body.box.size_m)
+    elif body.cylinder is not None:
+        side = 2.0 * body.cylinder.radius_m
+        size_m = np.array([side, side, body.cylinder.length_m])
+    return -size_m / 2.0, size_m / 2.0
+
+
+def _cells(
+    own: BodyArrays, low: NDArray[np.float64], high: NDArray[np.float64], cell_m: float
+) -> NDArray[np.float64]:
+    """Spheres (S, 4), one for each cell of about such a side that the body's surface is near to."""
+    counts = np.maximum(np.ceil((high - low) / cell_m), 1).astype(np.int64)
+    if counts.prod() > _MOST_CELLS:
+        # Too many to be looked at are too many to be spheres.
+        return np.empty((_MOST_SPHERES + 1, 4))
+    side = np.maximum(high - low, 1e-6) / counts
+    index = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, 3)
+    parts = (
+        np.stack(np.meshgrid(*[np.arange(_PARTS)] * 3, indexing="ij"), axis=-1).reshape(-1, 3) + 0.5
+    ) / _PARTS
+    points = low + (index[:, None] + parts) * side
+    reach = float(np.linalg.norm(side / _PARTS)) / 2.0
+    away = points_to_bodies(points.reshape(-1, 3), own, 2.0 * reach).reshape(points.shape[:2])
+    held = away <= reach
+    near = held.any(axis=1) & (away.max(axis=1) > -2.0 * side.max())
+    points, held = points[near], held[near][..., None]
+    first = np.where(held, points, np.inf).min(axis=1)
+    last = np.where(held, points, -np.inf).max(axis=1)
+    middle = (first + last) / 2.0
+    radius = np.where(held[..., 0], np.linalg.norm(points - middle[:, None], axis=2), 0.0).max(axis=1) + reach
+    return np.column_stack([middle, radius])
+
+
+def load_kernels(world: SpatialWorld) -> None:
+    """Have the compiled code in this process."""
+    box = {"box": BoxShape((0.1, 0.1, 0.1))}
+    known = PlanningScene((Body("box", **box),), (Attached("held", **box),), ignore=(Body("free", **box),))
+    made = Situation(world.body, known)
+    made.explains(np.zeros((1, 3)))
+    made.complete(np.zeros(world.sensor.picture_shape, dtype=np.uint8), world.sensor.grid)
+    made.free(np.zeros((1, world.dim)))
+    made.contact(np.zeros(world.dim), np.zeros(world.sensor.picture_shape, dtype=np.uint8), world.sensor.grid)
