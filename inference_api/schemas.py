@@ -210,6 +210,7 @@ _HELD = _object(
 )
 
 
+_Pair = Annotated[tuple[str, str], Strict(strict=False)]
 _Many = Annotated[tuple[dict[str, Any], ...], Strict(strict=False)]
 _Scene = Annotated[
     Annotated[_Many, Field(max_length=MAX_BODIES)],
@@ -339,7 +340,7 @@ class SceneFields(ModelFields):
         "`touch_links`. Their pixels are taken out of the pictures as the arm's are.",
     )
     allowed: Annotated[
-        Annotated[tuple[tuple[str, str], ...], Field(max_length=MAX_PAIRS), Strict(strict=False)],
+        Annotated[tuple[_Pair, ...], Field(max_length=MAX_PAIRS), Strict(strict=False)],
         Expected("an array of pairs of names"),
     ] = Field((), description="Pairs of names, of parts of the robot and of bodies, that may touch.")
     ignore: _Ignored = Field(

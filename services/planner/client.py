@@ -1,5 +1,6 @@
 """The inference API's client behind the project's port of samples, with the project's errors."""
 
+import base64
 import json
 import os
 from collections.abc import Iterator
@@ -143,8 +144,13 @@ def _picture(picture: cspace_client.Picture) -> Picture:
     sent = shown(picture)
     cameras = [json.loads(one) for one in sent.fields["camera"]]
     state, scale = (json.loads(sent.fields.get(name, "null")) for name in ("state", "depth_scale_m"))
+    named = ("scene", "attached", "allowed", "ignore")
+    known = {name: json.loads(sent.fields[name]) for name in named if name in sent.fields}
+    if sent.meshes:
+        known["meshes"] = {name: base64.b64encode(data).decode() for name, data, _ in sent.meshes}
     try:
-        return pack_view([data for _, data, _ in sent.files], cameras, state, scale)
+        files = [data for _, data, _ in sent.files]
+        return pack_view(files, cameras, state, scale, json.dumps(known).encode() if known else None)
     except ImageError as error:
         raise SamplerError(error.what, expected=error.expected, got=error.got) from error
 

@@ -251,7 +251,9 @@ def cover(body: Body, meshes: Mapping[str, NDArray[np.float64]]) -> NDArray[np.f
         return np.array([[0.0, 0.0, 0.0, body.sphere.radius_m]])
     own = bodies_of([replace(body, pose=HERE)], meshes)
     low, high = _bounds(body, meshes)
-    cell_m = _CELL_M
+    x, y, z = high - low
+    # Not far below the side at which so many squares cover the box round the body.
+    cell_m = max(_CELL_M, 0.8 * float(np.sqrt(2.0 * (x * y + y * z + z * x) / _MOST_SPHERES)))
     while len(found := _cells(own, low, high, cell_m)) > _MOST_SPHERES:
         cell_m *= _COARSER
     return found

@@ -15,9 +15,11 @@ from cspace_client.errors import (
     SamplerModelError,
     SamplerUnavailableError,
 )
+from cspace_client.known import Known
 from cspace_client.models import (
     MAX_SAMPLES,
     AlternativePath,
+    Contact,
     Diagnosis,
     FoundPlan,
     JointSpace,
@@ -48,10 +50,12 @@ __all__ = [
     "AsyncSamplingClient",
     "ClientError",
     "ConfigError",
+    "Contact",
     "DepthPictures",
     "Diagnosis",
     "FoundPlan",
     "JointSpace",
+    "Known",
     "LeastConfidence",
     "LocalError",
     "ModelHead",

@@ -480,6 +480,7 @@ class PlanQuery:
         next_view: whether the camera is wanted that would see most of what makes the path uncertain.
         views: cameras to choose it from, as plain values; none for some about the uncertain places.
         alternatives: whether all paths of sufficient confidence are wanted, for those who can check them.
+        explain: whether an answer without a path says what is in the way.
     """
 
     start: Sequence[float]
@@ -491,6 +492,7 @@ class PlanQuery:
     next_view: bool = False
     views: Sequence[Mapping[str, Any]] = ()
     alternatives: bool = False
+    explain: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -538,6 +540,28 @@ class NextView:
     sees: float
 
 
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """What is in the way of a configuration.
+
+    Args:
+        kind: ``known`` body, ``self``, ``seen`` surface, or space ``hidden`` behind one, ``unread`` or ``out
+            of view``.
+        link: the part of the robot, or the attached body.
+        other: the body or part that it touches; empty for what pictures show.
+        position_m: of the place on the robot, in its base frame.
+        depth_m: how deep it is in; 0 in unknown space.
+        text: in words.
+    """
+
+    kind: str
+    link: str
+    other: str
+    position_m: tuple[float, float, float]
+    depth_m: float
+    text: str
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
     """A path, or none.
@@ -559,6 +583,7 @@ class Plan:
             were not asked for.
         search_ms: looking for paths.
         score_ms: asking the model about them.
+        contact: what is in the way where there is no path; None where nothing is, or nobody asked.
     """
 
     status: Status
@@ -573,6 +598,7 @@ class Plan:
     alternatives: tuple[AlternativePath, ...]
     search_ms: float
     score_ms: float
+    contact: Contact | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cspace_client.errors import SamplerError
+from cspace_client.known import Known
 
 File = tuple[str, bytes, str]
 """Name, content and media type."""
 
-_PNG, _NPY = "image/png", "application/x-npy"
+_PNG, _NPY, _STL = "image/png", "application/x-npy", "model/stl"
 _GREY, _COLOUR = 0, 2
 _MAX_PICTURES = 4
 
@@ -33,6 +34,7 @@ class DepthPictures:
         state: (d,) rad, where the robot was; None where it is in no picture.
         depth_scale_m: metres per unit of the pictures where that is another: 0.0001 for tenths of mm, 0.0002
             for TUM RGB-D; None for mm as whole numbers and metres as floats.
+        known: of the scene beside the pictures; None without anything.
 
     Raises:
         SamplerError: there are more or fewer cameras than pictures, or more than four.
@@ -42,6 +44,7 @@ class DepthPictures:
     cameras: Sequence[Mapping[str, Any]]
     state: ArrayLike | None = None
     depth_scale_m: float | None = None
+    known: Known | None = None
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.pictures) <= _MAX_PICTURES or len(self.pictures) != len(self.cameras):
@@ -62,11 +65,13 @@ class Shown:
 
     Args:
         files: of the field ``image``, one or more.
-        fields: cameras, the robot's state and the unit, where it has any.
+        fields: cameras, the robot's state, the unit and what is known, where it has any.
+        meshes: files of the field ``mesh``.
     """
 
     files: tuple[File, ...]
     fields: Mapping[str, Any]
+    meshes: tuple[File, ...] = ()
 
 
 def shown(picture: Picture) -> Shown:
@@ -77,7 +82,10 @@ def shown(picture: Picture) -> Shown:
     """
     parts = picture.pictures if isinstance(picture, DepthPictures) else [picture]
     files = tuple(_file(part) for part in parts)
-    return Shown(files, _fields(picture) if isinstance(picture, DepthPictures) else {})
+    if not isinstance(picture, DepthPictures):
+        return Shown(files, {})
+    meshes = () if picture.known is None else picture.known.meshes.items()
+    return Shown(files, _fields(picture), tuple((name, data, _STL) for name, data in meshes))
 
 
 def _file(part: bytes | NDArray[Any]) -> File:
@@ -95,6 +103,8 @@ def _fields(picture: DepthPictures) -> dict[str, Any]:
             fields["state"] = _text(picture.state)
         if picture.depth_scale_m is not None:
             fields["depth_scale_m"] = repr(float(picture.depth_scale_m))
+        if picture.known is not None:
+            fields |= {name: _text(value) for name, value in picture.known.fields.items()}
     except (TypeError, ValueError) as error:
         raise SamplerError(
             "the cameras are no plain values", expected="numbers, lists and arrays", got=str(error)[:200]

@@ -33,6 +33,7 @@ from cspace_client.models import (
     MAX_SAMPLES,
     PLAIN,
     AlternativePath,
+    Contact,
     Diagnosis,
     FoundPlan,
     JointSpace,
@@ -106,7 +107,8 @@ class Question(ABC, Generic[Found]):
     @property
     def files(self) -> list[tuple[str, File]]:
         """The form's files, each with its field."""
-        return [*(("image", file) for file in self.shown.files), *self.own_files()]
+        pictures = [("image", file) for file in self.shown.files]
+        return [*pictures, *(("mesh", file) for file in self.shown.meshes), *self.own_files()]
 
     @abstractmethod
     def own_fields(self) -> dict[str, Any]:
@@ -311,7 +313,8 @@ class PlanQuestion(Question[FoundPlan]):
     def own_fields(self) -> dict[str, Any]:
         """All of the query; of what older servers do not know, what is not taken for granted."""
         query = self.query
-        flags = {"next_view": query.next_view, "alternatives": query.alternatives}
+        names = "next_view", "alternatives", "explain"
+        flags = {name: getattr(query, name, False) for name in names}
         fields: dict[str, Any] = {name: "true" for name, wanted in flags.items() if wanted}
         if query.views:
             fields["view"] = [json.dumps(dict(view)) for view in query.views]
@@ -460,9 +463,18 @@ def _plan(answer: Members, space: JointSpace) -> Plan:
             )
             for one in (answer.each("alternatives") if answer.has("alternatives") else ())
         ),
+        contact=_contact(answer.inner("contact")) if answer.has("contact") else None,
         search_ms=timing.number("search"),
         score_ms=timing.number("score"),
     )
+
+
+def _contact(one: Members) -> Contact:
+    place = one.row("position_m")
+    if len(place) != 3:
+        raise unusable("has a contact at no place", "three numbers", str(len(place)))
+    texts = [printable(one.text(name)) for name in ("kind", "link", "other", "text")]
+    return Contact(*texts[:3], (place[0], place[1], place[2]), one.number("depth_m"), texts[3])
 
 
 def _least(least: Members, space: JointSpace) -> LeastConfidence:

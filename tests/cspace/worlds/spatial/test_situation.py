@@ -1,0 +1,228 @@
+"""A planning scene beside depth pictures: known and attached bodies, allowed pairs, volumes to ignore."""
+
+import base64
+import json
+import struct
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from cspace.errors import InputError
+from cspace.simulator import ProblemRequest, Split
+from cspace.view_file import pack_view, unpack_view
+from cspace.worlds import examples, partly_seen
+from cspace.worlds.spatial.arm import ready_rad
+from cspace.worlds.spatial.bodies import points_to_bodies
+from cspace.worlds.spatial.checks import CollisionChecker
+from cspace.worlds.spatial.planning_scene import MAX_TRIANGLES, PlanningScene, read_planning_scene, read_stl
+from cspace.worlds.spatial.sensor import FREE
+from cspace.worlds.spatial.situation import Situation, bodies_of, cover
+from cspace.worlds.spatial.view import write_view
+from cspace.worlds.spatial.visibility import distances_m
+
+WORLD = examples()["panda"]
+ARM, GRID = WORLD.body, WORLD.sensor.grid
+READY = ready_rad(ARM)
+ROWS = WORLD.space.sample_uniform(np.random.default_rng(2), 400)
+HAND = ("panda_hand", "panda_leftfinger", "panda_rightfinger")
+TABLE = {"name": "table", "box": {"size_m": [1.2, 1.2, 0.1]}, "pose": {"translation": [0.3, 0.0, -0.05]}}
+
+
+def stl_of(mesh):
+    return base64.b64encode(mesh.export(file_type="stl")).decode()
+
+
+def scene_of(**fields):
+    return read_planning_scene(json.dumps(fields).encode())
+
+
+def at(x, y, z):
+    return {"translation": [x, y, z]}
+
+
+def test_a_mesh_is_as_far_away_as_trimesh_says_and_a_closed_one_is_solid():
+    points = np.random.default_rng(0).uniform(-0.3, 0.3, (500, 3))
+    for mesh in (trimesh.creation.torus(0.2, 0.05), trimesh.creation.box((0.3, 0.2, 0.1))):
+        known = scene_of(
+            scene=[{"name": "m", "mesh": {"file": "m.stl"}, "pose": at(0.1, -0.2, 0.3)}],
+            meshes={"m.stl": stl_of(mesh)},
+        )
+        bodies = bodies_of(known.scene, known.corners_m())
+        found = points_to_bodies(points + np.array([0.1, -0.2, 0.3]), bodies, 1.0)
+        # That is above 0 inside.
+        np.testing.assert_allclose(found, -trimesh.proximity.signed_distance(mesh, points), atol=1e-6)
+    open_box = trimesh.creation.box((0.3, 0.2, 0.1))
+    open_box.update_faces(np.arange(len(open_box.faces)) != 0)
+    known = scene_of(scene=[{"name": "m", "mesh": {"file": "m"}}], meshes={"m": stl_of(open_box)})
+    bodies = bodies_of(known.scene, known.corners_m())
+    assert points_to_bodies(np.zeros((1, 3)), bodies, 1.0)[0] == pytest.approx(0.05, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        {"box": {"size_m": [0.05, 0.08, 0.2]}},
+        {"box": {"size_m": [0.002, 0.3, 0.2]}},
+        {"cylinder": {"radius_m": 0.04, "length_m": 0.14}},
+        {"sphere": {"radius_m": 0.05}},
+        {"mesh": {"file": "m", "scale": 0.5}},
+    ],
+    ids=lambda shape: next(iter(shape)),
+)
+def test_an_attached_body_is_covered_by_few_spheres_that_stick_out_little(shape):
+    known = scene_of(
+        attached=[{"name": "held", **shape}], meshes={"m": stl_of(trimesh.creation.torus(0.1, 0.03))}
+    )
+    (body,), meshes = known.attached, known.corners_m()
+    spheres, bodies = cover(body, meshes), bodies_of([body], meshes)
+    assert len(spheres) <= 256
+    points = np.random.default_rng(0).uniform(-0.2, 0.2, (40_000, 3))
+    away = points_to_bodies(points, bodies, 0.05)
+    gaps = np.linalg.norm(points[:, None] - spheres[:, :3], axis=2) - spheres[:, 3]
+    covered = gaps.min(axis=1) <= 0.0
+    # Deep inside there may be none, for nothing comes there but through the surface.
+    shell = (away <= 0.0) & (away > -0.005)
+    assert shell.any() or body.sphere is not None or body.box is not None
+    assert covered[shell].all()
+    assert away[covered].max() < 0.02
+
+
+def test_what_is_known_is_checked_as_the_simulator_checks_its_scenes():
+    problem = partly_seen(WORLD).problem(ProblemRequest(Split.VALIDATION), "motionbench_table_pick", 1, 1)
+    obstacles = problem.scenario.obstacles
+    bodies = [
+        {"name": f"box {at}", "box": {"size_m": [2.0 * half for half in one.half_m]}, "pose": one.pose}
+        for at, one in enumerate(obstacles.boxes)
+    ] + [
+        {
+            "name": f"cylinder {at}",
+            "cylinder": {"radius_m": one.radius_m, "length_m": 2.0 * one.half_length_m},
+            "pose": one.pose,
+        }
+        for at, one in enumerate(obstacles.cylinders)
+    ]
+    found = Situation(ARM, scene_of(scene=bodies)).free(ROWS)
+    alone = CollisionChecker(replace(ARM, touching=()), obstacles)
+    np.testing.assert_array_equal(found, alone.valid_batch(ROWS))
+    assert 0.1 < found.mean() < 0.95
+
+
+def test_the_base_may_stand_in_a_table_and_pairs_that_are_allowed_may_touch():
+    situation = Situation(ARM, scene_of(scene=[TABLE]))
+    assert situation.free(READY[None]).all()
+    assert not situation.free(ROWS).all()
+    allowed = [[part.name, "table"] for part in ARM.parts]
+    assert Situation(ARM, scene_of(scene=[TABLE], allowed=allowed)).free(ROWS).all()
+
+
+def test_an_attached_body_touches_what_the_hand_does_not():
+    held = {"name": "rod", "cylinder": {"radius_m": 0.01, "length_m": 0.6}, "touch_links": HAND}
+    tool = ARM.tool_frames(READY[None])[0]
+    x, y, z = (tool @ (0.0, 0.0, 0.25, 1.0))[:3]
+    ball = {"name": "ball", "sphere": {"radius_m": 0.03}, "pose": at(x, y, z)}
+    assert Situation(ARM, scene_of(scene=[ball])).free(READY[None]).all()
+    situation = Situation(ARM, scene_of(scene=[ball], attached=[held]))
+    assert not situation.free(READY[None]).any()
+    image = np.zeros(WORLD.sensor.picture_shape, np.uint8)
+    contact = situation.contact(READY, image, GRID)
+    assert (contact.kind, contact.link, contact.other) == ("known", "rod", "ball")
+    assert np.linalg.norm(np.subtract(contact.position_m, (x, y, z))) < 0.06
+    assert "rod touches ball by" in contact.text
+    allowed = scene_of(scene=[ball], attached=[held], allowed=[["ball", "rod"]])
+    assert Situation(ARM, allowed).free(READY[None]).all()
+    # A rod across the forearm.
+    across = held | {"pose": {"translation": [0.0, 0.0, -0.1]}, "touch_links": []}
+    assert Situation(ARM, scene_of(attached=[across])).contact(READY, image, GRID).kind in ("self", "seen")
+
+
+def view_of(known=None):
+    problem = partly_seen(WORLD).problem(ProblemRequest(Split.VALIDATION), "motionbench_table_pick", 1, 1)
+    file = unpack_view(write_view(problem.scenario.view()))
+    text = None if known is None else json.dumps(known).encode()
+    return pack_view(file.pictures, file.cameras, file.state, known=text)
+
+
+def test_known_bodies_are_in_the_picture_once_and_ignored_volumes_are_free():
+    plain = WORLD.examine_picture(view_of()).images[0]
+    box = {"name": "b", "box": {"size_m": [0.2, 0.2, 0.2]}, "pose": at(-0.4, 0.0, 0.5)}
+    with_box = WORLD.examine_picture(view_of({"scene": [box]}))
+    centres = GRID.centres_m()
+    inside = (np.abs(centres - (-0.4, 0.0, 0.5)) < 0.1).all(axis=-1)
+    assert (with_box.images[0][inside][:, 1] != FREE).all()
+    away = np.abs(np.abs(centres - (-0.4, 0.0, 0.5)).max(axis=-1) - 0.1)
+    near = inside & (away < 0.05)
+    np.testing.assert_allclose(distances_m(with_box.images[0])[near], away[near], atol=2e-3)
+    assert not with_box.known.free(ROWS).all()
+    whole = {"box": {"size_m": [4.0, 4.0, 4.0]}}
+    nothing = WORLD.examine_picture(view_of({"ignore": [whole]})).images[0]
+    assert (nothing[..., 1] == FREE).all()
+    assert (nothing[..., 0] == 255).all()
+    assert (plain[..., 0] < 255).any()
+    assert WORLD.examine_picture(view_of({"scene": []})).images[0].tobytes() == plain.tobytes()
+
+
+def tetrahedron(count=4, value=0.0):
+    corners = np.zeros((count, 3, 3), "<f4")
+    corners[:, 1:, :2] = np.eye(2)
+    corners[0, 0, 0] = value
+    rows = np.zeros(count, dtype=[("n", "<f4", 3), ("c", "<f4", (3, 3)), ("a", "<u2")])
+    rows["c"] = corners
+    return b"x" * 80 + struct.pack("<I", count) + rows.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (b"solid part\n", "no binary STL"),
+        (tetrahedron()[:-1], "no binary STL"),
+        (tetrahedron(value=np.nan), "corners that are none"),
+        (tetrahedron(MAX_TRIANGLES + 1), "too many triangles"),
+    ],
+)
+def test_a_mesh_that_is_none_is_refused(data, words):
+    with pytest.raises(InputError, match=words):
+        read_stl(data, "part.stl")
+
+
+BALL = {"name": "a", "sphere": {"radius_m": 0.1}}
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({"scene": [{"name": "a"}]}, "no single shape"),
+        ({"scene": [BALL | {"box": {"size_m": [1, 1, 1]}}]}, "no single shape"),
+        ({"scene": [{"name": "a", "sphere": {"radius_m": -0.1}}]}, r"scene.0.sphere.radius_m .*above 0"),
+        ({"scene": [{"name": "a", "sphere": {"radius_m": 1e9}}]}, r"scene.0.sphere.radius_m .*at most 100"),
+        ({"scene": [BALL, BALL]}, "a name each"),
+        ({"scene": [{"sphere": {"radius_m": 0.1}}]}, "a name each"),
+        ({"scene": [BALL | {"pose": np.diag([1, 1, -1, 1]).tolist()}]}, "no rotation"),
+        ({"scene": [BALL | {"pose": at(0, 0, 0) | {"quaternion_xyzw": [0, 0, 0, 2]}}]}, "norm of 1"),
+        ({"scene": [BALL | {"colour": "red"}]}, "colour is unknown"),
+        ({"scene": [{"name": "a", "mesh": {"file": "b.stl"}}]}, "mesh that did not come"),
+        ({"scene": [BALL | {"name": str(i)} for i in range(600)]}, "at most 500"),
+    ],
+)
+def test_a_scene_that_is_none_is_refused_with_the_place(fields, words):
+    with pytest.raises(InputError, match=words):
+        scene_of(**fields)
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({"attached": [BALL | {"link": "elbow"}]}, "link or body is unknown.*panda_hand.*elbow"),
+        ({"attached": [BALL | {"touch_links": ["x"]}]}, "link or body is unknown"),
+        ({"allowed": [["table", "panda_hand"]]}, "link or body is unknown.*table"),
+        ({"scene": [BALL | {"name": "panda_hand"}]}, "part's name"),
+    ],
+)
+def test_names_that_stand_for_nothing_are_refused(fields, words):
+    with pytest.raises(InputError, match=words):
+        Situation(ARM, scene_of(**fields))
+
+
+def test_nothing_known_is_in_the_way_of_nothing():
+    assert Situation(ARM, PlanningScene()).free(ROWS).all()
