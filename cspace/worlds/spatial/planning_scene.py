@@ -25,6 +25,8 @@ _Size = Annotated[float, Field(gt=0.0, le=MAX_PLACE_M)]
 _Number = Annotated[float, Field(ge=-MAX_PLACE_M, le=MAX_PLACE_M)]
 _Name = Annotated[str, Field(min_length=1, max_length=100)]
 _QUATERNION_TOLERANCE = 1e-3
+# Of a binary STL.
+_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attributes", "<u2")])
 _SHAPES = ("box", "cylinder", "sphere", "mesh")
 
 
@@ -214,16 +216,13 @@ def read_stl(data: bytes, name: str) -> NDArray[np.float64]:
             got=str(count),
             remedy="simplify the mesh, or send boxes and cylinders about it",
         )
-    rows = np.frombuffer(
-        data, dtype=np.dtype([("n", "<f4", 3), ("c", "<f4", (3, 3)), ("a", "<u2")]), offset=84
-    )
-    corners = rows["c"].astype(np.float64)
+    corners = np.frombuffer(data, dtype=_TRIANGLE, offset=84)["corners"].astype(np.float64)
     if not np.isfinite(corners).all() or np.abs(corners).max() > 1e6:
         raise InputError(
             f"the mesh {name} has corners that are none", expected="finite numbers", got="others"
         )
     sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    corners = corners[np.linalg.norm(sides, axis=1) > 0.0]
+    corners = np.asarray(corners[np.linalg.norm(sides, axis=1) > 0.0])
     if not len(corners):
         raise InputError(f"the mesh {name} has no surface", expected="triangles with an area", got="none")
     return corners
