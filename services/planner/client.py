@@ -2,6 +2,7 @@
 
 import json
 import os
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,7 +15,6 @@ import cspace_client
 from cspace.errors import (
     ConfigError,
     CspaceError,
-    ImageError,
     InputError,
     PlanningError,
     SamplerAnswerError,
@@ -23,7 +23,7 @@ from cspace.errors import (
     SamplerUnavailableError,
 )
 from cspace.query import PlanQuery, SampleQuery
-from cspace.view_file import pack_view
+from cspace.view_file import check_ages, pack_view, unstamped
 from cspace_client import DEFAULT_TIMEOUT_S, FoundPlan, Predictions, RetryPolicy
 from cspace_client import Plan as ServedPlan
 from cspace_client.pictures import shown
@@ -142,10 +142,14 @@ def _picture(picture: cspace_client.Picture) -> Picture:
         return picture
     sent = shown(picture)
     cameras = [json.loads(one) for one in sent.fields["camera"]]
-    state, scale = (json.loads(sent.fields.get(name, "null")) for name in ("state", "depth_scale_m"))
+    state, scale, max_age_s = (
+        json.loads(sent.fields.get(name, "null")) for name in ("state", "depth_scale_m", "max_age_s")
+    )
     try:
+        if max_age_s is not None:
+            check_ages(unstamped(cameras)[1], max_age_s, time.time())
         return pack_view([data for _, data, _ in sent.files], cameras, state, scale)
-    except ImageError as error:
+    except InputError as error:
         raise SamplerError(error.what, expected=error.expected, got=error.got) from error
 
 

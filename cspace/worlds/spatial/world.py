@@ -96,11 +96,11 @@ class SpatialWorld:
 
     def view(self, data: bytes) -> DepthView:
         """See :func:`cspace.worlds.spatial.view.read_view`."""
-        return read_view(data, self.space)
+        return read_view(data, self.body)
 
     def examine_picture(self, data: bytes, check_cancelled: CheckCancelled | None = None) -> Examined:
         """See :meth:`cspace.world.World.examine_picture`."""
-        return self.examined(read_view(data, self.space, check_cancelled), check_cancelled)
+        return self.examined(read_view(data, self.body, check_cancelled), check_cancelled)
 
     @property
     def tensors(self) -> tuple[TensorInput, ...]:
@@ -162,11 +162,11 @@ class SpatialWorld:
         single = self._each(view, check_cancelled)
         image = fused(single)
         findings = diagnose(self.body, self.sensor, view, single, image)
-        return Examined(image[None], findings, without_state=view.state is None)
+        return Examined(image[None], findings, without_state=None in view.states)
 
     def diagnosis(self, data: bytes, check_cancelled: CheckCancelled | None = None) -> Diagnosis:
         """See :func:`cspace.worlds.spatial.doctor.diagnosed`."""
-        return self.diagnosed(read_view(data, self.space, check_cancelled), check_cancelled)
+        return self.diagnosed(read_view(data, self.body, check_cancelled), check_cancelled)
 
     def diagnosed(self, view: DepthView, check_cancelled: CheckCancelled | None = None) -> Diagnosis:
         """:meth:`diagnosis` of a view that was read."""
@@ -174,17 +174,21 @@ class SpatialWorld:
             cheap = self.examined(view, check_cancelled).findings
         except ImageError as error:
             cheap = (nothing_in_reach(error), *view_findings(self.body, self.sensor, view))
-        spheres = None if view.state is None else self.spheres_at(view.state)
+        spheres = self._spheres(view)
         return diagnosed(self.body, self.sensor, view, spheres, cheap, check_cancelled or (lambda: None))
 
     def _each(self, view: DepthView, check_cancelled: CheckCancelled | None) -> list[NDArray[np.uint8]]:
         """What each picture of a view says alone."""
-        spheres = None if view.state is None else self.spheres_at(view.state)
         grid, hides = self.sensor.grid, self.sensor.arm_hides
         return [
             observe_one(picture, camera, grid, spheres, arm_hides=hides, check_cancelled=check_cancelled)
-            for picture, camera in zip(view.pictures, view.cameras, strict=True)
+            for picture, camera, spheres in zip(view.pictures, view.cameras, self._spheres(view), strict=True)
         ]
+
+    def _spheres(self, view: DepthView) -> list[NDArray[np.float64] | None]:
+        """:meth:`spheres_at` the state of each picture; None where it has none."""
+        known = {state: None if state is None else self.spheres_at(state) for state in set(view.states)}
+        return [known[state] for state in view.states]
 
     def spheres_at(self, state: tuple[float, ...]) -> NDArray[np.float64]:
         """The arm's spheres at a configuration (d,) rad, (S, 4): place in the base frame and radius, m."""
