@@ -130,6 +130,7 @@ def query_of(request: PlanRequest) -> PlanQuery:
         request.view,
         request.alternatives,
         request.camera,
+        request.state,
     )
 
 
