@@ -119,7 +119,14 @@ def plan(
         if query.next_view:
             check_cancelled = check_cancelled or (lambda: None)
             view = best_view(
-                seen.world, seen.picture, best.states, best.costs, query.views, check_cancelled, query.seen_by
+                seen.world,
+                seen.picture,
+                best.states,
+                best.costs,
+                query.views,
+                check_cancelled,
+                query.seen_by,
+                query.seen_state,
             )
             found = replace(found, next_view=view)
     else:

@@ -153,6 +153,7 @@ class PlanQuery:
         views: cameras to choose it from, as plain values; none for some about the uncertain places.
         alternatives: whether all paths of sufficient confidence are wanted, for those who can check them.
         seen_by: cameras that the picture is from, where they are known: the next view is one from elsewhere.
+        seen_state: where the robot was then, as a view file has it; needed for cameras on a link.
         explain: whether it is wanted what is in the way where no path is returned.
     """
 
@@ -166,6 +167,7 @@ class PlanQuery:
     views: tuple[Mapping[str, Any], ...] = ()
     alternatives: bool = False
     seen_by: tuple[Mapping[str, Any], ...] = ()
+    seen_state: object = None
     explain: bool = False
 
 

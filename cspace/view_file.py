@@ -2,26 +2,31 @@
 
 A view file is a line and the pictures' files behind it, one after the other. The line is the word
 ``cspace-view``, the version 1, and an object in JSON with ``pictures`` (their sizes in bytes), ``cameras``
-(each in a form of :func:`cspace.worlds.spatial.camera_info.read_pinhole`), ``state`` (rad, or null where the
-robot is in no picture) and, where the unit of the pictures is another, ``depth_scale_m`` (metres per unit);
-``known`` is the size in bytes of a planning scene in JSON behind the pictures, where there is one.
-Here it is only packed and unpacked; what it holds is checked by the world that takes such pictures.
+(each in a form of :func:`cspace.worlds.spatial.camera_info.read_pinhole`; ``link`` and ``stamp_s`` may stand
+beside it), ``state`` (rad, or null where the robot is in no picture, or a list with one or the other for each
+picture) and, where the unit of the pictures is another, ``depth_scale_m`` (metres per unit); ``known`` is the
+size in bytes of a planning scene in JSON behind the pictures, where there is one. Here it is only packed and
+unpacked, and stamps are read; the rest is checked by the world that takes such pictures.
 """
 
 import json
-from collections.abc import Sequence
+import sys
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
 from typing import Annotated
 
 from pydantic import NonNegativeInt
 
-from cspace.errors import ImageError
+from cspace.errors import ImageError, InputError
 from cspace.strict_json import LEFT_OUT, parse_json, read_object, validated
 
 MAX_PICTURES = 4
 _MAGIC = b"cspace-view 1 "
 _MAX_LINE_BYTES = 16_384
+_STAMP = "stamp_s"
+# A stamp so far ahead is of a clock that nearly agrees.
+_AHEAD_S = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,7 +36,7 @@ class ViewFile:
     Args:
         pictures: one to four files.
         cameras: plain values of JSON, one for each picture.
-        state: likewise; None where the robot is in no picture.
+        state: likewise, for all pictures or a list with one for each; None where the robot is in no picture.
         depth_scale_m: likewise, metres per unit of the pictures; None for mm.
         known: JSON of a planning scene; None without one.
     """
@@ -60,7 +65,7 @@ def pack_view(
     Args:
         pictures: one to four files.
         cameras: plain values of JSON, one for each picture.
-        state: likewise; None where the robot is in no picture.
+        state: likewise, for all pictures or a list with one for each; None where the robot is in no picture.
         depth_scale_m: likewise, metres per unit of the pictures; None for mm.
         known: JSON of a planning scene; None without one.
 
@@ -100,6 +105,77 @@ def unpack_view(data: bytes) -> ViewFile:
         raise no_view(f"parts of {sizes!r} bytes"[:200], f"{len(rest)} bytes")
     *files, known = (rest[begin:end] for begin, end in pairwise(accumulate(sizes, initial=0)))
     return ViewFile(files, header.cameras, header.state, header.depth_scale_m, known or None)
+
+
+def without_stamps(data: bytes) -> tuple[bytes, list[float | None]]:
+    """A view file without its stamps, and these as :func:`unstamped` has them.
+
+    Raises:
+        ImageError: it is none, the counts do not fit, or a stamp is no finite number.
+    """
+    file = unpack_view(data)
+    cameras, stamps = unstamped(file.cameras)
+    if stamps.count(None) == len(stamps):
+        return data, stamps
+    return pack_view(file.pictures, cameras, file.state, file.depth_scale_m, file.known), stamps
+
+
+def unstamped(cameras: Sequence[object]) -> tuple[list[object], list[float | None]]:
+    """Cameras without ``stamp_s``, and these: seconds since the epoch, None where a camera has none.
+
+    Raises:
+        ImageError: a stamp is no finite number.
+    """
+    bare, stamps = list[object](), list[float | None]()
+    for camera in cameras:
+        if not isinstance(camera, Mapping) or _STAMP not in camera:
+            bare.append(camera)
+            stamps.append(None)
+            continue
+        stamp = camera[_STAMP]
+        if type(stamp) not in (int, float) or not abs(stamp) <= sys.float_info.max:
+            expected = "a finite number, seconds since the epoch"
+            raise ImageError(f"{_STAMP} does not fit", expected=expected, got=repr(stamp)[:200])
+        bare.append({name: value for name, value in camera.items() if name != _STAMP})
+        stamps.append(float(stamp))
+    return bare, stamps
+
+
+def check_ages(stamps_s: Sequence[float | None], max_age_s: float, now_s: float) -> None:
+    """Refuse pictures that are too old, or from the future.
+
+    Args:
+        stamps_s: when each picture was taken, seconds since the epoch; None where that is not known.
+        max_age_s: the oldest that is taken.
+        now_s: seconds since the epoch.
+
+    Raises:
+        ImageError: a picture is older, or more than 1 s ahead of this clock.
+        InputError: a picture has no stamp.
+    """
+    for number, stamp in enumerate(stamps_s):
+        if stamp is None:
+            raise InputError(
+                f"picture {number} has no stamp",
+                expected=f"{_STAMP} in each camera, where there is max_age_s",
+                got="none",
+                remedy=f"send when the picture was taken as {_STAMP}, in seconds since the epoch",
+            )
+        age_s = now_s - stamp
+        if age_s > max_age_s:
+            raise ImageError(
+                f"picture {number} is {age_s:.3f} s old",
+                expected=f"at most {max_age_s:g} s by this clock",
+                got=f"{_STAMP} {stamp:.3f} at {now_s:.3f}",
+                remedy="send a newer picture; if this one is new, set both clocks",
+            )
+        if age_s < -_AHEAD_S:
+            raise ImageError(
+                f"picture {number} is from {-age_s:.3f} s in the future",
+                expected=f"at most {_AHEAD_S:g} s by this clock",
+                got=f"{_STAMP} {stamp:.3f} at {now_s:.3f}",
+                remedy=f"set both clocks, and send {_STAMP} in seconds since the epoch",
+            )
 
 
 def check_counts(pictures: int, cameras: int) -> None:

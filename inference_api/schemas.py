@@ -7,11 +7,22 @@ import base64
 import binascii
 import json
 import re
+import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict, ValidationError, WithJsonSchema
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Strict,
+    Tag,
+    ValidationError,
+    WithJsonSchema,
+)
 
 from cspace.errors import InputError
 from cspace.query import (
@@ -25,7 +36,7 @@ from cspace.query import (
     random_seed,
 )
 from cspace.strict_json import LEFT_OUT
-from cspace.view_file import MAX_PICTURES, pack_view
+from cspace.view_file import MAX_PICTURES, check_ages, is_view, pack_view, unstamped, without_stamps
 from cspace.world import Contact, Finding
 from cspace.worlds.spatial.planning_scene import (
     MAX_ATTACHED,
@@ -104,12 +115,16 @@ _POSE = _numbers(4, _numbers(4))
 _ANY_POSE = {
     "pose": {"anyOf": [_POSE, _object({"translation": _numbers(3), "quaternion_xyzw": _numbers(4)})]}
 }
-_FRAME = {"enum": ["optical", "body"]}
+_OPTIONAL: dict[str, Any] = {
+    "frame": {"enum": ["optical", "body"]},
+    "link": {"type": "string"},
+    "stamp_s": _NUMBER,
+}
 _PINHOLE = dict.fromkeys(("fx", "fy", "cx", "cy"), _NUMBER)
 _CAMERA = {
     "anyOf": [
-        _object(_PINHOLE | _ANY_POSE, frame=_FRAME),
-        _object({"camera_info": {"type": ["object", "string"]}} | _ANY_POSE, frame=_FRAME),
+        _object(_PINHOLE | _ANY_POSE, **_OPTIONAL),
+        _object({"camera_info": {"type": ["object", "string"]}} | _ANY_POSE, **_OPTIONAL),
     ]
 }
 _VIEW = _object(_PINHOLE | {name: {"type": "integer"} for name in ("width", "height")} | {"pose": _POSE})
@@ -162,6 +177,19 @@ _Images = Annotated[
         "TIFF and .npy of floats"
     ),
     _one_or_many({"type": "string", "contentEncoding": "base64"}, MAX_PICTURES, 1),
+]
+
+
+def _whose(state: object) -> str:
+    each = isinstance(state, list | tuple) and any(one is None or isinstance(one, list) for one in state)
+    return "each" if each else "one"
+
+
+_EachState = Annotated[
+    tuple[Configuration | None, ...], Field(max_length=_MOST_PICTURES), Strict(strict=False)
+]
+_State = Annotated[
+    Annotated[Configuration, Tag("one")] | Annotated[_EachState, Tag("each")], Discriminator(_whose)
 ]
 # What is in a camera is checked by the world that has cameras.
 _Cameras = Annotated[
@@ -307,11 +335,25 @@ class SceneFields(ModelFields):
         "focal lengths and centre in pixels, pixel centres at whole numbers, or `camera_info`, a ROS "
         "CameraInfo as an object or as text in YAML; and `pose` of the camera in the robot's base, m: 4 x 4, "
         "or `translation` and `quaternion_xyzw`, of the optical frame (x right, y down, z forward) unless "
-        "`frame` is `body` (x forward, y left, z up).",
+        "`frame` is `body` (x forward, y left, z up). With `link`, a joint or link of the robot or `tool`, "
+        "`pose` is in that frame, which the picture's `state` places. `stamp_s`: when the picture was taken, "
+        "seconds since the epoch.",
     )
-    state: Annotated[Configuration | None, _Angles] = Field(
+    state: Annotated[
+        _State | None,
+        Expected("an array of finite angles in rad, or an array with one, or null, for each image"),
+    ] = Field(
         None,
-        description="Where the robot was when the pictures were taken, rad; absent, it is in none of them.",
+        description="Where the robot was when the pictures were taken, rad; absent, it is in none of them. "
+        "An array of such arrays has one for each image, or null for one without the robot.",
+    )
+    max_age_s: Annotated[
+        Annotated[float, Field(gt=0.0, allow_inf_nan=False)] | None,
+        Expected("a finite number of seconds above 0"),
+    ] = Field(
+        None,
+        description="Refuse pictures that are older by the server's clock, or more than 1 s ahead of it; "
+        "each camera needs `stamp_s`.",
     )
     depth_scale_m: Annotated[
         Annotated[float, Field(ge=MIN_SCALE_M, le=MAX_SCALE_M, allow_inf_nan=False)] | None,
@@ -377,15 +419,24 @@ class SceneFields(ModelFields):
     def picture(self) -> bytes:
         """The one file that a world reads as the picture of a scene.
 
+        Stamps are not in it, so that the same picture is the same file.
+
         Raises:
-            ImageError: there is not a camera for each of several images.
-            InputError: several images come without cameras, or a unit of depths does, or what is known does
-                not fit.
+            ImageError: there is not a camera for each of several images, or a picture is too old or from the
+                future.
+            InputError: several images come without cameras, or a unit of depths does, or there is a largest
+                age and no stamp, or what is known does not fit.
         """
+        file, stamps = self._stamped()
+        if self.max_age_s is not None:
+            check_ages(stamps, self.max_age_s, time.time())
+        return file
+
+    def _stamped(self) -> tuple[bytes, list[float | None]]:
         known = self.known()
         if self.camera or self.state is not None or known is not None:
-            state = None if self.state is None else list(self.state)
-            return pack_view(self.image, self.camera, state, self.depth_scale_m, known)
+            cameras, stamps = unstamped(self.camera)
+            return pack_view(self.image, cameras, self.state, self.depth_scale_m, known), stamps
         if self.depth_scale_m is not None:
             raise InputError(
                 "depth_scale_m comes without a camera",
@@ -398,7 +449,7 @@ class SceneFields(ModelFields):
                 expected="one, or a camera for each",
                 got=f"{len(self.image)} without cameras",
             )
-        return self.image[0]
+        return without_stamps(self.image[0]) if is_view(self.image[0]) else (self.image[0], [None])
 
 
 class QueryFields(RequestFields):

@@ -23,7 +23,7 @@ from cspace.world import Diagnosis
 from cspace.worlds.spatial.camera import DepthCamera
 from cspace.worlds.spatial.poses import pose_of
 from cspace.worlds.spatial.simulator import draw_arm
-from cspace.worlds.spatial.view import DepthView, read_view
+from cspace.worlds.spatial.view import DepthView, State
 from cspace.worlds.spatial.visibility import arm_depth_m, reduced
 from cspace.worlds.spatial.world import SpatialWorld, described
 from services.command_errors import report_error
@@ -72,7 +72,7 @@ def _diagnosis(options: argparse.Namespace) -> tuple[SpatialWorld, DepthView, Di
             expected="a bundle of an arm in space",
             got=str(bundle and bundle.spec.world.kind),
         )
-    view = read_view(read_bounded(options.view, _MAX_BYTES, ConfigError), world.space)
+    view = world.view(read_bounded(options.view, _MAX_BYTES, ConfigError))
     found = world.diagnosed(view)
     if bundle is not None:
         found = found.with_novelty(bundle.prepare(world.observed(view)).novelty)
@@ -113,16 +113,16 @@ def draw(world: SpatialWorld, view: DepthView, found: Diagnosis, path: Path) -> 
         depth_m = np.where(depth > 0, depth * 1e-3, np.nan)
         axes[0].imshow(depth_m, cmap="viridis_r", vmax=4.0)
         axes[0].set_title(f"picture {number}: depth, arm as rendered (red)")
-        _outline(axes[0], world, view, camera, "red")
+        _outline(axes[0], world, view.states[number], camera, "red")
         if number in suggested:
             better = replace(camera, pose=pose_of(suggested[number].pose))
-            _outline(axes[0], world, view, better, "magenta")
+            _outline(axes[0], world, view.states[number], better, "magenta")
             axes[0].set_title(f"picture {number}: arm at the given pose (red), at the fitted pose (magenta)")
         points = camera.points_m(depth_m)[np.isfinite(depth_m)]
         for panel, (x, y) in zip(axes[1:], ((0, 2), (0, 1)), strict=True):
             panel.plot(points[:, x], points[:, y], ",", color="tab:blue")
-            if view.state is not None:
-                draw_arm(panel, world.body, view.state, "red", 2, (x, y))
+            if (state := view.states[number]) is not None:
+                draw_arm(panel, world.body, state, "red", 2, (x, y))
             panel.set(aspect="equal", xlabel="x, m", ylabel=f"{'xyz'[y]}, m", title="points and arm")
             panel.set(xlim=(-1.6, 1.6), ylim=(-1.0, 1.6) if y == 2 else (-1.6, 1.6))
     title = "\n".join(f"{one.code}: {one.seen}" for one in found.findings) or "nothing wrong was found"
@@ -133,10 +133,10 @@ def draw(world: SpatialWorld, view: DepthView, found: Diagnosis, path: Path) -> 
         raise ConfigError("the picture cannot be written", got=f"{path}: {error}"[:200]) from error
 
 
-def _outline(axes: Any, world: SpatialWorld, view: DepthView, camera: DepthCamera, colour: str) -> None:
-    if view.state is None:
+def _outline(axes: Any, world: SpatialWorld, state: State | None, camera: DepthCamera, colour: str) -> None:
+    if state is None:
         return
-    arm = np.isfinite(arm_depth_m(camera, world.spheres_at(view.state)))
+    arm = np.isfinite(arm_depth_m(camera, world.spheres_at(state)))
     if arm.any() and not arm.all():
         axes.contour(arm, levels=[0.5], colors=[colour], linewidths=1.2)
 

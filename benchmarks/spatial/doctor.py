@@ -119,10 +119,11 @@ def _inside(rng: np.random.Generator, scene: SpatialScene, view: DepthView, numb
     """The place of a link, or of an obstacle, for that of the camera."""
     pose = view.cameras[number].matrix
     boxes = scene.obstacles.boxes
-    if view.state is None or (boxes and rng.random() < 0.5):
+    state = view.states[number]
+    if state is None or (boxes and rng.random() < 0.5):
         pose[:3, 3] = np.array(boxes[int(rng.integers(len(boxes)))].pose)[:3, 3]
     else:
-        spheres = scene.world.spheres_at(view.state)
+        spheres = scene.world.spheres_at(state)
         pose[:3, 3] = spheres[int(rng.integers(len(spheres))), :3]
     return _posed(view, number, pose)
 

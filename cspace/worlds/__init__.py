@@ -180,6 +180,7 @@ def best_view(
     given: Sequence[object] = (),
     check_cancelled: Callable[[], None] = lambda: None,
     seen_by: Sequence[Mapping[str, Any]] = (),
+    seen_state: object = None,
 ) -> NextView | None:
     """The camera that would see most of the space that makes a path uncertain.
 
@@ -193,6 +194,7 @@ def best_view(
         given: cameras to choose from, as plain values; none for some about the uncertain places.
         check_cancelled: called before each camera; may raise to stop, which passes through.
         seen_by: the cameras that have seen the picture, where they are known.
+        seen_state: where the robot was then, as a view file has it; needed for cameras on a link.
 
     Returns:
         None where no camera would see any, and in worlds that are seen whole.
@@ -203,7 +205,7 @@ def best_view(
     if world.kind not in _PARTLY_SEEN:
         return None
     found = _part(world.kind, "next_view").best_view(
-        world, picture, states, costs, given, check_cancelled, seen_by
+        world, picture, states, costs, given, check_cancelled, seen_by, seen_state
     )
     return cast("NextView | None", found)
 

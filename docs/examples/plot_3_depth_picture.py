@@ -22,7 +22,7 @@ bundle = Bundle.load(PRETRAINED_FOLDER.with_name("pretrained_panda"))
 world = bundle.spec.world
 problem = simulator_of(world).problem("shelf", Split.DEMO, 12)
 file = picture_file_of(problem.scenario)
-depth_mm = read_view(file, world.space).pictures[0]
+depth_mm = read_view(file, world.body).pictures[0]
 
 # %%
 # Configurations about start and goal, where a planner would ask, with the ground truth beside the prediction.

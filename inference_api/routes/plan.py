@@ -132,6 +132,7 @@ def query_of(request: PlanRequest) -> PlanQuery:
         request.view,
         request.alternatives,
         request.camera,
+        request.state,
         request.explain,
     )
 

@@ -3,6 +3,7 @@
 import base64
 import json
 import os
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,7 +16,6 @@ import cspace_client
 from cspace.errors import (
     ConfigError,
     CspaceError,
-    ImageError,
     InputError,
     PlanningError,
     SamplerAnswerError,
@@ -24,7 +24,7 @@ from cspace.errors import (
     SamplerUnavailableError,
 )
 from cspace.query import PlanQuery, SampleQuery
-from cspace.view_file import pack_view
+from cspace.view_file import check_ages, pack_view, unstamped
 from cspace_client import DEFAULT_TIMEOUT_S, FoundPlan, Predictions, RetryPolicy
 from cspace_client import Plan as ServedPlan
 from cspace_client.pictures import shown
@@ -143,15 +143,19 @@ def _picture(picture: cspace_client.Picture) -> Picture:
         return picture
     sent = shown(picture)
     cameras = [json.loads(one) for one in sent.fields["camera"]]
-    state, scale = (json.loads(sent.fields.get(name, "null")) for name in ("state", "depth_scale_m"))
+    state, scale, max_age_s = (
+        json.loads(sent.fields.get(name, "null")) for name in ("state", "depth_scale_m", "max_age_s")
+    )
     named = ("scene", "attached", "allowed", "ignore")
     known = {name: json.loads(sent.fields[name]) for name in named if name in sent.fields}
     if sent.meshes:
         known["meshes"] = {name: base64.b64encode(data).decode() for name, data, _ in sent.meshes}
+    files = [data for _, data, _ in sent.files]
     try:
-        files = [data for _, data, _ in sent.files]
+        if max_age_s is not None:
+            check_ages(unstamped(cameras)[1], max_age_s, time.time())
         return pack_view(files, cameras, state, scale, json.dumps(known).encode() if known else None)
-    except ImageError as error:
+    except InputError as error:
         raise SamplerError(error.what, expected=error.expected, got=error.got) from error
 
 

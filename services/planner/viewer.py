@@ -132,8 +132,9 @@ class SceneState:
             ImageError: it is none, or does not fit the arm.
         """
         self.opened = cast("Any", self.world).view(data)
-        if self.opened.state is not None:
-            self.problem = replace(self.problem, start=np.asarray(self.opened.state))
+        known = [state for state in self.opened.states if state is not None]
+        if known:
+            self.problem = replace(self.problem, start=np.asarray(known[-1]))
 
     def draw(self, family: str, seed: int) -> Problem:
         """Take the problem of a family and a seed: of the split ``demo``, or a shipped one of a set.

@@ -61,6 +61,14 @@ def test_cameras_go_beside_their_pictures_in_the_same_order():
     assert (first["fx"], second["fx"], first["pose"]) == (46.0, 7.0, np.eye(4).tolist())
     assert json.loads(sent.fields["state"]) == [0.0] * 7
     assert "state" not in shown(DepthPictures([DEPTH], [CAMERA])).fields
+    wrist = CAMERA | {"link": "tool", "stamp_s": np.float64(12.5)}
+    fields = shown(DepthPictures([DEPTH] * 2, [wrist] * 2, [np.zeros(7), None], max_age_s=0.5)).fields
+    assert json.loads(fields["state"]) == [[0.0] * 7, None]
+    assert fields["max_age_s"] == "0.5"
+    assert {name: json.loads(fields["camera"][1])[name] for name in ("link", "stamp_s")} == {
+        "link": "tool",
+        "stamp_s": 12.5,
+    }
 
 
 def test_depth_pictures_that_do_not_fit_are_refused():

@@ -98,7 +98,7 @@ def test_a_depth_picture_and_a_goal_become_a_trajectory_of_seven_joints(
 ) -> None:
     world = examples()["panda"]
     problem = simulator_of(world).problem("shelf", Split.DEMO, 12)
-    taken = read_view(picture_file_of(problem.scenario), world.space)
+    taken = read_view(picture_file_of(problem.scenario), world.body)
     values = taken.cameras[0].to_dict()
     k = [values["fx"], 0.0, values["cx"], 0.0, values["fy"], values["cy"], 0.0, 0.0, 1.0]
     node = page["Planner"](space_api, JOINTS, values["pose"], model="pretrained", least=0.0)

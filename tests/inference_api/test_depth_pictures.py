@@ -2,6 +2,7 @@
 
 import base64
 import json
+import time
 
 import numpy as np
 import pytest
@@ -100,6 +101,86 @@ def test_json_and_a_form_are_answered_alike(api, bundle):
     np.testing.assert_array_equal(np.array(form["confidence"], np.float32), expected[0])
     single = body | {"image": body["image"][0], "camera": CAMERAS[0]}
     assert api.post("/validity", json=single).status_code == 200
+
+
+MOVED = [STATE[0] + 0.5, *STATE[1:]]
+
+
+def on_link(camera, state):
+    """The same camera by the link that it would be on at that state."""
+    pose = np.linalg.inv(WORLD.body.link_frames([state])[0, -1]) @ np.array(camera["pose"])
+    return camera | {"pose": pose.tolist(), "link": "panda_link7"}
+
+
+def test_a_wrist_camera_with_a_state_for_each_picture_is_answered_as_the_poses_it_has(api):
+    states = [STATE, MOVED]
+    links = [on_link(*one) for one in zip(CAMERAS, states, strict=True)]
+    frames = [WORLD.body.link_frames([state])[0, -1] for state in states]
+    by_hand = [
+        one | {"pose": (frame @ np.array(link["pose"])).tolist()}
+        for one, link, frame in zip(CAMERAS, links, frames, strict=True)
+    ]
+    goal = [STATE[0] + 1.2, *STATE[1:]]
+    ends = {"start": json.dumps(STATE), "goal": json.dumps(goal), "next_view": "true", "time_limit_s": "10"}
+    rows = {"configurations": json.dumps(ROWS.tolist())}
+    for page, fields, names in (
+        ("/sample", {"n": "9", "seed": "1"}, ("samples", "confidence", "warnings")),
+        ("/validity", rows, ("confidence", "unseen")),
+        ("/plan", ends | {"seed": "1"}, ("path", "next_view")),
+        ("/doctor", {}, ("verdicts", "poses")),
+    ):
+        usual = ask(api, cameras=by_hand, page=page, state=json.dumps(states), **fields).json()
+        found = ask(api, cameras=links, page=page, state=[json.dumps(one) for one in states], **fields).json()
+        assert [found[name] for name in names] == [usual[name] for name in names]
+    image = [base64.b64encode(image).decode() for image in IMAGES]
+    body = {"model": MODEL, "image": image, "camera": links, "state": states, "configurations": ROWS.tolist()}
+    view = {"image": pack_view(IMAGES, links, states), "configurations": rows["configurations"]}
+    expected = ask(api, cameras=by_hand, page="/validity", state=json.dumps(states), **rows).json()
+    for answer in (
+        api.post("/validity", json=body),
+        api.post("/validity", files={"image": view["image"]}, data={"model": MODEL, **rows}),
+    ):
+        assert answer.json()["unseen"] == expected["unseen"]
+    one = ask(api, cameras=by_hand, page="/validity", state=json.dumps(STATE), **rows).json()
+    assert one["unseen"] != expected["unseen"]
+
+
+@pytest.mark.parametrize("as_file", [False, True])
+@pytest.mark.parametrize("page", ["/sample", "/validity", "/doctor"])
+def test_pictures_that_are_too_old_or_from_the_future_are_refused_and_known_ones_are_not_read_again(
+    api, page, as_file
+):
+    cameras = [one | {"cx": 30.0 + len(page) + 0.25 * as_file} for one in CAMERAS]
+
+    def stamped(*ages_s, **more):
+        values = [
+            one if age is None else one | {"stamp_s": time.time() - age}
+            for one, age in zip(cameras, ages_s, strict=True)
+        ]
+        fields = {"configurations": json.dumps([STATE])} if page == "/validity" else {}
+        if not as_file:
+            return ask(api, cameras=values, page=page, state=json.dumps(STATE), **fields, **more)
+        view = pack_view(IMAGES, values, STATE)
+        return api.post(page, files={"image": view}, data={"model": MODEL, **fields, **more})
+
+    def refused(answer, name="invalid-image"):
+        return assert_problem(answer, 422, name)["detail"]
+
+    first, again = stamped(0.0, 1.0, max_age_s="60"), stamped(2.0, None)
+    assert (first.status_code, again.status_code) == (200, 200), first.text
+    if page != "/doctor":
+        assert first.json()["timing_ms"]["decode"] > 0.0
+        assert again.json()["timing_ms"]["decode"] == 0.0
+    # The picture is known, and its age is looked at all the same.
+    assert "picture 1 is 9" in refused(stamped(0.0, 90.0, max_age_s="60"))
+    assert "picture 0 is from 2" in refused(stamped(-30.0, 0.0, max_age_s="60"))
+    assert "future" in refused(stamped(-30.0, 0.0, max_age_s="60"))
+    assert stamped(-0.5, 0.0, max_age_s="60").status_code == 200
+    assert stamped(900.0, -30.0).status_code == 200
+    assert "picture 1 has no stamp" in refused(stamped(0.0, None, max_age_s="60"), "invalid-value")
+    refused(stamped(0.0, 0.0, max_age_s="0"), "invalid-value")
+    cameras[0] = cameras[0] | {"stamp_s": "today"}
+    assert "stamp_s does not fit" in refused(stamped(None, 0.0))
 
 
 def test_a_view_file_is_the_same_in_one_field(api):

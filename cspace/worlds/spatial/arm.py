@@ -16,6 +16,8 @@ from cspace.worlds.spatial.poses import MAX_OFFSET_M, SAME, Frame, Offset, moved
 # Of limits, for single precision to tell the angles between them apart.
 MIN_RANGE_RAD = 1e-3
 _UNIT = 1e-9
+# The name of its frame.
+_TOOL = "tool"
 Sphere = tuple[Offset, Offset, Offset, Annotated[float, Field(gt=0.0, le=MAX_OFFSET_M)]]
 _Name = Annotated[str, Field(min_length=1)]
 
@@ -216,6 +218,38 @@ class SerialArm(Record):
     def tool_frames(self, configurations: ArrayLike) -> NDArray[np.float64]:
         """Forward kinematics: (N, d) rad to the tool's frame in the base's, (N, 4, 4), m."""
         return np.asarray(self.link_frames(configurations)[:, -1] @ self.tool.matrix())
+
+    def frame_of(self, name: str, configuration: ArrayLike) -> NDArray[np.float64]:
+        """Forward kinematics: (d,) rad to a named frame in the base's, (4, 4), m.
+
+        Args:
+            name: of a joint, for the link that it moves; of a link, which is that of the first part that is
+                fixed to it; or ``tool``. The frames of further parts are not known.
+            configuration: of the arm.
+
+        Raises:
+            ScenarioError: there is no such frame.
+        """
+        links = {joint.name: number for number, joint in enumerate(self.joints, 1)}
+        fixed = {part.name: part.link for part in self.parts if part.link}
+        first = {link: name for name, link in reversed(fixed.items())}
+        links |= {name: link for link, name in sorted(first.items())}
+        if name in links:
+            return np.asarray(self.link_frames([configuration])[0, links[name]])
+        if name == _TOOL:
+            return np.asarray(self.tool_frames([configuration])[0])
+        remedy = "give the pose of what stands still in the base, without a link"
+        if name in fixed:
+            moving = [one for one, link in links.items() if link == fixed[name]][-1]
+            remedy = (
+                f"the frame of {name} is not known: it is fixed to {moving}, so give the pose in that one's"
+            )
+        raise ScenarioError(
+            f"the robot {self.name} has no such link",
+            expected=f"one of {', '.join((*links, _TOOL))}",
+            got=repr(name)[:100],
+            remedy=remedy,
+        )
 
     def joint_positions_m(self, configurations: ArrayLike) -> NDArray[np.float64]:
         """Forward kinematics: (N, d) rad to (N, d + 2, 3) m: the base, every joint, the tool."""

@@ -47,7 +47,8 @@ def read_pinhole(values: object, shape: tuple[int, ...]) -> tuple[DepthCamera, t
     if missing or unknown:
         raise ImageError(
             "the camera has other keys",
-            expected=f"{', '.join(PINHOLE)}, or {_INFO} with a ROS CameraInfo; pose; frame for a body's pose",
+            expected=f"{', '.join(PINHOLE)}, or {_INFO} with a ROS CameraInfo; pose; frame for a body's "
+            "pose; link for one on the arm; stamp_s",
             got=f"missing {missing}, unknown {unknown}"[:200] if members else repr(values)[:200],
         )
     distortion: tuple[float, ...] = ()

@@ -113,8 +113,10 @@ def diagnose(
         *_of_reach(reach, view, blind, fused),
         *view_findings(arm, sensor, view),
     ]
-    if view.state is None and _base_is_solid(arm, grid, fused):
-        found.append(arm_in_picture("surfaces stand inside the arm's own base, and no `state` was sent"))
+    lacking = tuple(number for number, state in enumerate(view.states) if state is None)
+    if lacking and _base_is_solid(arm, grid, np.minimum.reduce([single[number] for number in lacking])):
+        seen = "surfaces stand inside the arm's own base, and no `state` was sent"
+        found.append(arm_in_picture(seen, lacking if len(lacking) < len(single) else ()))
     return tuple(found)
 
 
@@ -135,10 +137,10 @@ def view_findings(arm: SerialArm, sensor: DepthSensor, view: DepthView) -> tuple
     )
 
 
-def arm_in_picture(seen: str) -> Finding:
-    """The finding of an arm in a picture without ``state``; by what it was seen."""
+def arm_in_picture(seen: str, pictures: tuple[int, ...] = ()) -> Finding:
+    """The finding of an arm in pictures without ``state``; by what it was seen."""
     effect = "the arm's pixels count as obstacles, so that configurations near it are held to collide"
-    return Finding(ARM_IN_PICTURE, seen, effect, _STATE)
+    return Finding(ARM_IN_PICTURE, seen, effect, _STATE, pictures)
 
 
 def least_novelty(arm: SerialArm, grid: GridBox, image: Image) -> float:
@@ -269,12 +271,16 @@ def _of_poses(arm: SerialArm, view: DepthView) -> Iterable[Finding]:
             "check that z of the pose is the optical axis: a body frame has z up (send frame body for it)",
             up,
         )
-    if view.state is None or not arm.sphere_count:
+    if not arm.sphere_count:
         return
-    spheres = np.column_stack([arm.sphere_centres_m([view.state])[0], arm.spheres_m()[:, 3]])
+    radii = arm.spheres_m()[:, 3]
     depths = [
-        float((spheres[:, 3] - np.linalg.norm(spheres[:, :3] - one.matrix[:3, 3], axis=1)).max())
-        for one in view.cameras
+        -np.inf
+        if state is None
+        else float(
+            (radii - np.linalg.norm(arm.sphere_centres_m([state])[0] - one.matrix[:3, 3], axis=1)).max()
+        )
+        for one, state in zip(view.cameras, view.states, strict=True)
     ]
     inside = tuple(number for number, depth_m in enumerate(depths) if depth_m > _INSIDE_M)
     if inside:

@@ -91,7 +91,7 @@ def diagnosed(
     arm: SerialArm,
     sensor: DepthSensor,
     view: DepthView,
-    spheres: NDArray[np.float64] | None,
+    each: Sequence[NDArray[np.float64] | None],
     cheap: Sequence[Finding],
     check_cancelled: CheckCancelled,
 ) -> Diagnosis:
@@ -101,13 +101,14 @@ def diagnosed(
         arm: that is planned for.
         sensor: with the cameras of training.
         view: as it came.
-        spheres: (S, 4) of the arm at its state; None where that is not known.
+        each: (S, 4) of the arm at the state of each picture; None where that is not known.
         cheap: findings of :func:`cspace.worlds.spatial.diagnostics.diagnose`.
         check_cancelled: called between parts of some ms; what it raises passes through.
     """
     findings, shots = list(cheap), list[_Shot]()
     notes, poses = list[str](), list[SuggestedPose]()
-    for number, (picture, camera) in enumerate(zip(view.pictures, view.cameras, strict=True)):
+    moved = len(set(view.states)) > 1
+    for number, (picture, camera, spheres) in enumerate(zip(view.pictures, view.cameras, each, strict=True)):
         check_cancelled()
         smaller, own = reduced(np.where(in_range(picture), picture, np.uint16(0)), camera)
         shot = _Shot(number, _metres(smaller), own)
@@ -115,17 +116,24 @@ def diagnosed(
         findings += _of_readings(shot)
         rest_m = shot.depth_m
         if spheres is None:
-            findings += _of_base(shot, arm, check_cancelled)
+            where = (number,) if moved else ()
+            findings += _of_base(shot, arm, where, check_cancelled)
         else:
             found = _of_arm(shot, arm, spheres, check_cancelled)
             findings += found.findings
             notes += found.notes
             poses += found.poses
+            if found.poses and number in view.on_link:
+                notes.append(
+                    f"picture {number}: its camera is on a link; the suggested pose is in the base frame, by "
+                    "where this picture's `state` puts the link"
+                )
             rest_m = _metres(self_filter(smaller, own, spheres, check_cancelled=check_cancelled).depth_mm)
             if not found.findings:
                 findings += _of_rest(shot, rest_m, arm, spheres, check_cancelled)
         notes += _of_level(replace(shot, depth_m=rest_m))
-        shots.append(shot)
+        # An arm that has moved is no reason why pictures should agree.
+        shots.append(replace(shot, depth_m=rest_m) if moved else shot)
     findings += _of_pairs(shots, check_cancelled)
     return Diagnosis(tuple(_merged(findings)), tuple(notes), tuple(poses))
 
@@ -285,13 +293,16 @@ def _of_rest(
         )
 
 
-def _of_base(shot: _Shot, arm: SerialArm, check_cancelled: CheckCancelled) -> Iterable[Finding]:
+def _of_base(
+    shot: _Shot, arm: SerialArm, pictures: tuple[int, ...], check_cancelled: CheckCancelled
+) -> Iterable[Finding]:
     """Whether the part of an arm that stands still is in a picture without ``state``."""
     still = arm.sphere_links() == 0
     base = np.column_stack([arm.sphere_centres_m([np.zeros(arm.dim)])[0], arm.spheres_m()[:, 3]])[still]
     match = arm_match(shot.depth_m, shot.camera, base, check_cancelled)
     if match.pixels >= _FEW_PIXELS / 3 and match.agree >= _EXPLAINS:
-        yield arm_in_picture(f"the arm's base is seen on {match.pixels} pixels, and no `state` was sent")
+        seen = f"the arm's base is seen on {match.pixels} pixels, and no `state` was sent"
+        yield arm_in_picture(seen, pictures)
 
 
 def _of_pairs(shots: Sequence[_Shot], check_cancelled: CheckCancelled) -> Iterable[Finding]:

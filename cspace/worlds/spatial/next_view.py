@@ -16,6 +16,7 @@ from cspace.world import NextView
 from cspace.worlds.spatial.camera import DepthCamera, camera_place, looking, read_camera
 from cspace.worlds.spatial.camera_info import read_pose
 from cspace.worlds.spatial.sensor import DISTANCE_STEP_M, FREE, NO_READING
+from cspace.worlds.spatial.view import cameras_in_base, state_of
 from cspace.worlds.spatial.visibility import lookup
 from cspace.worlds.spatial.world import SpatialWorld
 
@@ -40,6 +41,7 @@ def best_view(
     given: Sequence[object],
     check_cancelled: Callable[[], None],
     seen_by: Sequence[Mapping[str, Any]] = (),
+    seen_state: object = None,
 ) -> NextView | None:
     """See :func:`cspace.worlds.best_view`."""
     places, weights = _uncertain_places(world, picture, states, costs)
@@ -52,7 +54,9 @@ def best_view(
     for camera in cameras:
         check_cancelled()
         shares.append(float(weights @ seen_shares(world, picture, camera, places)) / total)
-    chosen = _from_elsewhere(cameras, seen_by, focus_m) & (np.array(shares) > 0.0)
+    state = state_of(seen_state, len(seen_by), world.space)
+    looked: list[Any] = cameras_in_base(seen_by, state, world.body)
+    chosen = _from_elsewhere(cameras, looked, focus_m) & (np.array(shares) > 0.0)
     best = int(np.argmax(np.where(chosen, shares, 0.0) if chosen.any() else shares))
     return NextView(cameras[best].to_dict(), shares[best]) if shares[best] > 0.0 else None
 

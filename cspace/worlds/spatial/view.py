@@ -1,15 +1,17 @@
 """What depth cameras saw of a scene, as a view file or as arrays. NumPy alone."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.errors import ImageError
+from cspace.errors import ImageError, ScenarioError
 from cspace.space import JointSpace
-from cspace.view_file import MAX_PICTURES, check_counts, pack_view, unpack_view
+from cspace.view_file import MAX_PICTURES, check_counts, pack_view, unpack_view, unstamped
 from cspace.world import Arrays, CheckCancelled, TensorInput
+from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.camera import (
     FARTHEST_MM,
     NEAREST_MM,
@@ -17,9 +19,13 @@ from cspace.worlds.spatial.camera import (
     encode_depth,
     in_range,
 )
-from cspace.worlds.spatial.camera_info import PINHOLE, read_pinhole, undistorted
+from cspace.worlds.spatial.camera_info import PINHOLE, read_pinhole, read_pose, undistorted
 from cspace.worlds.spatial.depth_files import in_mm, pixels_in, read_depth, read_number
 from cspace.worlds.spatial.planning_scene import PlanningScene, read_planning_scene
+
+State = tuple[float, ...]
+# Of all pictures, or of each; None where the arm is in none.
+States = State | tuple[State | None, ...] | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,21 +35,31 @@ class DepthView:
     Args:
         pictures: one to four, (H, W) uint16 mm along the optical axis, 0 = no reading.
         cameras: one each.
-        state: (d,) rad, where the arm was when they were taken; None where it is in no picture.
+        state: (d,) rad, where the arm was when they were taken; None where it is in no picture; or one or the
+            other for each picture.
+        on_link: numbers of the pictures whose cameras came with a pose in the frame of a link; here it is in
+            the base's.
         known: of the scene beside the pictures; None without anything.
 
     Raises:
-        ImageError: there are too few or too many pictures, not a camera each, one does not fit its camera, or
-            none has a reading.
+        ImageError: there are too few or too many pictures, not a camera each, not a state each, one does not
+            fit its camera, or one has no reading.
     """
 
     pictures: tuple[NDArray[np.uint16], ...]
     cameras: tuple[DepthCamera, ...]
-    state: tuple[float, ...] | None = None
+    state: States = None
+    on_link: tuple[int, ...] = ()
     known: PlanningScene | None = None
+
+    @property
+    def states(self) -> tuple[State | None, ...]:
+        """The state of each picture."""
+        return _for_each(self.state, len(self.pictures))
 
     def __post_init__(self) -> None:
         check_counts(len(self.pictures), len(self.cameras))
+        _for_each(self.state, len(self.pictures))
         for picture, camera in zip(self.pictures, self.cameras, strict=True):
             if picture.shape != camera.picture_shape or picture.dtype != np.uint16:
                 raise ImageError(
@@ -64,8 +80,7 @@ class DepthView:
 def write_view(view: DepthView) -> bytes:
     """The view file of a view."""
     cameras = [_camera_values(camera) for camera in view.cameras]
-    state = None if view.state is None else list(view.state)
-    return pack_view([encode_depth(picture) for picture in view.pictures], cameras, state)
+    return pack_view([encode_depth(picture) for picture in view.pictures], cameras, view.state)
 
 
 def pixels_of(data: bytes) -> int:
@@ -77,17 +92,18 @@ def pixels_of(data: bytes) -> int:
     return sum(pixels_in(one) for one in unpack_view(data).pictures)
 
 
-def read_view(data: bytes, space: JointSpace, check_cancelled: CheckCancelled | None = None) -> DepthView:
+def read_view(data: bytes, arm: SerialArm, check_cancelled: CheckCancelled | None = None) -> DepthView:
     """An untrusted view file.
 
     Args:
         data: the file.
-        space: of the arm.
+        arm: that the states, and the links of cameras, are of.
         check_cancelled: called after each picture; what it raises passes through.
 
     Raises:
         ImageError: it is none, a picture or a camera is none, they do not fit each other, no picture has a
-            reading, or the state lies outside of the arm's limits.
+            reading, a state lies outside of the arm's limits, or a camera is on a link that there is not, or
+            without a state.
         InputError: what is known does not fit.
     """
     file = unpack_view(data)
@@ -96,29 +112,97 @@ def read_view(data: bytes, space: JointSpace, check_cancelled: CheckCancelled | 
     for one in file.pictures:
         pictures.append(read_depth(one, file.depth_scale_m, check_cancelled))
         check_cancelled()
-    for number, values in enumerate(file.cameras):
+    state = state_of(file.state, len(pictures), arm.space)
+    given = unstamped(file.cameras)[0]
+    for number, values in enumerate(cameras_in_base(given, state, arm)):
         camera, distortion = read_pinhole(values, pictures[number].shape)
         pictures[number] = undistorted(pictures[number], camera, distortion, check_cancelled)
         cameras.append(camera)
+    on_link = tuple(number for number, values in enumerate(given) if _is_on_link(values))
     known = None if file.known is None else read_planning_scene(file.known)
-    return DepthView(tuple(pictures), tuple(cameras), state_of(file.state, space), known)
+    return DepthView(tuple(pictures), tuple(cameras), state, on_link, known)
 
 
+_LINK = "link"
 _UNIT = (
     "a 16-bit picture is in mm, one of floats in metres: send depth_scale_m for another unit (0.001 for mm, "
     "0.0001 for tenths, 0.0002 for TUM RGB-D)"
 )
 
 
-def state_of(values: object, space: JointSpace) -> tuple[float, ...] | None:
-    """Where an arm was, of plain values; None where they are.
+def cameras_in_base(cameras: Sequence[object], state: States, arm: SerialArm) -> list[object]:
+    """Cameras of plain values, those on a link with the pose of their optical frame in the base.
+
+    Args:
+        cameras: one for each picture; ``link`` names a frame of the arm (:meth:`SerialArm.frame_of`) that
+            ``pose`` is in.
+        state: of the arm, or one for each picture.
+        arm: that they are on.
 
     Raises:
-        ImageError: that is outside of its limits, or no configuration.
+        ImageError: there is no such link, no state, or no pose.
     """
+    states = _for_each(state, len(cameras))
+    return [_in_base(*one, arm) for one in zip(range(len(cameras)), cameras, states, strict=True)]
+
+
+def _is_on_link(camera: object) -> bool:
+    return isinstance(camera, Mapping) and _LINK in camera
+
+
+def _in_base(number: int, camera: object, state: State | None, arm: SerialArm) -> object:
+    if not isinstance(camera, Mapping) or _LINK not in camera:
+        return camera
+    link = camera[_LINK]
+    if not isinstance(link, str) or state is None:
+        raise ImageError(
+            f"the camera of picture {number} is on a link, and it is not known where that is",
+            expected="link, a name, and state, where the arm was when this picture was taken",
+            got=f"link {link!r}"[:200] + (" without a state" if state is None else ""),
+            remedy="send state, or one for each picture; leave link out for a pose in the base",
+        )
+    try:
+        pose = arm.frame_of(link, state) @ np.array(read_pose(camera))
+    except ScenarioError as error:
+        raise ImageError(error.what, expected=error.expected, got=error.got, remedy=error.remedy) from error
+    kept = {name: value for name, value in camera.items() if name not in (_LINK, "frame")}
+    return kept | {"pose": pose.tolist()}
+
+
+def _for_each(state: States, pictures: int) -> tuple[State | None, ...]:
+    if state is None or not any(one is None or isinstance(one, tuple) for one in state):
+        return (cast("State | None", state),) * pictures
+    if len(state) != pictures:
+        raise ImageError(
+            "the states do not fit the pictures",
+            expected=f"one for all, or a list of {pictures}: one, or null, for each picture",
+            got=f"{len(state)} states",
+        )
+    return cast("tuple[State | None, ...]", state)
+
+
+def state_of(values: object, pictures: int, space: JointSpace) -> States:
+    """Where an arm was, of plain values; None where they are.
+
+    Args:
+        values: a configuration for all pictures, or a list with one, or None, for each.
+        pictures: how many.
+        space: of the arm.
+
+    Raises:
+        ImageError: that is outside of its limits, no configuration, or not one for each picture.
+    """
+    if isinstance(values, list | tuple) and any(
+        one is None or isinstance(one, list | tuple) for one in values
+    ):
+        return _for_each(tuple(_configuration(one, space) for one in values), pictures)
+    return _configuration(values, space)
+
+
+def _configuration(values: object, space: JointSpace) -> State | None:
     if values is None:
         return None
-    fits = isinstance(values, list) and len(values) == space.dim
+    fits = isinstance(values, list | tuple) and len(values) == space.dim
     angles = [float(read_number(one, "state")) for one in values] if fits else []  # type: ignore[attr-defined]
     if not fits:
         raise ImageError(
@@ -166,4 +250,4 @@ def view_of_tensors(tensors: Arrays, space: JointSpace) -> DepthView:
         for numbers, pose, picture in rows
     )
     state = tensors[STATE].tolist() if STATE in tensors else None
-    return DepthView(pictures, cameras, state_of(state, space))
+    return DepthView(pictures, cameras, state_of(state, len(pictures), space))

@@ -103,11 +103,11 @@ class SpatialWorld:
 
     def view(self, data: bytes) -> DepthView:
         """See :func:`cspace.worlds.spatial.view.read_view`."""
-        return read_view(data, self.space)
+        return read_view(data, self.body)
 
     def examine_picture(self, data: bytes, check_cancelled: CheckCancelled | None = None) -> Examined:
         """See :meth:`cspace.world.World.examine_picture`."""
-        return self.examined(read_view(data, self.space, check_cancelled), check_cancelled)
+        return self.examined(read_view(data, self.body, check_cancelled), check_cancelled)
 
     @property
     def tensors(self) -> tuple[TensorInput, ...]:
@@ -172,7 +172,7 @@ class SpatialWorld:
         if known is not None:
             known.complete(image, self.sensor.grid)
         findings = diagnose(self.body, self.sensor, view, single, image)
-        return Examined(image[None], findings, view.state is None, known)
+        return Examined(image[None], findings, None in view.states, known)
 
     def situation(self, known: PlanningScene) -> "Situation":
         """What is known, for this arm.
@@ -200,7 +200,7 @@ class SpatialWorld:
 
     def diagnosis(self, data: bytes, check_cancelled: CheckCancelled | None = None) -> Diagnosis:
         """See :func:`cspace.worlds.spatial.doctor.diagnosed`."""
-        return self.diagnosed(read_view(data, self.space, check_cancelled), check_cancelled)
+        return self.diagnosed(read_view(data, self.body, check_cancelled), check_cancelled)
 
     def diagnosed(self, view: DepthView, check_cancelled: CheckCancelled | None = None) -> Diagnosis:
         """:meth:`diagnosis` of a view that was read."""
@@ -208,7 +208,7 @@ class SpatialWorld:
             cheap = self.examined(view, check_cancelled).findings
         except ImageError as error:
             cheap = (nothing_in_reach(error), *view_findings(self.body, self.sensor, view))
-        spheres = None if view.state is None else self.spheres_at(view.state)
+        spheres = _spheres(self.body, view)
         return diagnosed(self.body, self.sensor, view, spheres, cheap, check_cancelled or (lambda: None))
 
     def _each(
@@ -216,7 +216,6 @@ class SpatialWorld:
     ) -> list[NDArray[np.uint8]]:
         """What each picture of a view says alone."""
         arm = self.body if known is None else known.arm
-        spheres = None if view.state is None else _spheres_at(arm, view.state)
         grid, hides = self.sensor.grid, self.sensor.arm_hides
         return [
             observe_one(
@@ -228,7 +227,9 @@ class SpatialWorld:
                 is_explained=None if known is None else known.explains,
                 check_cancelled=check_cancelled,
             )
-            for picture, camera in zip(view.pictures, view.cameras, strict=True)
+            for picture, camera, spheres in zip(
+                view.pictures, view.cameras, _spheres(arm, view), strict=True
+            )
         ]
 
     def spheres_at(self, state: tuple[float, ...]) -> NDArray[np.float64]:
@@ -308,6 +309,12 @@ class SpatialWorld:
             "cameras": self.sensor.to_dict(),
             "scenes": scenes,
         }
+
+
+def _spheres(arm: SerialArm, view: DepthView) -> list[NDArray[np.float64] | None]:
+    """Those of an arm at the state of each picture, (S, 4) m; None where it has none."""
+    known = {state: None if state is None else _spheres_at(arm, state) for state in set(view.states)}
+    return [known[state] for state in view.states]
 
 
 def _spheres_at(arm: SerialArm, state: tuple[float, ...]) -> NDArray[np.float64]:

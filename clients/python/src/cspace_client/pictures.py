@@ -24,16 +24,19 @@ _MAX_PICTURES = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DepthPictures:
-    """One scene as one to four depth cameras saw it, nothing having moved between.
+    """One scene as one to four depth cameras saw it, nothing but the robot having moved between.
 
     Args:
         pictures: depths along the optical axis: uint16 (h, w) of mm, 0 without a reading; float32 (h, w) of
             metres, NaN or infinity without one; or files of such pictures (PNG; TIFF or ``.npy``).
         cameras: ``fx``, ``fy``, ``cx``, ``cy`` and ``pose`` of each, or ``camera_info`` and ``pose``, as the
-            API has them.
-        state: (d,) rad, where the robot was; None where it is in no picture.
+            API has them; with ``link`` where the pose is in that frame of the robot, and ``stamp_s``.
+        state: (d,) rad, where the robot was; None where it is in no picture; or a list with one or the other
+            for each picture.
         depth_scale_m: metres per unit of the pictures where that is another: 0.0001 for tenths of mm, 0.0002
             for TUM RGB-D; None for mm as whole numbers and metres as floats.
+        max_age_s: pictures that are older by the server's clock are refused, and those without ``stamp_s``;
+            None takes all.
         known: of the scene beside the pictures; None without anything.
 
     Raises:
@@ -42,8 +45,9 @@ class DepthPictures:
 
     pictures: Sequence[bytes | NDArray[np.uint16] | NDArray[np.float32]]
     cameras: Sequence[Mapping[str, Any]]
-    state: ArrayLike | None = None
+    state: ArrayLike | Sequence[ArrayLike | None] | None = None
     depth_scale_m: float | None = None
+    max_age_s: float | None = None
     known: Known | None = None
 
     def __post_init__(self) -> None:
@@ -65,7 +69,7 @@ class Shown:
 
     Args:
         files: of the field ``image``, one or more.
-        fields: cameras, the robot's state, the unit and what is known, where it has any.
+        fields: cameras, the robot's state, the unit, the largest age and what is known, where it has any.
         meshes: files of the field ``mesh``.
     """
 
@@ -101,8 +105,10 @@ def _fields(picture: DepthPictures) -> dict[str, Any]:
         fields: dict[str, Any] = {"camera": [_text(dict(camera)) for camera in picture.cameras]}
         if picture.state is not None:
             fields["state"] = _text(picture.state)
-        if picture.depth_scale_m is not None:
-            fields["depth_scale_m"] = repr(float(picture.depth_scale_m))
+        for name in ("depth_scale_m", "max_age_s"):
+            value = getattr(picture, name)
+            if value is not None:
+                fields[name] = repr(float(value))
         if picture.known is not None:
             fields |= {name: _text(value) for name, value in picture.known.fields.items()}
     except (TypeError, ValueError) as error:

@@ -35,7 +35,7 @@ def view():
 
 def test_what_is_written_is_read(view):
     for one in (view, DepthView(view.pictures[:1], view.cameras[:1])):
-        found = read_view(write_view(one), SPACE)
+        found = read_view(write_view(one), PANDA)
         assert found.cameras == one.cameras
         assert found.state == one.state
         assert all(np.array_equal(a, b) for a, b in zip(found.pictures, one.pictures, strict=True))
@@ -61,24 +61,26 @@ def test_cameras_are_told_without_the_size_that_their_pictures_have(view):
 def test_a_camera_that_cannot_be_is_refused(changes, message):
     data = pack_view([encode_depth(picture())], [camera_values(**changes)], None)
     with pytest.raises(ImageError, match=message):
-        read_view(data, SPACE)
+        read_view(data, PANDA)
 
 
-@pytest.mark.parametrize("state", [[0.0] * 6, "home", [99.0, *STATE[1:]], [*STATE[:6], "0"]])
+@pytest.mark.parametrize(
+    "state", [[0.0] * 6, "home", [99.0, *STATE[1:]], [*STATE[:6], "0"], [[0.0] * 6], [[STATE]]]
+)
 def test_a_state_that_the_arm_cannot_have_is_refused(state):
     data = pack_view([encode_depth(picture())], [camera_values()], state)
     with pytest.raises(ImageError, match="state does not fit"):
-        read_view(data, SPACE)
+        read_view(data, PANDA)
 
 
 def test_a_state_at_a_limit_in_single_precision_is_taken_and_one_outside_names_its_joint():
     upper = np.float32(SPACE.upper).tolist()
-    found = read_view(pack_view([encode_depth(picture())], [camera_values()], upper), SPACE)
+    found = read_view(pack_view([encode_depth(picture())], [camera_values()], upper), PANDA)
     assert SPACE.contains(found.state)
     np.testing.assert_allclose(found.state, SPACE.upper, atol=1e-6)
     data = pack_view([encode_depth(picture())], [camera_values()], [*STATE[:3], -135.0, *STATE[4:]])
     with pytest.raises(ImageError, match=r"panda_joint4 from .* got panda_joint4 at -135 rad; .*degrees"):
-        read_view(data, SPACE)
+        read_view(data, PANDA)
 
 
 def test_pictures_and_cameras_are_as_many_as_each_other_and_at_most_four():
@@ -112,4 +114,4 @@ def test_bytes_that_are_no_view_are_refused(view):
         b"cspace-view 1 " + b" " * 20_000 + b"\n",
     ):
         with pytest.raises(ImageError):
-            read_view(wrong, SPACE)
+            read_view(wrong, PANDA)
