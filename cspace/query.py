@@ -143,7 +143,7 @@ class PlanQuery:
 
     Args:
         start: (d,) rad.
-        goal: (d,) rad.
+        goal: (d,) rad; None where ``goal_pose`` says where the path ends.
         seed: of all draws, unsigned 64 bit.
         min_confidence: below which no path is returned, 0 to 1; None for what fits the bundle, see
             :attr:`cspace.bundle.BundleSpec.plan_confidence`.
@@ -153,10 +153,16 @@ class PlanQuery:
         views: cameras to choose it from, as plain values; none for some about the uncertain places.
         alternatives: whether all paths of sufficient confidence are wanted, for those who can check them.
         seen_by: cameras that the picture is from, where they are known: the next view is one from elsewhere.
+        goal_pose: of the tool in the robot's base, as plain values: ``pose``, as that of a camera, and where
+            they are not the usual ones ``tolerance_m``, ``tolerance_rad`` and ``free_z_rotation``.
+        limits: for each joint low and high, rad, which the path keeps to, or None for the joint's own.
+        upright: ``axis`` of the tool that all states keep within ``max_rad`` of ``up`` in the base frame, as
+            plain values.
+        unwrapped: whether circles go on beyond [-pi, pi) along the path, from the start as it is given.
     """
 
     start: tuple[float, ...]
-    goal: tuple[float, ...]
+    goal: tuple[float, ...] | None
     seed: int = 0
     min_confidence: float | None = None
     time_limit_s: float = 1.0
@@ -165,6 +171,10 @@ class PlanQuery:
     views: tuple[Mapping[str, Any], ...] = ()
     alternatives: bool = False
     seen_by: tuple[Mapping[str, Any], ...] = ()
+    goal_pose: Mapping[str, Any] | None = None
+    limits: tuple[tuple[float, float] | None, ...] | None = None
+    upright: Mapping[str, Any] | None = None
+    unwrapped: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -221,6 +231,7 @@ class Plan:
             were not asked for.
         search_ms: looking for paths.
         score_ms: asking the model about them.
+        reason: why nothing was looked for, in words; None where something was.
     """
 
     status: Status
@@ -236,3 +247,4 @@ class Plan:
     alternatives: tuple[AlternativePath, ...] = ()
     search_ms: float = 0.0
     score_ms: float = 0.0
+    reason: str | None = None
