@@ -3,6 +3,7 @@
 import math
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,8 +15,16 @@ from cspace.planning.rrt_connect import CheckCancelled, connect_trees
 from cspace.planning.search import find_paths, with_deadline
 from cspace.query import Plan, PlanQuery
 from cspace.simulator import Checker
+from cspace.space import JointSpace
 from cspace.world import Contact, Image, Known, World
-from cspace.worlds import best_view, examples, load_known, seen_checkers
+from cspace.worlds import (
+    WITH_TOOL,
+    best_view,
+    examples,
+    load_known,
+    seen_checkers,
+    tool_constraints,
+)
 
 
 def load_kernels(checker: Checker, configuration: NDArray[np.float64], step_rad: float) -> None:
@@ -38,8 +47,14 @@ def load_examples() -> list[str]:
     for world in examples().values():
         nothing = np.zeros(world.sensor.picture_shape, dtype=np.uint8)
         ends = np.zeros((2, world.dim))
-        load_kernels(seen_checkers(world, nothing, ends)[0], ends[0], 0.1)
+        checkers = seen_checkers(world, nothing, ends)
+        load_kernels(checkers[0], ends[0], 0.1)
         load_known(world)
+        if world.kind in WITH_TOOL:
+            goal_pose, upright = {"pose": np.eye(4).tolist()}, {"axis": [0, 0, 1], "max_rad": np.pi}
+            _constrained(world, checkers, ends, PlanQuery((), None, goal_pose=goal_pose))
+            turned, _, _ = _constrained(world, checkers, ends, PlanQuery((), None, upright=upright))
+            load_kernels(turned[0], ends[0], 0.1)
     return list(examples())
 
 
@@ -49,12 +64,12 @@ def main() -> int:
     return 0
 
 
-if __name__ == "__main__":
-    sys.exit(main())
-
-
 # Between states that the model is asked about.
 STEP_RAD = 0.15
+# Configurations that bring the tool to a goal, which paths are searched to.
+MAX_GOALS = 4
+# Of an angle at an end, which came in single precision.
+_ROUNDED_RAD = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,12 +100,14 @@ class Searched:
         late: whether the time was over before there were as many as were wanted.
         search_ms: looking for them.
         score_ms: asking the model about them, and changing them until their cost is lower.
+        reason: why nothing was looked for, in words; None where something was.
     """
 
     paths: list[ScoredPath]
     late: bool
     search_ms: float
     score_ms: float
+    reason: str | None = None
 
 
 def plan(
@@ -100,16 +117,17 @@ def plan(
 
     Args:
         seen: the scene.
-        ends: (2, d) rad, the query's start and goal as the model takes them.
+        ends: (2, d) rad, the query's start and goal as the model takes them; (1, d) where it has no goal.
         query: the problem; without ``min_confidence`` any confidence is enough.
         check_cancelled: called now and then; may raise to stop, which passes through.
 
     Raises:
-        InputError: one of the query's views is no camera, or one that the picture is from has no pose.
+        InputError: one of the query's views is no camera, one that the picture is from has no pose, or a
+            constraint does not fit the robot.
         ImportError: the compiler of the checks is not installed.
     """
     least = query.min_confidence or 0.0
-    searched = search_paths(seen, ends, query.ways, query.seed, query.time_limit_s, check_cancelled)
+    searched = search_paths(seen, ends, query.ways, query.seed, query.time_limit_s, check_cancelled, query)
     if searched.paths:
         best = searched.paths[0]
         found = _answer(best, len(searched.paths), least)
@@ -130,9 +148,14 @@ def plan(
             )
             found = replace(found, next_view=view)
     else:
-        found = Plan("timeout" if searched.late else "refused", np.empty((0, seen.world.dim)))
+        nothing = np.empty((0, seen.world.dim))
+        found = Plan("timeout" if searched.late else "refused", nothing, reason=searched.reason)
     if found.status != "solved" and (query.explain or seen.known is not None):
         found = replace(found, contact=_contact(seen, ends, found))
+    if query.unwrapped:
+        space = planning_space(seen.world, query.limits)
+        others = (replace(one, path=space.unwrap(one.path, query.start)) for one in found.alternatives)
+        found = replace(found, path=space.unwrap(found.path, query.start), alternatives=tuple(others))
     return replace(found, search_ms=searched.search_ms, score_ms=searched.score_ms)
 
 
@@ -157,18 +180,21 @@ def search_paths(
     seed: int,
     time_limit_s: float = math.inf,
     check_cancelled: CheckCancelled | None = None,
+    constraints: PlanQuery | None = None,
 ) -> Searched:
     """Up to so many paths from ``ends[0]`` to ``ends[1]``, scored.
 
     Args:
         seen: the scene.
-        ends: (2, d) rad.
+        ends: (2, d) rad; (1, d) where the constraints have the goal.
         count: of paths.
         seed: of all draws.
         time_limit_s: of computing, for the search; without one the paths depend on nothing but the rest.
         check_cancelled: called now and then; may raise to stop, which passes through.
+        constraints: a query whose ``goal_pose``, ``limits`` and ``upright`` hold; None for none.
 
     Raises:
+        InputError: a constraint does not fit the robot.
         ImportError: the compiler of the checks is not installed.
     """
     checkers = seen_checkers(seen.world, seen.picture, ends, seen.known)
@@ -176,17 +202,71 @@ def search_paths(
     load_kernels(checkers[0], ends[0], STEP_RAD)
     began = time.monotonic()
     until_s = time.thread_time() + time_limit_s
-    found = find_paths(checkers, ends[0], ends[1], count, seed, until_s, check_cancelled=check_cancelled)
+    goals, predict = ends[1:], seen.predict
+    if constraints is not None:
+        checkers, goals, reason = _constrained(seen.world, checkers, ends, constraints)
+        if reason is not None:
+            took_ms = 1e3 * (time.monotonic() - began)
+            return Searched([], late=False, search_ms=took_ms, score_ms=0.0, reason=reason)
+        # The model takes circles in [-pi, pi).
+        own = seen.world.space
+        predict = (
+            seen.predict if constraints.limits is None else lambda rows: seen.predict(own.to_float32(rows))
+        )
+    found = find_paths(checkers, ends[0], goals, count, seed, until_s, check_cancelled=check_cancelled)
     searched = time.monotonic()
-    scored = score(found.paths, seen.world.space, STEP_RAD, seen.predict, seen.plan_calibration)
+    scored = score(found.paths, checkers[0].space, STEP_RAD, predict, seen.plan_calibration)
     ranked = sorted(scored, key=_by_cost)
     if found.checker is not None:
         check_cancelled = with_deadline(until_s, check_cancelled)
         refiner = PathRefiner(
-            found.checker, seen.predict, seen.plan_calibration, Effort(step_rad=STEP_RAD), check_cancelled
+            found.checker, predict, seen.plan_calibration, Effort(step_rad=STEP_RAD), check_cancelled
         )
         ranked = _refined(ranked, refiner, seed)
     return Searched(ranked, found.late, 1e3 * (searched - began), 1e3 * (time.monotonic() - searched))
+
+
+def planning_space(world: World, limits: Sequence[Sequence[float] | None] | None) -> JointSpace:
+    """The joint space that a query's paths lie in.
+
+    Raises:
+        InputError: the limits do not fit the robot.
+    """
+    return world.space if limits is None else world.space.narrowed(limits)
+
+
+def _constrained(
+    world: World, checkers: Sequence[Checker], ends: NDArray[np.float64], query: PlanQuery
+) -> tuple[Sequence[Checker], NDArray[np.float64], str | None]:
+    """Checkers that hold a query's constraints, and its goals (g, d) rad; or why there can be no path."""
+    goals, space = ends[1:], planning_space(world, query.limits)
+    if query.limits is not None:
+        checkers = [one.within(space) for one in checkers]
+    tool = tool_constraints(world, query.goal_pose, query.upright)
+    if tool is None:
+        return checkers, goals, None
+    if query.goal_pose is not None:
+        goals = tool.goals(space, np.random.default_rng([query.seed, 2]))
+        if not len(goals):
+            return checkers, goals, f"the tool cannot reach {tool.reach}, within the joints' limits"
+    if query.upright is not None:
+        for name, rows in (("start", ends[:1]), ("the goal", goals)):
+            least = float(tool.angles_rad(rows).min())
+            if least > tool.max_rad + _ROUNDED_RAD:
+                reason = (
+                    f"{name} breaks upright: the axis is {least:.3f} rad from up, above {tool.max_rad:g} rad"
+                )
+                return checkers, goals, reason
+        goals = goals[tool.angles_rad(goals) <= tool.max_rad + _ROUNDED_RAD]
+        checkers = tool.upright(checkers, np.concatenate([ends[:1], goals]))
+    if query.goal_pose is not None:
+        goals = goals[checkers[-1].valid_batch(goals)]
+        if not len(goals):
+            reason = "each configuration found for goal_pose touches the robot itself, a known body or what is seen"
+            return checkers, goals, reason
+        nearest = np.argsort(space.distance(ends[0], goals), kind="stable")
+        goals = goals[nearest[:MAX_GOALS]]
+    return checkers, goals, None
 
 
 def _refined(ranked: list[ScoredPath], refiner: PathRefiner, seed: int) -> list[ScoredPath]:
@@ -218,3 +298,7 @@ def _answer(best: ScoredPath, found: int, min_confidence: float) -> Plan:
         found=found,
         least=least,
     )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

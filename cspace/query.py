@@ -143,7 +143,7 @@ class PlanQuery:
 
     Args:
         start: (d,) rad.
-        goal: (d,) rad.
+        goal: (d,) rad; None where ``goal_pose`` says where the path ends.
         seed: of all draws, unsigned 64 bit.
         min_confidence: below which no path is returned, 0 to 1; None for what fits the bundle, see
             :attr:`cspace.bundle.BundleSpec.plan_confidence`.
@@ -155,10 +155,16 @@ class PlanQuery:
         seen_by: cameras that the picture is from, where they are known: the next view is one from elsewhere.
         seen_state: where the robot was then, as a view file has it; needed for cameras on a link.
         explain: whether it is wanted what is in the way where no path is returned.
+        goal_pose: of the tool in the robot's base, as plain values: ``pose``, as that of a camera, and where
+            they are not the usual ones ``tolerance_m``, ``tolerance_rad`` and ``free_z_rotation``.
+        limits: for each joint low and high, rad, which the path keeps to, or None for the joint's own.
+        upright: ``axis`` of the tool that all states keep within ``max_rad`` of ``up`` in the base frame, as
+            plain values.
+        unwrapped: whether circles go on beyond [-pi, pi) along the path, from the start as it is given.
     """
 
     start: tuple[float, ...]
-    goal: tuple[float, ...]
+    goal: tuple[float, ...] | None
     seed: int = 0
     min_confidence: float | None = None
     time_limit_s: float = 1.0
@@ -169,6 +175,10 @@ class PlanQuery:
     seen_by: tuple[Mapping[str, Any], ...] = ()
     seen_state: object = None
     explain: bool = False
+    goal_pose: Mapping[str, Any] | None = None
+    limits: tuple[tuple[float, float] | None, ...] | None = None
+    upright: Mapping[str, Any] | None = None
+    unwrapped: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -226,6 +236,7 @@ class Plan:
         search_ms: looking for paths.
         score_ms: asking the model about them.
         contact: what is in the way where there is no path; None where nothing is, or nobody asked.
+        reason: why nothing was looked for, in words; None where something was.
     """
 
     status: Status
@@ -242,3 +253,4 @@ class Plan:
     search_ms: float = 0.0
     score_ms: float = 0.0
     contact: Contact | None = None
+    reason: str | None = None

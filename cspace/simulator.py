@@ -3,6 +3,7 @@
 import hashlib
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -146,6 +147,17 @@ class Checker:
             )
         return np.asarray(self.kernels.edge_batch(first, second, float(resolution_rad), self.scene))
 
+    def within(self, space: JointSpace) -> "Checker":
+        """The same checks, for a space with narrower limits; see :meth:`JointSpace.narrowed`."""
+        found = copy(self)
+        found.space = space
+        found.scene = self.scene._replace(
+            lower=np.asarray(space.lower, dtype=np.float64),
+            upper=np.asarray(space.upper, dtype=np.float64),
+            periodic=np.asarray(space.periodic, dtype=np.bool_),
+        )
+        return found
+
     def state_test(self) -> StateTest:
         """For callbacks: whether a configuration (d,) float64 is free."""
         kernel, scene, room = self.kernels.state_is_free, self.scene, self.kernels.room_of(self.scene)
@@ -236,6 +248,26 @@ class Checker:
                 got=str(rows.shape),
             )
         return rows
+
+
+class ToolConstraints(Protocol):
+    """Constraints on the tool of an arm in space; see :func:`cspace.worlds.tool_constraints`."""
+
+    max_rad: float
+    """Largest angle of the axis that stays near a direction."""
+
+    @property
+    def reach(self) -> str:
+        """The goal's tolerances in words."""
+
+    def goals(self, space: JointSpace, rng: np.random.Generator) -> NDArray[np.float64]:
+        """Distinct configurations within a space's limits that bring the tool to its goal, (n, d) rad."""
+
+    def angles_rad(self, configurations: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Between the axis and its direction at (N, d) rad, (N,)."""
+
+    def upright(self, checkers: Sequence[Checker], ends: NDArray[np.float64]) -> list[Checker]:
+        """Checkers that also keep the axis near its direction, of those whose angle holds at (n, d) rad."""
 
 
 @dataclass(frozen=True, slots=True)

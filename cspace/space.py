@@ -24,6 +24,8 @@ MAX_CIRCLE_RAD = 3.0 * _TURN
 FLOAT32_PI_BELOW = np.nextafter(np.float32(np.pi), np.float32(0.0))
 # Of a joint, either way: further out single precision could not tell neighbouring configurations apart.
 MAX_LIMIT_RAD = 1000.0
+# Of limits, for single precision to tell the angles between them apart.
+MIN_RANGE_RAD = 1e-3
 
 
 def wrap(angles: ArrayLike) -> NDArray[np.float64]:
@@ -220,6 +222,55 @@ class JointSpace:
         limited = (configurations >= low) & (configurations <= high)
         exact = configurations.astype(np.float64)
         return np.where(self.periodic, (exact >= -np.pi) & (exact < np.pi), limited)
+
+    def narrowed(self, limits: Sequence[Sequence[float] | None]) -> "JointSpace":
+        """The space whose joints keep to narrower ranges.
+
+        Args:
+            limits: for each joint low and high, rad, or None where it stays as it is. A circle with a range
+                is a limited joint: its angles are the numbers from low to high, at any turn.
+
+        Raises:
+            InputError: there are not as many as joints, or a range is empty or leads beyond the joint's own,
+                which of a circle is three turns either way. The joint is named.
+        """
+        if len(limits) != self.dim:
+            raise InputError(
+                "limits do not fit the robot",
+                expected=f"{self.dim} entries, each [low, high] in rad, or null for the joint's own",
+                got=f"{len(limits)} entries",
+            )
+        ends = [list(self.lower), list(self.upper)]
+        for joint, given in enumerate(limits):
+            if given is None:
+                continue
+            circle = self.periodic[joint]
+            least, most = (-MAX_CIRCLE_RAD, MAX_CIRCLE_RAD) if circle else (ends[0][joint], ends[1][joint])
+            low, high = given
+            inside = least - LIMIT_TOLERANCE_RAD <= low and high <= most + LIMIT_TOLERANCE_RAD
+            if not inside or not high - low >= MIN_RANGE_RAD:
+                name = self.names[joint] if self.names else f"joint {joint + 1}"
+                raise InputError(
+                    f"limits do not fit {name}",
+                    expected=f"low < high by {MIN_RANGE_RAD:g} rad or more, "
+                    f"within {least:.8g} to {most:.8g} rad",
+                    got=f"[{low:.8g}, {high:.8g}]",
+                    remedy="narrow the robot's own limits; null leaves a joint as it is",
+                )
+            ends[0][joint], ends[1][joint] = max(low, least), min(high, most)
+        periodic = tuple(wraps and given is None for wraps, given in zip(self.periodic, limits, strict=True))
+        return JointSpace(tuple(ends[0]), tuple(ends[1]), periodic, self.names)
+
+    def unwrap(self, path: ArrayLike, start: ArrayLike) -> NDArray[np.float64]:
+        """A path (k, d) rad whose circles go on beyond [-pi, pi) instead of jumping, (k, d) rad.
+
+        Args:
+            path: (k, d) rad.
+            start: (d,) rad, the first of its configurations, circles at any turn: there they begin.
+        """
+        rows = np.asarray(path, dtype=np.float64)
+        going_on = np.unwrap(np.concatenate([np.asarray(start, dtype=np.float64)[None], rows]), axis=0)[1:]
+        return np.where(self.periodic, going_on, rows)
 
     def to_dict(self) -> dict[str, Any]:
         """The joint space as bundles and answers write it.

@@ -218,6 +218,30 @@ _Configurations = Annotated[
     ),
 ]
 _Angles = Expected("an array of finite angles in rad")
+_Range = Annotated[tuple[Number, Number], Strict(strict=False)]
+_RANGE = {"anyOf": [_numbers(2), {"type": "null"}]}
+_Limits = Annotated[
+    Annotated[tuple[_Range | None, ...], Field(max_length=MAX_JOINTS), Strict(strict=False)] | None,
+    Expected("for each joint [low, high] in rad, or null"),
+    WithJsonSchema({"anyOf": [{"type": "array", "items": _RANGE, "maxItems": MAX_JOINTS}, {"type": "null"}]}),
+]
+
+
+# What is in these is checked by the world that has a tool.
+_GOAL_POSE = _object(
+    _ANY_POSE, tolerance_m=_NUMBER, tolerance_rad=_NUMBER, free_z_rotation={"type": "boolean"}
+)
+_GoalPose = Annotated[
+    dict[str, Any] | None,
+    Expected("an object of pose, tolerance_m, tolerance_rad and free_z_rotation"),
+    WithJsonSchema({"anyOf": [_GOAL_POSE, {"type": "null"}]}),
+]
+_UPRIGHT = _object({"axis": _numbers(3), "max_rad": _NUMBER}, up=_numbers(3))
+_Upright = Annotated[
+    dict[str, Any] | None,
+    Expected("an object of axis, max_rad and up"),
+    WithJsonSchema({"anyOf": [_UPRIGHT, {"type": "null"}]}),
+]
 
 
 # What is in a body is checked as :mod:`cspace.worlds.spatial.planning_scene` has it.
@@ -515,7 +539,31 @@ class PlanRequest(SceneFields):
     start: Annotated[Configuration, _Angles] = Field(
         description="Where the path begins, rad: circles at any turn, other joints within their limits."
     )
-    goal: Annotated[Configuration, _Angles] = Field(description="Where it ends, as `start`.")
+    goal: Annotated[Configuration | None, _Angles] = Field(
+        None, description="Where it ends, as `start`. Either this or `goal_pose` is sent."
+    )
+    goal_pose: _GoalPose = Field(
+        None,
+        description="Of arms in space, where the tool's frame ends: `pose` in the robot's base, as of "
+        "`camera`; `tolerance_m`, 0.005 when absent; `tolerance_rad`, 0.05; and `free_z_rotation`, whether "
+        "any turn about the frame's z axis will do. Paths to up to four configurations that reach it are "
+        "compared.",
+    )
+    limits: _Limits = Field(
+        None,
+        description="For each joint `[low, high]` in rad, within its own limits, or null for these: the "
+        "whole path keeps to them. A circle with a range is none: start, goal and path are numbers in it.",
+    )
+    upright: _Upright = Field(
+        None,
+        description="Of arms in space, an `axis` in the tool's frame that the whole path keeps within "
+        "`max_rad` of `up` in the robot's base, 0 0 1 when absent.",
+    )
+    unwrapped: Annotated[bool, Expected("true or false")] = Field(
+        default=False,
+        description="Whether circles go on beyond [-pi, pi) along the path instead of jumping, from `start` "
+        "as it was sent.",
+    )
     seed: Seed = Field(None, description="As of `POST /sample`: of all draws of the search.")
     min_confidence: Confidence = Field(
         None,

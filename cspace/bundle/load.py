@@ -30,8 +30,8 @@ from cspace.bundle.samples import (
     Picture,
     SampleSet,
     fitted,
-    fitted_ends,
     fitted_plan,
+    fitted_problem,
     require_inside,
 )
 from cspace.bundle.sampling import Head, sampler_of
@@ -279,13 +279,13 @@ class Bundle:
             check_cancelled: called now and then; may raise to stop, which passes through.
 
         Raises:
-            InputError: the bundle has no validity head, start or goal does not fit the robot, or a view is no
-                camera.
+            InputError: the bundle has no validity head, start, goal or a constraint does not fit the robot,
+                or a view is no camera.
             BundleError: a graph fails.
             ImportError: the compiler of the checks is not installed.
         """
         head, picture = self._head(), self._prepared(image)
-        ends = fitted_ends(self.spec, query.start, query.goal)
+        ends = fitted_problem(self.spec, query)
         wanted = fitted_plan(self.spec, query)
         return plan(head.seen(self.spec, picture, check_cancelled), ends, wanted, check_cancelled)
 

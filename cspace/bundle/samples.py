@@ -9,10 +9,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from cspace.bundle.spec import BundleSpec
 from cspace.errors import BundleError, InputError, OtherRobotError
+from cspace.plan import planning_space
 from cspace.query import PlanQuery, SampleQuery
 from cspace.space import JointSpace
 from cspace.world import Known, Sensor
-from cspace.worlds import robot_digest
+from cspace.worlds import robot_digest, tool_constraints
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,13 +200,16 @@ def fitted_plan(spec: BundleSpec, query: PlanQuery) -> PlanQuery:
     return replace(query, min_confidence=spec.plan_confidence)
 
 
-def fitted_end(spec: BundleSpec, name: str, angles: tuple[float, ...]) -> tuple[float, ...]:
+def fitted_end(
+    spec: BundleSpec, name: str, angles: tuple[float, ...], space: JointSpace | None = None
+) -> tuple[float, ...]:
     """A start or goal as a bundle takes it: circles wrapped, in single precision.
 
     Args:
         spec: of the bundle.
         name: of the end, for messages.
         angles: finite, rad.
+        space: with narrower limits than the robot's; None for these.
 
     Raises:
         InputError: there are not as many as joints, or they lie outside the limits of the robot's joints.
@@ -216,8 +220,9 @@ def fitted_end(spec: BundleSpec, name: str, angles: tuple[float, ...]) -> tuple[
             expected=f"{spec.dim} finite angles in rad",
             got=str(list(angles))[:200],
         )
-    space = spec.world.space
-    configuration = space.admitted(angles, f"{name} lies outside the limits of the robot's joints")
+    whose = "the robot's joints" if space is None else "this request"
+    space = spec.world.space if space is None else space
+    configuration = space.admitted(angles, f"{name} lies outside the limits of {whose}")
     return tuple(space.to_float32(configuration).tolist())
 
 
@@ -225,6 +230,26 @@ def fitted_ends(spec: BundleSpec, start: tuple[float, ...], goal: tuple[float, .
     """Start and goal of a search, (2, d) rad; see :func:`fitted_end`."""
     given = (("start", start), ("goal", goal))
     return np.asarray([fitted_end(spec, name, end) for name, end in given], dtype=np.float64)
+
+
+def fitted_problem(spec: BundleSpec, query: PlanQuery) -> NDArray[np.float64]:
+    """Start and goal of a query as a search takes them, (2, d) rad; (1, d) where a pose is the goal.
+
+    Raises:
+        InputError: an end, or a constraint, does not fit the robot, or there is not one goal.
+        ImportError: a constraint needs the compiler of the checks, and it is not installed.
+    """
+    if (query.goal is None) == (query.goal_pose is None):
+        raise InputError(
+            "there is not one goal",
+            expected="either goal, a configuration, or goal_pose, a pose of the tool",
+            got="neither" if query.goal is None else "both",
+        )
+    space = None if query.limits is None else planning_space(spec.world, query.limits)
+    tool_constraints(spec.world, query.goal_pose, query.upright)
+    given = (("start", query.start), ("goal", query.goal))
+    rows = [fitted_end(spec, name, end, space) for name, end in given if end is not None]
+    return np.asarray(rows, dtype=np.float64)
 
 
 def fitted_configurations(values: ArrayLike, spec: BundleSpec) -> NDArray[np.float32]:

@@ -72,13 +72,14 @@ def find_paths(
 ) -> FoundPaths:
     """Up to so many paths.
 
+    Of several goals each gets its first path before another gets a second; one without a path is left out.
     The most careful checker in which a path is found with as few states as any gives all of them: all are
     tried in turn, with few states at first, for a careful one without a path would take all the time.
 
     Args:
         checkers: the most careful first.
         start: (d,) rad.
-        goal: (d,) rad.
+        goal: (d,) rad, or (g, d) of which any will do.
         count: of paths.
         seed: of all draws; each path has draws of its own.
         until_s: by ``time.thread_time``: what the thread has computed, not what it has waited for others.
@@ -87,18 +88,26 @@ def find_paths(
     """
     check_cancelled = with_deadline(until_s, check_cancelled)
     found: list[NDArray[np.float64]] = []
-    ends = np.stack([start, goal])
-    possible = [level for level, checker in enumerate(checkers) if checker.valid_batch(ends).all()]
+    goals = np.atleast_2d(goal)
+    possible: list[tuple[int, NDArray[np.float64]]] = []
+    for level, one in enumerate(checkers):
+        free = one.valid_batch(np.concatenate([[start], goals]))
+        if free[0] and free[1:].any():
+            possible.append((level, goals[free[1:]]))
     checker = None
     try:
         for states in limits.rounds():
-            for level in possible:
-                for number in range(count):
-                    rng = np.random.default_rng([seed, level, number])
-                    most = states if number == 0 else limits.states
-                    path = _path(checkers[level], start, goal, rng, limits, most, check_cancelled)
+            for level, reachable in possible:
+                left, number = list(reachable), 0
+                while left and len(found) < count:
+                    at, rng = len(found) % len(left), np.random.default_rng([seed, level, number])
+                    # A goal that was reached once is worth all states.
+                    most = states if number < len(reachable) else limits.states
+                    path = _path(checkers[level], start, left[at], rng, limits, most, check_cancelled)
+                    number += 1
                     if path is None:
-                        break
+                        del left[at]
+                        continue
                     found.append(path)
                     checker = checkers[level]
                     check_cancelled()

@@ -14,17 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import PlainSerializer, PlainValidator
 
-from cspace.errors import ScenarioError
-from cspace.simulator import Checker, PartlySeen, Simulator
+from cspace.errors import InputError, ScenarioError
+from cspace.simulator import Checker, PartlySeen, Simulator, ToolConstraints
 from cspace.strict_json import read_object
 from cspace.world import Body, Image, Known, NextView, Scene, World
 
 # Each folder has ``world`` (NumPy alone) with ``read``, ``EXAMPLES`` (worlds by name), ``add_options`` and
 # ``described``, which gives None where none of its options was used and the kind is not the first;
 # ``simulator`` with ``open_simulator``; ``checks`` with ``seen_checkers``. One that no picture shows whole
-# has ``benchmark`` with ``open_partly_seen`` and ``next_view`` (NumPy alone) with ``best_view``.
+# has ``benchmark`` with ``open_partly_seen`` and ``next_view`` (NumPy alone) with ``best_view``; one whose
+# robot has a tool ``constraints`` with ``ToolConstraints``.
 KINDS = ("planar", "spatial")
 _PARTLY_SEEN = ("spatial",)
+WITH_TOOL = ("spatial",)
 # What files are of that do not name their kind: older than kinds are.
 FIRST = "planar"
 
@@ -170,6 +172,34 @@ def load_known(world: World) -> None:
     """Have the compiled code of what is known beside pictures in this process, where a world's can be."""
     if world.kind in _PARTLY_SEEN:
         _part(world.kind, "situation").load_kernels(world)
+
+
+def tool_constraints(
+    world: World, goal_pose: Mapping[str, Any] | None, upright: Mapping[str, Any] | None
+) -> ToolConstraints | None:
+    """What a plan asks of the tool; None where that is nothing.
+
+    Args:
+        world: whose.
+        goal_pose: see :class:`cspace.query.PlanQuery`, and so the other.
+        upright: likewise.
+
+    Raises:
+        InputError: the world's robot has no tool, or values do not fit.
+        ImportError: the compiler of the checks is not installed.
+    """
+    if goal_pose is None and upright is None:
+        return None
+    if world.kind not in WITH_TOOL:
+        raise InputError(
+            "the robot has no tool frame",
+            expected=f"goal_pose and upright for worlds of the kind {', '.join(WITH_TOOL)} alone",
+            got=f"a world of the kind {world.kind}",
+            remedy="send goal as a configuration",
+        )
+    return cast(
+        "ToolConstraints", _part(world.kind, "constraints").ToolConstraints(world.body, goal_pose, upright)
+    )
 
 
 def best_view(

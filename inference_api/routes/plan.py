@@ -9,7 +9,7 @@ from fastapi import APIRouter, Request
 from fastapi.responses import Response
 
 from cspace.bundle import BundleSpec
-from cspace.bundle.samples import fitted_end, fitted_plan, require_robot
+from cspace.bundle.samples import fitted_plan, fitted_problem, require_robot
 from cspace.errors import InputError
 from cspace.query import Plan, PlanQuery, random_seed
 from cspace.world import ARM_IN_PICTURE, LITTLE_IN_REACH, Finding
@@ -66,8 +66,7 @@ def _answer(
     require_robot(request.robot, spec)
     if not bundle.has_validity:
         raise InputError("the model has no validity head", remedy="name a model that has one")
-    for name, end in (("start", given.start), ("goal", given.goal)):
-        fitted_end(spec, name, end)
+    fitted_problem(spec, given)
     with job.searching() as check_cancelled:
         prepared = prepared_picture(store, bundle, image, job)
         warnings = _warnings(spec, prepared, request.start)
@@ -134,6 +133,10 @@ def query_of(request: PlanRequest) -> PlanQuery:
         request.camera,
         request.state,
         request.explain,
+        request.goal_pose,
+        request.limits,
+        request.upright,
+        request.unwrapped,
     )
 
 
@@ -153,6 +156,8 @@ def _reason(found: Plan, query: PlanQuery, warnings: Sequence[Finding]) -> str |
 
 
 def _why(found: Plan, query: PlanQuery) -> str:
+    if found.reason is not None:
+        return found.reason
     if found.status == "timeout":
         return f"no path was found within {query.time_limit_s:g} s"
     least = found.least

@@ -13,10 +13,12 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from cspace.errors import CspaceError
+from cspace.errors import CspaceError, InputError
 from cspace.query import DEFAULT_PATHS, PLAIN, PlanQuery, SampleQuery
 from cspace.simulator import Problem, Split
+from cspace.strict_json import parse_json
 from cspace.world import World
 from cspace.worlds import examples, named_world, simulator_of
 from services.command_errors import finite, report_error
@@ -42,6 +44,7 @@ from services.planner.settings import LEARNED_PLANNERS, RRT, PlannerSettings, ch
 from services.scene_files import SceneFile, read_scene_file
 
 WORLDS = examples()
+_CONSTRAINTS = ("limits", "upright", "unwrapped")
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +66,7 @@ class Command:
         json: whether the outcome is printed as JSON.
         whole: whether the API plans the whole path.
         ways: number of paths that it chooses from then.
+        constraints: ``limits``, ``upright`` and ``unwrapped`` of its :class:`cspace.query.PlanQuery`.
     """
 
     url: str
@@ -79,6 +83,7 @@ class Command:
     json: bool
     whole: bool
     ways: int
+    constraints: dict[str, Any]
 
 
 def parse_command(arguments: Sequence[str] | None = None) -> Command:
@@ -128,6 +133,7 @@ def parse_command(arguments: Sequence[str] | None = None) -> Command:
         json=options.json,
         whole=options.whole_plan,
         ways=options.ways,
+        constraints=_constraints(options.constraints),
     )
 
 
@@ -193,6 +199,12 @@ def make_parser() -> argparse.ArgumentParser:
         "options for samples and search --min-confidence, --time-limit and --planner-seed hold for it",
     )
     whole.add_argument("--ways", type=_count, default=DEFAULT_PATHS, help="to choose from; %(default)s")
+    whole.add_argument(
+        "--constraints",
+        metavar="JSON",
+        default="{}",
+        help=f"an object of {', '.join(_CONSTRAINTS)}, as fields of POST /plan",
+    )
     search = parser.add_argument_group("search")
     search.add_argument("--planner", choices=LEARNED_PLANNERS, default=RRT, help="default %(default)s")
     search.add_argument(
@@ -209,6 +221,17 @@ def make_parser() -> argparse.ArgumentParser:
     output.add_argument("--plot", type=Path, metavar="FILE", help="draw the outcome (.png, .pdf or .svg)")
     output.add_argument("--json", action="store_true", help="print the outcome as JSON")
     return parser
+
+
+def _constraints(text: str) -> dict[str, Any]:
+    try:
+        values = parse_json(text.encode())
+    except ValueError:
+        values = None
+    if not isinstance(values, dict) or not set(values) <= set(_CONSTRAINTS):
+        expected = f"a JSON object of {', '.join(_CONSTRAINTS)}"
+        raise InputError("the constraints do not fit", expected=expected, got=text[:200])
+    return values
 
 
 def _count(text: str) -> int:
@@ -248,7 +271,7 @@ def _plan_whole(command: Command, problem: Problem) -> int:
     settings, request = command.settings, command.request
     start, goal = (tuple(float(angle) for angle in end) for end in (problem.start, problem.goal))
     least, limit_s = request.query.min_confidence, settings.time_limit_s
-    query = PlanQuery(start, goal, settings.seed, least, limit_s, command.ways)
+    query = PlanQuery(start, goal, settings.seed, least, limit_s, command.ways, **command.constraints)
     # The search is a part of the request.
     timeout_s = command.timeout_s + settings.time_limit_s
     with SamplingClient(command.url, timeout_s) as client:

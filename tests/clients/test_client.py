@@ -4,6 +4,7 @@ import json
 import pickle
 import subprocess
 import sys
+from dataclasses import replace
 
 import httpx
 import numpy as np
@@ -75,6 +76,24 @@ def test_what_a_plan_does_not_ask_for_is_left_to_the_server():
     form = sent.of(lambda client: client.plan(PNG, query))
     assert (form["time_limit_s"], form["ways"], form["alternatives"]) == ([b"2.0"], [b"3"], [b"true"])
     assert [json.loads(one) for one in form["view"]] == list(views)
+
+
+def test_constraints_of_a_plan_are_sent_as_json_and_a_wrong_one_is_named():
+    sent, upright = Recorder(), {"axis": (0, 0, 1), "max_rad": np.float64(0.1)}
+    query = PlanQuery((0.0,), goal_pose={"pose": np.eye(4)}, limits=[(-1, 2.5), None], upright=upright)
+    form = sent.of(lambda client: client.plan(PNG, replace(query, unwrapped=True)))
+    told = {name: json.loads(form[name][0]) for name in ("goal_pose", "limits", "upright", "unwrapped")}
+    assert told == {
+        "goal_pose": {"pose": np.eye(4).tolist()},
+        "limits": [[-1, 2.5], None],
+        "upright": {"axis": [0, 0, 1], "max_rad": 0.1},
+        "unwrapped": True,
+    }
+    assert "goal" not in form
+    for wrong in ({"limits": [(0.0, np.nan)]}, {"upright": {"axis": object()}}):
+        with pytest.raises(SamplerError, match=next(iter(wrong))):
+            sent.client.plan(PNG, replace(query, **wrong))
+    assert sent.forms == []
 
 
 @pytest.mark.parametrize(

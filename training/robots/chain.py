@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import ScenarioError
-from cspace.worlds.spatial.arm import MIN_RANGE_RAD, Joint
+from cspace.space import MIN_RANGE_RAD
+from cspace.worlds.spatial.arm import Joint
 from cspace.worlds.spatial.poses import MAX_OFFSET_M, Frame, turn
 from training.robots.description import Description
 

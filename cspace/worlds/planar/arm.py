@@ -7,15 +7,13 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, StrictBool
 
 from cspace.errors import ScenarioError
-from cspace.space import MAX_LIMIT_RAD, JointSpace
+from cspace.space import MAX_LIMIT_RAD, MIN_RANGE_RAD, JointSpace
 from cspace.strict_json import Record, read_object, validated, written
 from cspace.world import Levers
 from cspace.worlds.planar.camera import Camera, Length
 
 _KIND = "planar_arm"
 JointLimits = tuple[tuple[float, float] | None, ...]
-# Of limits, for single precision to tell the angles between them apart.
-MIN_RANGE_RAD = 1e-3
 
 
 @validated(ScenarioError)

@@ -9,12 +9,10 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from cspace.errors import ScenarioError
-from cspace.space import MAX_LIMIT_RAD, JointSpace
+from cspace.space import MAX_LIMIT_RAD, MIN_RANGE_RAD, JointSpace
 from cspace.strict_json import LEFT_OUT, Record, read_object, validated, written
 from cspace.worlds.spatial.poses import MAX_OFFSET_M, SAME, Frame, Offset, moved, turn
 
-# Of limits, for single precision to tell the angles between them apart.
-MIN_RANGE_RAD = 1e-3
 _UNIT = 1e-9
 # The name of its frame.
 _TOOL = "tool"

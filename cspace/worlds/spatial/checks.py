@@ -51,6 +51,8 @@ class SceneArrays(NamedTuple):
         lower: (d,) rad.
         upper: (d,) rad.
         periodic: (d,) which joints are circles.
+        upright: (U, 7) axes of the last link that stay near directions of the base: either unit vector, and
+            the least cosine of the angle between the two.
     """
 
     arm: ArmArrays
@@ -61,6 +63,7 @@ class SceneArrays(NamedTuple):
     lower: NDArray[np.float64]
     upper: NDArray[np.float64]
     periodic: NDArray[np.bool_]
+    upright: NDArray[np.float64] = np.empty((0, 7))
 
 
 def scene_arrays(
@@ -100,6 +103,9 @@ def state_is_free(q, scene, room):  # type: ignore[no-untyped-def]
     frames, centres, bounds = room
     arm = scene.arm
     link_frames_into(q, arm.origins, arm.axes, frames)
+    for index in range(scene.upright.shape[0]):
+        if not _is_upright(scene.upright[index], frames[q.shape[0]]):
+            return False
     points_into(frames, arm.bound_links, arm.bound_centres, bounds)
     points_into(frames, arm.links, arm.centres, centres)
     for index in range(scene.boxes.shape[0]):
@@ -124,6 +130,14 @@ def state_clearance(q, scene, room):  # type: ignore[no-untyped-def]
     least = min(grid_clearance(scene.grid, arm, centres), self_distance(centres, bounds, arm))
     least = min(least, bodies_clearance(scene.bodies, arm, centres))
     return min(set_clearance(centres, arm.radii, scene.boxes, scene.cylinders), least)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _is_upright(row, frame):  # type: ignore[no-untyped-def]
+    cosine = 0.0
+    for at in range(3):
+        cosine += row[3 + at] * (frame[at, 0] * row[0] + frame[at, 1] * row[1] + frame[at, 2] * row[2])
+    return cosine >= row[6]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from cspace.errors import ScenarioError
 from cspace.kernel_cache import njit
 from cspace.planning.kernels import gap
+from cspace.space import JointSpace
 from cspace.worlds.spatial.arm import SerialArm
 
 
@@ -158,6 +159,8 @@ _LEVER_M = 0.3
 _LEAST_DAMPING = 1e-6
 # Of what is meant to be a unit vector or a rotation.
 _UNIT = 1e-6
+# Steps of :func:`aligned`, most.
+_ALIGNING = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,6 +213,7 @@ def solve_pose(
     approach: ArrayLike | None = None,
     rotation: ArrayLike | None = None,
     solving: Solving = Solving(),
+    space: JointSpace | None = None,
 ) -> NDArray[np.float64]:
     """Configurations that bring the tool to a place, obstacles and self-collision left aside.
 
@@ -221,6 +225,7 @@ def solve_pose(
             about it.
         rotation: (3, 3) of the tool in the base frame; with neither any rotation will do.
         solving: number of starts, and tolerances.
+        space: with narrower limits than the arm's; None for these.
 
     Returns:
         (n, d) rad within the limits, circles in [-pi, pi); n is 0 where nothing was found.
@@ -233,19 +238,51 @@ def solve_pose(
     wanted, mode = _wanted(approach, rotation)
     if place.shape != (3,) or not np.isfinite(place).all():
         raise ScenarioError("the tool's place does not fit", expected="three numbers", got=str(place)[:200])
-    space = arm.space
-    chain = _Chain(
-        np.stack([joint.origin.matrix() for joint in arm.joints]),
-        np.asarray([joint.axis for joint in arm.joints]),
-        arm.tool.matrix(),
-        np.asarray(space.lower, dtype=np.float64),
-        np.asarray(space.upper, dtype=np.float64),
-        np.asarray(space.periodic, dtype=np.bool_),
-    )
+    space = arm.space if space is None else space
+    chain = _chain(arm, space, arm.tool.matrix())
     tolerance = (solving.place_m, solving.turn_rad, solving.distinct_rad)
     starts = space.sample_uniform(rng, solving.starts)
     found: NDArray[np.float64] = _solve_all(starts, place, wanted, mode, chain, solving.iterations, tolerance)
     return space.wrap(found)
+
+
+def aligned(
+    arm: SerialArm,
+    configurations: ArrayLike,
+    axis: ArrayLike,
+    along: ArrayLike,
+    within_rad: float,
+    space: JointSpace,
+) -> NDArray[np.float64]:
+    """Configurations changed until an axis of the last link points along a direction.
+
+    Args:
+        arm: whose.
+        configurations: (N, d) rad.
+        axis: (3,) unit vector in the last link's frame.
+        along: (3,) unit vector in the base frame.
+        within_rad: angle between the two that is small enough, above 0.
+        space: whose limits hold.
+
+    Returns:
+        (N, d) rad within the limits, circles in [-pi, pi); as near as they came where there is no such one.
+    """
+    frame, wanted = np.eye(4), np.eye(3)
+    frame[:3, 2], wanted[:, 2] = axis, along
+    rows = np.array(configurations, dtype=np.float64)
+    _align_all(rows, wanted, _chain(arm, space, frame), _ALIGNING, float(within_rad))
+    return space.wrap(rows)
+
+
+def _chain(arm: SerialArm, space: JointSpace, tool: NDArray[np.float64]) -> _Chain:
+    return _Chain(
+        np.stack([joint.origin.matrix() for joint in arm.joints]),
+        np.asarray([joint.axis for joint in arm.joints]),
+        tool,
+        np.asarray(space.lower, dtype=np.float64),
+        np.asarray(space.upper, dtype=np.float64),
+        np.asarray(space.periodic, dtype=np.bool_),
+    )
 
 
 def _wanted(approach: ArrayLike | None, rotation: ArrayLike | None) -> tuple[NDArray[np.float64], int]:
@@ -300,6 +337,20 @@ def _solve_all(starts, place, wanted, mode, chain, iterations, tolerance):  # ty
             found[count] = q
             count += 1
     return found[:count]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _align_all(rows, wanted, chain, iterations, within):  # type: ignore[no-untyped-def]
+    """Turn rows (N, d) in place, wherever that takes the tool."""
+    dim, place = rows.shape[1], np.zeros(3)
+    frames, jacobian, error = np.empty((dim + 1, 4, 4)), np.empty((6, dim)), np.empty(6)
+    for index in range(rows.shape[0]):
+        for _ in range(iterations):
+            link_frames_into(rows[index], chain.origins, chain.axes, frames)
+            if _errors(chain, frames, place, wanted, _ALONG, jacobian, error)[1] <= within:
+                break
+            error[:3], jacobian[:3] = 0.0, 0.0
+            _step(rows[index], jacobian, error, chain)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -227,9 +227,7 @@ class SpatialWorld:
                 is_explained=None if known is None else known.explains,
                 check_cancelled=check_cancelled,
             )
-            for picture, camera, spheres in zip(
-                view.pictures, view.cameras, _spheres(arm, view), strict=True
-            )
+            for picture, camera, spheres in zip(view.pictures, view.cameras, _spheres(arm, view), strict=True)
         ]
 
     def spheres_at(self, state: tuple[float, ...]) -> NDArray[np.float64]:

@@ -103,6 +103,20 @@ class JointSpace:
         near = np.all(turns | ~np.asarray(self.periodic), axis=-1)
         return np.asarray(self.contains(configurations) & near)
 
+    def narrowed(self, limits: Sequence[Sequence[float] | None]) -> "JointSpace":
+        """The space whose joints keep to ranges (low, high) rad; None leaves one as it is.
+
+        A circle with a range is none any more: its angles are the numbers from low to high.
+        """
+        own = zip(self.lower, self.upper, limits, strict=True)
+        ends = [(low, high) if given is None else (given[0], given[1]) for low, high, given in own]
+        circles = zip(self.periodic, limits, strict=True)
+        return JointSpace(
+            tuple(float(low) for low, _ in ends),
+            tuple(float(high) for _, high in ends),
+            tuple(wraps and given is None for wraps, given in circles),
+        )
+
     def holds(self, configurations: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
         """Which values of (..., d) lie in their joint's range, circles in [-pi, pi).
 
@@ -434,8 +448,8 @@ class PlanOptions(Protocol):
         """(d,) rad."""
 
     @property
-    def goal(self) -> Sequence[float]:
-        """(d,) rad."""
+    def goal(self) -> Sequence[float] | None:
+        """(d,) rad; None where the goal is a pose of the tool."""
 
     @property
     def seed(self) -> int:
@@ -465,6 +479,22 @@ class PlanOptions(Protocol):
     def alternatives(self) -> bool:
         """Whether all paths of sufficient confidence are wanted."""
 
+    @property
+    def goal_pose(self) -> Mapping[str, Any] | None:
+        """Pose of the tool at the goal."""
+
+    @property
+    def limits(self) -> Sequence[Sequence[float] | None] | None:
+        """Narrower limits of the joints."""
+
+    @property
+    def upright(self) -> Mapping[str, Any] | None:
+        """An axis of the tool that stays near a direction."""
+
+    @property
+    def unwrapped(self) -> bool:
+        """Whether circles go on beyond [-pi, pi) along the path."""
+
 
 @dataclass(frozen=True, slots=True)
 class PlanQuery:
@@ -472,7 +502,7 @@ class PlanQuery:
 
     Args:
         start: (d,) rad.
-        goal: (d,) rad.
+        goal: (d,) rad; None where ``goal_pose`` says where the path ends.
         seed: of all draws, unsigned 64 bit.
         min_confidence: below which no path is returned, 0 to 1; None for the server's own.
         time_limit_s: for the search; None for the server's own.
@@ -481,10 +511,15 @@ class PlanQuery:
         views: cameras to choose it from, as plain values; none for some about the uncertain places.
         alternatives: whether all paths of sufficient confidence are wanted, for those who can check them.
         explain: whether an answer without a path says what is in the way.
+        goal_pose: of the tool in the robot's base, as plain values: ``pose``, 4 x 4 or ``translation`` with
+            ``quaternion_xyzw``, and where wanted ``tolerance_m``, ``tolerance_rad`` and ``free_z_rotation``.
+        limits: for each joint low and high, rad, that the path keeps to, or None for the joint's own.
+        upright: ``axis`` of the tool that the path keeps within ``max_rad`` of ``up`` in the base frame.
+        unwrapped: whether circles go on beyond [-pi, pi) along the path, from the start as it is given.
     """
 
     start: Sequence[float]
-    goal: Sequence[float]
+    goal: Sequence[float] | None = None
     seed: int = 0
     min_confidence: float | None = None
     time_limit_s: float | None = None
@@ -493,6 +528,10 @@ class PlanQuery:
     views: Sequence[Mapping[str, Any]] = ()
     alternatives: bool = False
     explain: bool = False
+    goal_pose: Mapping[str, Any] | None = None
+    limits: Sequence[Sequence[float] | None] | None = None
+    upright: Mapping[str, Any] | None = None
+    unwrapped: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

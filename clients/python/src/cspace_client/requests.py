@@ -313,7 +313,7 @@ class PlanQuestion(Question[FoundPlan]):
     def own_fields(self) -> dict[str, Any]:
         """All of the query; of what older servers do not know, what is not taken for granted."""
         query = self.query
-        names = "next_view", "alternatives", "explain"
+        names = "next_view", "alternatives", "explain", "unwrapped"
         flags = {name: getattr(query, name, False) for name in names}
         fields: dict[str, Any] = {name: "true" for name, wanted in flags.items() if wanted}
         if query.views:
@@ -324,9 +324,13 @@ class PlanQuestion(Question[FoundPlan]):
             fields["ways"] = str(query.ways)
         if query.min_confidence is not None:
             fields["min_confidence"] = repr(float(query.min_confidence))
+        if query.goal is not None:
+            fields["goal"] = json.dumps(configuration("goal", query.goal))
+        constraints = {"goal_pose": query.goal_pose, "limits": query.limits, "upright": query.upright}
+        given = {name: value for name, value in constraints.items() if value is not None}
+        fields |= {name: _json(name, value) for name, value in given.items()}
         return fields | {
             "start": json.dumps(configuration("start", query.start)),
-            "goal": json.dumps(configuration("goal", query.goal)),
             "seed": str(query.seed),
         }
 
@@ -361,11 +365,27 @@ class PlanReading:
         scenario = answer.inner("scenario")
         novelty = scenario.number("novelty", 1.0) if scenario.has_required("novelty") else None
         plan = _plan(answer, space)
-        _require_fit(plan, query, space)
+        limits = query.limits
+        _require_fit(plan, query, space if limits is None else space.narrowed(limits))
         reason = printable(answer.text("reason")) if answer.has_required("reason") else None
         warnings = warnings_of(answer) if answer.has("warnings") else ()
         head = replace(head, space=space, novelty=novelty, warnings=warnings)
         return FoundPlan(plan, reason, seed, head, round_trip_s)
+
+
+def _json(name: str, value: object) -> str:
+    """Plain values, and arrays and NumPy's numbers among them, as JSON.
+
+    Raises:
+        SamplerError: they are none, or not finite.
+    """
+    try:
+        plain = dict(value) if isinstance(value, Mapping) else value
+        return json.dumps(plain, default=lambda one: np.asarray(one, np.float64).tolist(), allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise SamplerError(
+            f"{name} is wrong", expected="finite numbers, lists and mappings", got=str(error)[:200]
+        ) from error
 
 
 def _head(question: Question[Any], model: Members) -> ModelHead:
@@ -518,12 +538,21 @@ def _require_path(found: Plan | AlternativePath, query: PlanOptions, space: Join
         raise unusable(
             "has a lower confidence than requested", str(query.min_confidence), str(found.confidence)
         )
-    if not space.holds(found.path).all():
+    path = found.path
+    if query.unwrapped:
+        jumps = np.abs(np.diff(path, axis=0)) > np.pi + _SAME_RAD
+        if (jumps & np.asarray(space.periodic)).any():
+            raise unusable("has a path that jumps", "circles unwrapped", "more than half a turn at once")
+        path = space.wrap(path)
+    if not space.holds(path).all():
         ends = f"from {space.lower} to {space.upper}"
         raise unusable("leaves the joints' limits", ends[:200], "others")
-    ends_rad = [np.asarray(end, dtype=np.float64) for end in (query.start, query.goal)]
+    # Where the goal is a pose, the server chose the configuration.
+    wanted = [end for end in (query.start, query.goal) if end is not None]
+    ends_rad = [np.asarray(end, dtype=np.float64) for end in wanted]
     if (
         any(end.shape != (space.dim,) for end in ends_rad)
-        or (space.distance(ends_rad, found.path[[0, -1]]) > _SAME_RAD).any()
+        or (space.distance(ends_rad, path[[0, -1]][: len(ends_rad)]) > _SAME_RAD).any()
+        or (query.unwrapped and np.abs(found.path[0] - ends_rad[0]).max() > _SAME_RAD)
     ):
         raise unusable("leads elsewhere", "a path from start to goal", "other ends")
