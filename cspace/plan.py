@@ -262,7 +262,7 @@ def _constrained(
     if query.goal_pose is not None:
         goals = goals[checkers[-1].valid_batch(goals)]
         if not len(goals):
-            reason = "each configuration found for goal_pose touches the robot itself, a known body or what is seen"
+            reason = "each configuration found for goal_pose touches the robot, a known body or what is seen"
             return checkers, goals, reason
         nearest = np.argsort(space.distance(ends[0], goals), kind="stable")
         goals = goals[nearest[:MAX_GOALS]]
