@@ -493,8 +493,14 @@ def _contact(one: Members) -> Contact:
     place = one.row("position_m")
     if len(place) != 3:
         raise unusable("has a contact at no place", "three numbers", str(len(place)))
-    texts = [printable(one.text(name)) for name in ("kind", "link", "other", "text")]
-    return Contact(*texts[:3], (place[0], place[1], place[2]), one.number("depth_m"), texts[3])
+    return Contact(
+        kind=printable(one.text("kind")),
+        link=printable(one.text("link")),
+        other=printable(one.text("other")),
+        position_m=(place[0], place[1], place[2]),
+        depth_m=one.number("depth_m"),
+        text=printable(one.text("text")),
+    )
 
 
 def _least(least: Members, space: JointSpace) -> LeastConfidence:
