@@ -15,7 +15,7 @@ from cspace.worlds.spatial.poses import MAX_OFFSET_M, SAME, Frame, Offset, moved
 
 _UNIT = 1e-9
 # The name of its frame.
-_TOOL = "tool"
+TOOL = "tool"
 Sphere = tuple[Offset, Offset, Offset, Annotated[float, Field(gt=0.0, le=MAX_OFFSET_M)]]
 _Name = Annotated[str, Field(min_length=1)]
 
@@ -218,12 +218,21 @@ class SerialArm(Record):
         return np.asarray(self.link_frames(configurations)[:, -1] @ self.tool.matrix())
 
     def frame_of(self, name: str, configuration: ArrayLike) -> NDArray[np.float64]:
-        """Forward kinematics: (d,) rad to a named frame in the base's, (4, 4), m.
+        """Forward kinematics: (d,) rad to a frame that :meth:`named_frame` knows in the base's, (4, 4), m.
+
+        Raises:
+            ScenarioError: there is no such frame.
+        """
+        link, frame = self.named_frame(name)
+        row = np.asarray(configuration, dtype=np.float64)
+        return np.asarray(self.link_frames(row[None])[0, link] @ frame)
+
+    def named_frame(self, name: str) -> tuple[int, NDArray[np.float64]]:
+        """The number of the link that a named frame is fixed to, and the frame in that link's, (4, 4) m.
 
         Args:
             name: of a joint, for the link that it moves; of a link, which is that of the first part that is
                 fixed to it; or ``tool``. The frames of further parts are not known.
-            configuration: of the arm.
 
         Raises:
             ScenarioError: there is no such frame.
@@ -233,9 +242,9 @@ class SerialArm(Record):
         first = {link: name for name, link in reversed(fixed.items())}
         links |= {name: link for link, name in sorted(first.items())}
         if name in links:
-            return np.asarray(self.link_frames([configuration])[0, links[name]])
-        if name == _TOOL:
-            return np.asarray(self.tool_frames([configuration])[0])
+            return links[name], np.eye(4)
+        if name == TOOL:
+            return self.dim, self.tool.matrix()
         remedy = "give the pose of what stands still in the base, without a link"
         if name in fixed:
             moving = [one for one, link in links.items() if link == fixed[name]][-1]
@@ -244,7 +253,7 @@ class SerialArm(Record):
             )
         raise ScenarioError(
             f"the robot {self.name} has no such link",
-            expected=f"one of {', '.join((*links, _TOOL))}",
+            expected=f"one of {', '.join((*links, TOOL))}",
             got=repr(name)[:100],
             remedy=remedy,
         )

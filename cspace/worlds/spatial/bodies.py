@@ -4,7 +4,7 @@ A mesh is looked up in a tree of bounding boxes; a closed one is solid, an open 
 Source of the point's distance to a triangle: Ericson, Real-Time Collision Detection (2005), section 5.1.5.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,7 +69,7 @@ def body_arrays(
     centres += [((low + high) / 2.0)[None] for low, high in rounds]
     reaches = [boxes[:, -1], cylinders[:, -1], spheres[:, 3]]
     reaches += [np.array([np.linalg.norm(high - low) / 2.0]) for low, high in rounds]
-    nodes: list[tuple[NDArray[np.float64], NDArray[np.float64], int, int, int]] = []
+    nodes: list[tuple[Any, ...]] = []
     ordered: list[NDArray[np.float64]] = [np.empty((0, 3, 3))]
     roots = []
     for mesh in meshes:
@@ -96,7 +96,7 @@ def body_arrays(
     )
 
 
-def _add_nodes(mesh: NDArray[np.float64], nodes: list[tuple[object, ...]], first: int) -> NDArray[np.int64]:  # type: ignore[type-arg]
+def _add_nodes(mesh: NDArray[np.float64], nodes: list[tuple[Any, ...]], first: int) -> NDArray[np.int64]:
     """Add the nodes of a mesh's tree; the order of its triangles, the first of which has a number."""
     lows, highs = mesh.min(axis=1), mesh.max(axis=1)
     middles = (lows + highs) / 2.0

@@ -15,12 +15,12 @@ from pydantic import Field, ValidationError
 
 from cspace.errors import InputError
 from cspace.strict_json import Record, adapter_of, parse_json, refused, validated
+from cspace.worlds.spatial.arm import TOOL
 from cspace.worlds.spatial.poses import HERE, MAX_PLACE_M, Pose, check_pose, quaternion_pose
 
 MAX_BODIES, MAX_ATTACHED, MAX_IGNORED, MAX_PAIRS = 500, 16, 64, 1000
 MAX_TRIANGLES, MAX_MESHES = 20_000, 32
 MAX_BYTES = 8 * 2**20
-TOOL = "tool"
 _Size = Annotated[float, Field(gt=0.0, le=MAX_PLACE_M)]
 _Number = Annotated[float, Field(ge=-MAX_PLACE_M, le=MAX_PLACE_M)]
 _Name = Annotated[str, Field(min_length=1, max_length=100)]
@@ -124,7 +124,7 @@ class Attached(Body):
     """A body that moves with the arm.
 
     Args:
-        link: a part of the arm, or ``tool``; the pose is in its frame.
+        link: as :meth:`cspace.worlds.spatial.arm.SerialArm.named_frame` has it; the pose is in its frame.
         touch_links: parts that it may touch, beside those that move with it.
     """
 

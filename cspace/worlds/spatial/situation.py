@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cspace.errors import InputError
 from cspace.world import Contact
-from cspace.worlds.spatial.arm import MAX_SPHERES, Part, SerialArm
+from cspace.worlds.spatial.arm import MAX_SPHERES, TOOL, Part, SerialArm
 from cspace.worlds.spatial.bodies import (
     BodyArrays,
     add_bodies,
@@ -24,7 +24,7 @@ from cspace.worlds.spatial.bodies import (
 from cspace.worlds.spatial.checks import KERNELS, scene_arrays
 from cspace.worlds.spatial.kinematics import arm_arrays
 from cspace.worlds.spatial.obstacles import Obstacles
-from cspace.worlds.spatial.planning_scene import TOOL, Attached, Body, BoxShape, PlanningScene
+from cspace.worlds.spatial.planning_scene import Attached, Body, BoxShape, PlanningScene
 from cspace.worlds.spatial.poses import HERE, moved
 from cspace.worlds.spatial.sensor import FREE, NO_READING, OUT_OF_VIEW, GridBox
 from cspace.worlds.spatial.visibility import SLACK_M, lookup
@@ -49,6 +49,7 @@ class Situation:
 
     Raises:
         InputError: a name stands for nothing, two names are one, or what is attached has too many spheres.
+        ScenarioError: what is attached is on a link whose frame is not known.
     """
 
     def __init__(self, arm: SerialArm, known: PlanningScene) -> None:
@@ -161,23 +162,21 @@ class Situation:
             raise InputError(
                 "a body has a part's name", expected="a name of its own", got=", ".join(both)[:200]
             )
-        links = {name for one in self.known.attached for name in (one.link, *one.touch_links)} - {TOOL}
+        links = {name for one in self.known.attached for name in one.touch_links}
         names = {name for pair in self.known.allowed for name in pair} - bodies
         if unknown := sorted((links | names) - parts):
             raise InputError(
                 "a link or body is unknown",
-                expected=f"{', '.join(sorted(parts | {TOOL}))}; for `allowed` also names of bodies"[:1000],
+                expected=f"{', '.join(sorted(parts))}; for `allowed` also names of bodies"[:1000],
                 got=", ".join(unknown)[:200],
             )
 
     def _holding(self, arm: SerialArm, meshes: Mapping[str, NDArray[np.float64]]) -> SerialArm:
         """The arm with what is attached to it, and without the pairs that may touch."""
         allowed = {frozenset(pair) for pair in self.known.allowed}
-        links = {part.name: part.link for part in arm.parts}
         parts, touching = list(arm.parts), [pair for pair in arm.touching if frozenset(pair) not in allowed]
         for one in self.known.attached:
-            link = links.get(one.link, arm.dim)
-            frame = arm.tool.matrix() if one.link == TOOL else np.eye(4)
+            link, frame = arm.named_frame(one.link)
             spheres = cover(one, meshes)
             spheres[:, :3] = moved(frame @ one.matrix, spheres[:, :3])
             parts.append(Part(one.name, link, tuple(tuple(row) for row in spheres.tolist())))

@@ -213,7 +213,8 @@ def test_a_scene_that_is_none_is_refused_with_the_place(fields, words):
 @pytest.mark.parametrize(
     ("fields", "words"),
     [
-        ({"attached": [BALL | {"link": "elbow"}]}, "link or body is unknown.*panda_hand.*elbow"),
+        ({"attached": [BALL | {"link": "elbow"}]}, "no such link.*panda_link7.*elbow"),
+        ({"attached": [BALL | {"link": "panda_hand"}]}, "fixed to panda_link7"),
         ({"attached": [BALL | {"touch_links": ["x"]}]}, "link or body is unknown"),
         ({"allowed": [["table", "panda_hand"]]}, "link or body is unknown.*table"),
         ({"scene": [BALL | {"name": "panda_hand"}]}, "part's name"),
