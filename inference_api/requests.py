@@ -295,7 +295,7 @@ async def read_body(request: Request) -> Body:
         form = await parser.parse()
     except MultiPartException as error:
         raise _malformed(error.message) from error
-    parts, meshes = [], []
+    parts, meshes = list[tuple[str, bytes | str]](), list[tuple[str, str]]()
     for name, value in form.multi_items():
         if isinstance(value, str):
             parts.append((name, value))

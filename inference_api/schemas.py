@@ -9,7 +9,7 @@ import json
 import re
 import time
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import (
@@ -772,9 +772,8 @@ class ContactInfo(BaseModel):
         """As answers carry it."""
         if contact is None:
             return None
-        values = contact.kind, contact.link, contact.other, list(contact.position_m), contact.depth_m
-        names = "kind", "link", "other", "position_m", "depth_m"
-        return cls.model_construct(**dict(zip(names, values, strict=True)), text=contact.text)
+        values: dict[str, Any] = asdict(contact) | {"position_m": list(contact.position_m)}
+        return cls.model_construct(**values, text=contact.text)
 
 
 class ValidityAnswer(SceneAnswer):

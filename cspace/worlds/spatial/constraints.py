@@ -113,7 +113,8 @@ class ToolConstraints:
     def angles_rad(self, configurations: NDArray[np.float64]) -> NDArray[np.float64]:
         """See :class:`cspace.simulator.ToolConstraints`."""
         along = self._arm.link_frames(configurations)[:, -1, :3, :3] @ self._axis
-        return np.arctan2(np.linalg.norm(np.cross(along, self._up), axis=1), along @ self._up)
+        across = np.linalg.norm(np.cross(along, self._up), axis=1)
+        return np.asarray(np.arctan2(across, along @ self._up))
 
     def upright(self, checkers: Sequence[Checker], ends: NDArray[np.float64]) -> list[Checker]:
         """See :class:`cspace.simulator.ToolConstraints`."""
@@ -190,12 +191,14 @@ class _UprightChecker(Checker):
     def _turned(self, configuration: NDArray[np.float64]) -> NDArray[np.float64]:
         """Until the axis is well within its angle."""
         axis, up = self._row[:3], self._row[3:6]
-        return aligned(self._arm, configuration[None], axis, up, self._aligned_rad, self.space)[0]
+        turned = aligned(self._arm, configuration[None], axis, up, self._aligned_rad, self.space)
+        return np.asarray(turned[0])
 
 
 def _read(kind: type[Kind], values: Mapping[str, Any], what: str) -> Kind:
     try:
-        found: Kind = adapter_of(kind).validate_json(json.dumps(dict(values), default=repr), strict=True)
+        text = json.dumps(dict(values), default=repr)
+        found: Kind = adapter_of(kind).validate_json(text, strict=True)  # type: ignore[arg-type] # every class is hashable
     except ValidationError as problem:
         raise refused(problem, InputError, what) from problem
     return found

@@ -302,8 +302,8 @@ def _cells(
 
 def load_kernels(world: SpatialWorld) -> None:
     """Have the compiled code in this process."""
-    box = {"box": BoxShape((0.1, 0.1, 0.1))}
-    known = PlanningScene((Body("box", **box),), (Attached("held", **box),), ignore=(Body("free", **box),))
+    box = BoxShape((0.1, 0.1, 0.1))
+    known = PlanningScene((Body("box", box),), (Attached("held", box),), ignore=(Body("free", box),))
     made = Situation(world.body, known)
     made.explains(np.zeros((1, 3)))
     made.complete(np.zeros(world.sensor.picture_shape, dtype=np.uint8), world.sensor.grid)

@@ -193,7 +193,7 @@ class PlanModel:
             bundle, began = self.engine.within(world), time.perf_counter()
             plan = bundle.plan(bundle.prepare(world.read_picture(picture)), query)
             return plan, time.perf_counter() - began
-        if not self.space.contains([query.start, query.goal]).all():
+        if not self.space.contains(np.array([query.start, query.goal], dtype=np.float64)).all():
             return Plan("refused", np.empty((0, self.space.dim))), 0.0
         found = self.engine.plan(picture, query, self.spec.model)
         self.spec.check(found.model.digest)
