@@ -120,5 +120,5 @@ def test_wrong_bodies_are_refused_with_the_field(api):
     ):
         answer = ask(api, "/validity", configurations=ROWS.tolist(), **fields)
         assert words in json.dumps(assert_problem(answer, 422, "invalid-value"))
-    many = ask(api, "/validity", configurations=np.zeros((1001, 7)).tolist(), explain=True)
+    many = ask(api, "/validity", configurations=[VIEW.state] * 1001, explain=True)
     assert "1000" in assert_problem(many, 422, "invalid-value")["detail"]
