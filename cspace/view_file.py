@@ -22,6 +22,9 @@ from cspace.errors import ImageError, InputError
 from cspace.strict_json import LEFT_OUT, parse_json, read_object, validated
 
 MAX_PICTURES = 4
+# Of what is known beside pictures.
+MAX_BODIES, MAX_ATTACHED, MAX_IGNORED, MAX_PAIRS = 500, 16, 64, 1000
+MAX_TRIANGLES, MAX_MESHES = 20_000, 32
 _MAGIC = b"cspace-view 1 "
 _MAX_LINE_BYTES = 16_384
 _STAMP = "stamp_s"

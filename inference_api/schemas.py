@@ -36,17 +36,22 @@ from cspace.query import (
     random_seed,
 )
 from cspace.strict_json import LEFT_OUT
-from cspace.view_file import MAX_PICTURES, check_ages, is_view, pack_view, unstamped, without_stamps
-from cspace.world import Contact, Finding
-from cspace.worlds.spatial.planning_scene import (
+from cspace.view_file import (
     MAX_ATTACHED,
     MAX_BODIES,
     MAX_IGNORED,
     MAX_MESHES,
     MAX_PAIRS,
+    MAX_PICTURES,
     MAX_TRIANGLES,
-    read_planning_scene,
+    check_ages,
+    is_view,
+    pack_view,
+    unstamped,
+    without_stamps,
 )
+from cspace.world import Contact, Finding
+from cspace.worlds import check_known
 from inference_api.models.served import ServedModel
 from inference_api.problem_types import FieldProblem, FieldsError, brief
 from services.registry.ports import ModelReference
@@ -437,7 +442,7 @@ class SceneFields(ModelFields):
         if not self.has_known:
             return None
         text = json.dumps({name: getattr(self, name) for name in _KNOWN}).encode()
-        read_planning_scene(text)
+        check_known(text)
         return text
 
     def picture(self) -> bytes:

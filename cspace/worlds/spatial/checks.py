@@ -1,6 +1,6 @@
 """Collision checks of a serial arm by its spheres: kernels, and the checkers of scenes and of pictures."""
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,9 +34,6 @@ from cspace.worlds.spatial.obstacles import Obstacles
 from cspace.worlds.spatial.poses import moved
 from cspace.worlds.spatial.visibility import distances_m
 from cspace.worlds.spatial.world import SpatialWorld
-
-if TYPE_CHECKING:
-    from cspace.worlds.spatial.situation import Situation
 
 
 class SceneArrays(NamedTuple):
@@ -261,11 +258,12 @@ def seen_checkers(
     ends: NDArray[np.float64],
     obstacles: Obstacles = _NO_OBSTACLES,
     *,
-    known: "Situation | None" = None,
+    known: Any = None,
 ) -> list[CollisionChecker]:
     """See :func:`cspace.worlds.seen_checkers`; distances are those of the picture's voxels.
 
-    Obstacles are known to stand there, too, whatever the picture shows.
+    Obstacles are known to stand there, too, whatever the picture shows. What else is known is a
+    :class:`cspace.worlds.spatial.situation.Situation`.
     """
     arm, bodies = (world.body, NO_BODIES) if known is None else (known.arm, known.bodies)
     grid = world.sensor.grid

@@ -15,11 +15,17 @@ from pydantic import Field, ValidationError
 
 from cspace.errors import InputError
 from cspace.strict_json import Record, adapter_of, parse_json, refused, validated
+from cspace.view_file import (
+    MAX_ATTACHED,
+    MAX_BODIES,
+    MAX_IGNORED,
+    MAX_MESHES,
+    MAX_PAIRS,
+    MAX_TRIANGLES,
+)
 from cspace.worlds.spatial.arm import TOOL
 from cspace.worlds.spatial.poses import HERE, MAX_PLACE_M, Pose, check_pose, quaternion_pose
 
-MAX_BODIES, MAX_ATTACHED, MAX_IGNORED, MAX_PAIRS = 500, 16, 64, 1000
-MAX_TRIANGLES, MAX_MESHES = 20_000, 32
 MAX_BYTES = 8 * 2**20
 _Size = Annotated[float, Field(gt=0.0, le=MAX_PLACE_M)]
 _Number = Annotated[float, Field(ge=-MAX_PLACE_M, le=MAX_PLACE_M)]

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -52,9 +52,6 @@ from cspace.worlds.spatial.view import (
     write_view,
 )
 from cspace.worlds.spatial.visibility import fused, observe_one
-
-if TYPE_CHECKING:
-    from cspace.worlds.spatial.situation import Situation
 
 KIND = "spatial"
 _ROBOTS = Path(__file__).with_name("robots")
@@ -174,14 +171,14 @@ class SpatialWorld:
         findings = diagnose(self.body, self.sensor, view, single, image)
         return Examined(image[None], findings, None in view.states, known)
 
-    def situation(self, known: PlanningScene) -> "Situation":
-        """What is known, for this arm.
+    def situation(self, known: PlanningScene) -> Any:
+        """What is known, for this arm, as a :class:`cspace.worlds.spatial.situation.Situation`.
 
         Raises:
             InputError: it does not fit the arm, or the compiler of the checks is not installed.
         """
         try:
-            made = import_module("cspace.worlds.spatial.situation").Situation(self.body, known)
+            return import_module("cspace.worlds.spatial.situation").Situation(self.body, known)
         except ImportError as error:
             raise InputError(
                 "known bodies cannot be checked here",
@@ -189,14 +186,13 @@ class SpatialWorld:
                 got=f"no {error.name}",
                 remedy="pip install -c constraints.txt '.[plan]'",
             ) from error
-        return cast("Situation", made)
 
     def contact(
         self, configuration: NDArray[np.floating], image: NDArray[np.uint8], known: Known | None
     ) -> Contact | None:
         """See :meth:`cspace.world.World.contact`."""
-        found = self.situation(PlanningScene()) if known is None else cast("Situation", known)
-        return found.contact(configuration, image, self.sensor.grid)
+        found: Any = self.situation(PlanningScene()) if known is None else known
+        return cast("Contact | None", found.contact(configuration, image, self.sensor.grid))
 
     def diagnosis(self, data: bytes, check_cancelled: CheckCancelled | None = None) -> Diagnosis:
         """See :func:`cspace.worlds.spatial.doctor.diagnosed`."""
@@ -212,7 +208,7 @@ class SpatialWorld:
         return diagnosed(self.body, self.sensor, view, spheres, cheap, check_cancelled or (lambda: None))
 
     def _each(
-        self, view: DepthView, check_cancelled: CheckCancelled | None, known: "Situation | None" = None
+        self, view: DepthView, check_cancelled: CheckCancelled | None, known: Any = None
     ) -> list[NDArray[np.uint8]]:
         """What each picture of a view says alone."""
         arm = self.body if known is None else known.arm

@@ -2,8 +2,8 @@
 
 ``python -m tests.training.robots.description_fuzz KIND FIRST_SEED COUNT`` tries so many mutants of a kind of
 :data:`MUTANTS` and prints what came of them. Each may take 2 s and 500 MB, xacro 6.5 s, and no file outside
-its folder is opened or quoted. Where Pinocchio reads a description too, the arm's joints, limits and places are
-the same.
+its folder is opened or quoted. Where Pinocchio reads a description too, the arm's joints, limits and places
+are the same.
 """
 
 import os

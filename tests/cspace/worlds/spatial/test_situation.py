@@ -11,12 +11,12 @@ import trimesh
 
 from cspace.errors import InputError
 from cspace.simulator import ProblemRequest, Split
-from cspace.view_file import pack_view, unpack_view
+from cspace.view_file import MAX_TRIANGLES, pack_view, unpack_view
 from cspace.worlds import examples, partly_seen
 from cspace.worlds.spatial.arm import ready_rad
 from cspace.worlds.spatial.bodies import points_to_bodies
 from cspace.worlds.spatial.checks import CollisionChecker
-from cspace.worlds.spatial.planning_scene import MAX_TRIANGLES, PlanningScene, read_planning_scene, read_stl
+from cspace.worlds.spatial.planning_scene import PlanningScene, read_planning_scene, read_stl
 from cspace.worlds.spatial.sensor import FREE
 from cspace.worlds.spatial.situation import Situation, bodies_of, cover
 from cspace.worlds.spatial.view import write_view
