@@ -150,5 +150,5 @@ def test_what_does_not_fit_is_refused():
         with pytest.raises(ScenarioError, match="path does not fit"):
             checker.shortened(path, rng, 10, resolution)
     for wrong in ({"tries": -1}, {"final_rad": 0.0}, {"range_rad": float("nan")}):
-        with pytest.raises(ScenarioError, match="limits of a search"):
+        with pytest.raises(ScenarioError, match="limits of a path search"):
             PathLimits(**wrong)
