@@ -95,8 +95,8 @@ class Truth:
         tool = arm.tool.matrix() @ np.asarray(held["pose"])
         self._add("held", last, tool, held, meshes)
         own = self._geometry.ngeoms - 1
-        for at in moving:
-            if names[at] not in HAND and links[names[at]] < arm.dim:
+        for at, name in enumerate(names):
+            if name not in HAND and links.get(name, arm.dim) < arm.dim:
                 self._geometry.addCollisionPair(pinocchio.CollisionPair(at, own))
         for number, one in enumerate(values["scene"]):
             self._add(f"body {number}", 0, np.asarray(one["pose"]), one, meshes)

@@ -277,16 +277,21 @@ def _is_met(x, y, z, corners):  # type: ignore[no-untyped-def]
 def bodies_hit(bodies, arm, centres, bounds):  # type: ignore[no-untyped-def]
     """Whether a sphere of the arm touches a body that its part may not touch."""
     for number in range(bodies.centres.shape[0]):
+        # Most pairs are told apart by the spheres round them.
+        u, v, w = bodies.centres[number, 0], bodies.centres[number, 1], bodies.centres[number, 2]
+        round_body = bodies.reaches[number]
         for part in range(bounds.shape[0]):
-            reach, at = arm.bound_radii[part], bounds[part]
-            if (
-                bodies.exempt[part, number]
-                or body_distance(at[0], at[1], at[2], number, bodies, reach) > reach
-            ):
+            x, y, z = bounds[part, 0], bounds[part, 1], bounds[part, 2]
+            reach = arm.bound_radii[part]
+            if (x - u) ** 2 + (y - v) ** 2 + (z - w) ** 2 > (reach + round_body) ** 2:
+                continue
+            if bodies.exempt[part, number] or body_distance(x, y, z, number, bodies, reach) > reach:
                 continue
             for index in range(arm.ranges[part, 0], arm.ranges[part, 1]):
-                radius, at = arm.radii[index], centres[index]
-                if body_distance(at[0], at[1], at[2], number, bodies, radius) <= radius:
+                x, y, z, radius = centres[index, 0], centres[index, 1], centres[index, 2], arm.radii[index]
+                if (x - u) ** 2 + (y - v) ** 2 + (z - w) ** 2 > (radius + round_body) ** 2:
+                    continue
+                if body_distance(x, y, z, number, bodies, radius) <= radius:
                     return True
     return False
 

@@ -267,6 +267,8 @@ def seen_checkers(
     """
     arm, bodies = (world.body, NO_BODIES) if known is None else (known.arm, known.bodies)
     grid = world.sensor.grid
+    if known is not None and known.seen is not None:
+        picture = known.seen
     arrays = arm_arrays(arm)
     moving = arrays.links > 0
     centres = sphere_centres_batch(np.ascontiguousarray(ends, dtype=np.float64), arrays)[:, moving]

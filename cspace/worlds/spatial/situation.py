@@ -33,10 +33,12 @@ from cspace.worlds.spatial.world import SpatialWorld
 # The base stands where it stands.
 _STILL = 0
 # Spheres that cover an attached body, most; the least side of the cells that they are about.
-_MOST_SPHERES, _CELL_M, _COARSER = 256, 0.008, 1.2
+_MOST_SPHERES, _CELL_M, _COARSER = 1024, 0.005, 1.1
+# So deep a body may touch others, for less of its spheres to stick out.
+_BARE_M = 0.003
 # A cell is looked at in so many parts along each side.
-_PARTS = 4
-_MOST_CELLS = 20_000
+_PARTS = 6
+_MOST_CELLS = 100_000
 _UNSEEN = {NO_READING: "unread", OUT_OF_VIEW: "out of view"}
 
 
@@ -47,13 +49,17 @@ class Situation:
         arm: with its spheres.
         known: what is known.
 
+    Attributes:
+        seen: (X, Y, Z, 2), what pictures show beside that; None before :meth:`complete`.
+
     Raises:
-        InputError: a name stands for nothing, two names are one, or what is attached has too many spheres.
+        InputError: a name stands for nothing, or two names are one.
         ScenarioError: what is attached is on a link whose frame is not known.
     """
 
     def __init__(self, arm: SerialArm, known: PlanningScene) -> None:
         self.known = known
+        self.seen: NDArray[np.uint8] | None = None
         meshes = known.corners_m()
         self.bodies = bodies_of(known.scene, meshes)
         self.ignored = bodies_of(known.ignore, meshes)
@@ -87,9 +93,13 @@ class Situation:
         return np.asarray(near | (points_to_bodies(points, self.ignored, 0.0) <= 0.0))
 
     def complete(self, image: NDArray[np.uint8], grid: GridBox) -> None:
-        """Write what is known, in place, into what pictures show, (X, Y, Z, 2)."""
+        """Write what is known, in place, into what pictures show, (X, Y, Z, 2).
+
+        Searches go by :attr:`seen`, without the known bodies, which they check exactly.
+        """
         low = np.asarray(grid.low_m)
         clear_bodies(image, low, grid.voxel_m, self.ignored, FREE)
+        self.seen = image.copy()
         add_bodies(image, low, grid.voxel_m, self.bodies)
 
     def contact(
@@ -175,9 +185,10 @@ class Situation:
         """The arm with what is attached to it, and without the pairs that may touch."""
         allowed = {frozenset(pair) for pair in self.known.allowed}
         parts, touching = list(arm.parts), [pair for pair in arm.touching if frozenset(pair) not in allowed]
+        left = MAX_SPHERES - arm.sphere_count
         for one in self.known.attached:
             link, frame = arm.named_frame(one.link)
-            spheres = cover(one, meshes)
+            spheres = cover(one, meshes, min(_MOST_SPHERES, left // len(self.known.attached)))
             spheres[:, :3] = moved(frame @ one.matrix, spheres[:, :3])
             parts.append(Part(one.name, link, tuple(tuple(row) for row in spheres.tolist())))
             may_touch = set(one.touch_links) | {name for pair in allowed if one.name in pair for name in pair}
@@ -186,13 +197,6 @@ class Situation:
                 for part in parts[:-1]
                 if part.link != link and part.name not in may_touch
             ]
-        if (count := sum(len(part.spheres_m) for part in parts)) > MAX_SPHERES:
-            raise InputError(
-                "the attached bodies are covered by too many spheres",
-                expected=f"at most {MAX_SPHERES} with the arm's",
-                got=str(count),
-                remedy="attach fewer bodies, or simpler ones",
-            )
         return replace(arm, parts=tuple(parts), touching=tuple(touching))
 
     def _exempt(self) -> NDArray[np.bool_]:
@@ -241,8 +245,10 @@ def bodies_of(bodies: Iterable[Body], meshes: Mapping[str, NDArray[np.float64]])
     )
 
 
-def cover(body: Body, meshes: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Spheres (S, 4) in a body's own frame, at most 256, that cover its surface and what lies near it.
+def cover(
+    body: Body, meshes: Mapping[str, NDArray[np.float64]], most: int = _MOST_SPHERES
+) -> NDArray[np.float64]:
+    """Spheres (S, 4) in a body's own frame, at most so many, that cover it near its surface, to 3 mm.
 
     Each is about that part of the body that is in one cell of a grid over it; cells inside are left out.
     """
@@ -252,8 +258,8 @@ def cover(body: Body, meshes: Mapping[str, NDArray[np.float64]]) -> NDArray[np.f
     low, high = _bounds(body, meshes)
     x, y, z = high - low
     # Not far below the side at which so many squares cover the box round the body.
-    cell_m = max(_CELL_M, 0.8 * float(np.sqrt(2.0 * (x * y + y * z + z * x) / _MOST_SPHERES)))
-    while len(found := _cells(own, low, high, cell_m)) > _MOST_SPHERES:
+    cell_m = max(_CELL_M, 0.7 * float(np.sqrt(2.0 * (x * y + y * z + z * x) / most)))
+    while len(found := _cells(own, low, high, cell_m, most)) > most:
         cell_m *= _COARSER
     return found
 
@@ -275,29 +281,31 @@ def _bounds(
 
 
 def _cells(
-    own: BodyArrays, low: NDArray[np.float64], high: NDArray[np.float64], cell_m: float
+    own: BodyArrays, low: NDArray[np.float64], high: NDArray[np.float64], cell_m: float, most: int
 ) -> NDArray[np.float64]:
     """Spheres (S, 4), one for each cell of about such a side that the body's surface is near to."""
     counts = np.maximum(np.ceil((high - low) / cell_m), 1).astype(np.int64)
     if counts.prod() > _MOST_CELLS:
         # Too many to be looked at are too many to be spheres.
-        return np.empty((_MOST_SPHERES + 1, 4))
+        return np.empty((most + 1, 4))
     side = np.maximum(high - low, 1e-6) / counts
     index = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, 3)
-    parts = (
-        np.stack(np.meshgrid(*[np.arange(_PARTS)] * 3, indexing="ij"), axis=-1).reshape(-1, 3) + 0.5
-    ) / _PARTS
-    points = low + (index[:, None] + parts) * side
-    reach = float(np.linalg.norm(side / _PARTS)) / 2.0
-    away = points_to_bodies(points.reshape(-1, 3), own, 2.0 * reach).reshape(points.shape[:2])
-    held = away <= reach
-    near = held.any(axis=1) & (away.max(axis=1) > -2.0 * side.max())
-    points, held = points[near], held[near][..., None]
+    half = float(np.linalg.norm(side)) / 2.0
+    away = points_to_bodies(low + (index + 0.5) * side, own, half)
+    # Deep inside nothing comes but through the surface.
+    index = index[(away <= half) & (away > -half - side.max())]
+    if len(index) > most:
+        return np.empty((len(index), 4))
+    parts = np.stack(np.meshgrid(*[np.arange(_PARTS)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    points = low + (index[:, None] + (parts + 0.5) / _PARTS) * side
+    reach = half / _PARTS
+    held = points_to_bodies(points.reshape(-1, 3), own, 2.0 * reach).reshape(points.shape[:2]) <= reach
+    points, held = points[held.any(axis=1)], held[held.any(axis=1)][..., None]
     first = np.where(held, points, np.inf).min(axis=1)
     last = np.where(held, points, -np.inf).max(axis=1)
     middle = (first + last) / 2.0
     radius = np.where(held[..., 0], np.linalg.norm(points - middle[:, None], axis=2), 0.0).max(axis=1) + reach
-    return np.column_stack([middle, radius])
+    return np.column_stack([middle, np.maximum(radius - _BARE_M, radius / 2.0)])
 
 
 def load_kernels(world: SpatialWorld) -> None:
