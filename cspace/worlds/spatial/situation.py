@@ -292,6 +292,8 @@ def _cells(
     index = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, 3)
     half = float(np.linalg.norm(side)) / 2.0
     away = points_to_bodies(low + (index + 0.5) * side, own, half)
+    # Of thin bodies less is left bare.
+    bare_m = min(_BARE_M, max(0.0, -float(away.min())) / 2.0)
     # Deep inside nothing comes but through the surface.
     index = index[(away <= half) & (away > -half - side.max())]
     if len(index) > most:
@@ -299,13 +301,14 @@ def _cells(
     parts = np.stack(np.meshgrid(*[np.arange(_PARTS)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     points = low + (index[:, None] + (parts + 0.5) / _PARTS) * side
     reach = half / _PARTS
-    held = points_to_bodies(points.reshape(-1, 3), own, 2.0 * reach).reshape(points.shape[:2]) <= reach
+    away = points_to_bodies(points.reshape(-1, 3), own, 2.0 * reach).reshape(points.shape[:2])
+    held = away <= reach - bare_m
     points, held = points[held.any(axis=1)], held[held.any(axis=1)][..., None]
     first = np.where(held, points, np.inf).min(axis=1)
     last = np.where(held, points, -np.inf).max(axis=1)
     middle = (first + last) / 2.0
     radius = np.where(held[..., 0], np.linalg.norm(points - middle[:, None], axis=2), 0.0).max(axis=1) + reach
-    return np.column_stack([middle, np.maximum(radius - _BARE_M, radius / 2.0)])
+    return np.column_stack([middle, radius])
 
 
 def load_kernels(world: SpatialWorld) -> None:
