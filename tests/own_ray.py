@@ -21,5 +21,5 @@ def run_alone(uri: str, data: Path, *command: str) -> subprocess.CompletedProces
         "OMP_NUM_THREADS": "1",
     }
     return subprocess.run(
-        [sys.executable, *command], env=environment, capture_output=True, text=True, check=False, timeout=300
+        [sys.executable, *command], env=environment, capture_output=True, text=True, check=False, timeout=600
     )
