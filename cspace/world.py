@@ -153,6 +153,10 @@ class Known(Protocol):
     def free(self, configurations: NDArray[np.floating]) -> NDArray[np.bool_]:
         """Which of (N, d) rad touch nothing that is known."""
 
+    @property
+    def size_bytes(self) -> int:
+        """Of what it holds, nearly."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Examined:

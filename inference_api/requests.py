@@ -306,6 +306,8 @@ async def read_body(request: Request) -> Body:
     await form.close()
     if not parser.ended:
         raise _malformed("a body without its last boundary")
+    if len(dict(meshes)) < len(meshes):
+        raise _malformed("two meshes of one file name")
     return Body(parts=tuple(parts), meshes=tuple(meshes))
 
 

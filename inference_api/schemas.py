@@ -401,8 +401,8 @@ class SceneFields(ModelFields):
     scene: _Scene = Field(
         (),
         description="For models of depth cameras: bodies that are known to stand in the base frame, checked "
-        "exactly, whatever the pictures show. Each has a `name`, one of `box`, `cylinder` (about its own z), "
-        "`sphere` or `mesh`, and `pose`, as of a camera; sizes in m.",
+        "by their shapes, whatever the pictures show. Each has a `name`, one of `box`, `cylinder` (about its "
+        "own z), `sphere` or `mesh`, and `pose`, as of a camera; sizes in m.",
     )
     attached: _Attached = Field(
         (),
@@ -424,8 +424,8 @@ class SceneFields(ModelFields):
         Expected(f"at most {MAX_MESHES} binary STL files in base64 by name"),
     ] = Field(
         {},
-        description=f"The files that `mesh` names: binary STL of at most {MAX_TRIANGLES} triangles, in "
-        "base64. In a form they are files, parts with the name `mesh` whose file names count.",
+        description=f"The files that `mesh` names: binary STL in base64, at most {MAX_TRIANGLES} triangles "
+        "in all bodies together. In a form they are files, parts with the name `mesh`, by their file names.",
     )
 
     @property

@@ -59,7 +59,8 @@ class Picture:
     @property
     def size_bytes(self) -> int:
         """Of what it holds, nearly, before the first use of its pixels."""
-        return self.image.nbytes + (0 if self.map is None else self.map.nbytes)
+        known = 0 if self.known is None else self.known.size_bytes
+        return self.image.nbytes + (0 if self.map is None else self.map.nbytes) + known
 
 
 @dataclass(frozen=True, slots=True, eq=False)

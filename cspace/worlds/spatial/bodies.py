@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cspace.kernel_cache import njit
 from cspace.worlds.spatial.distances import box_distance, cylinder_distance
-from cspace.worlds.spatial.sensor import BEHIND_STEP_M, DISTANCE_STEP_M, FARTHEST, MOST_BEHIND
+from cspace.worlds.spatial.sensor import BEHIND_STEP_M, DISTANCE_STEP_M, FARTHEST, FREE, MOST_BEHIND
 
 # What counts as farther than a bound is so much farther at least.
 _MORE_M = 1e-6
@@ -339,39 +339,25 @@ def _span(centre, reach, low, voxel, count):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def add_bodies(observed, low, voxel, bodies):  # type: ignore[no-untyped-def]
-    """Write bodies, in place, into an array (X, Y, Z, 2) as surfaces that were seen, solid behind them."""
-    farthest = FARTHEST * DISTANCE_STEP_M
-    for number in range(bodies.centres.shape[0]):
-        centre, reach = bodies.centres[number], bodies.reaches[number] + farthest
-        i0, i1 = _span(centre[0], reach, low[0], voxel, observed.shape[0])
-        j0, j1 = _span(centre[1], reach, low[1], voxel, observed.shape[1])
-        k0, k1 = _span(centre[2], reach, low[2], voxel, observed.shape[2])
-        for i in range(i0, i1 + 1):
-            x = low[0] + (i + 0.5) * voxel
-            for j in range(j0, j1 + 1):
-                y = low[1] + (j + 0.5) * voxel
-                for k in range(k0, k1 + 1):
-                    away = body_distance(x, y, low[2] + (k + 0.5) * voxel, number, bodies, farthest)
-                    code = np.uint8(min(np.rint(abs(away) / DISTANCE_STEP_M), FARTHEST))
-                    observed[i, j, k, 0] = min(observed[i, j, k, 0], code)
-                    if away < 0.0:
-                        behind = 1 + min(int(-away / BEHIND_STEP_M), MOST_BEHIND - 1)
-                        observed[i, j, k, 1] = np.uint8(behind)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def clear_bodies(observed, low, voxel, bodies, free):  # type: ignore[no-untyped-def]
-    """Mark what lies in bodies, in place, with the code ``free``."""
-    for number in range(bodies.centres.shape[0]):
-        centre, reach = bodies.centres[number], bodies.reaches[number]
-        i0, i1 = _span(centre[0], reach, low[0], voxel, observed.shape[0])
-        j0, j1 = _span(centre[1], reach, low[1], voxel, observed.shape[1])
-        k0, k1 = _span(centre[2], reach, low[2], voxel, observed.shape[2])
-        for i in range(i0, i1 + 1):
-            x = low[0] + (i + 0.5) * voxel
-            for j in range(j0, j1 + 1):
-                y = low[1] + (j + 0.5) * voxel
-                for k in range(k0, k1 + 1):
-                    if body_distance(x, y, low[2] + (k + 0.5) * voxel, number, bodies, 0.0) <= 0.0:
-                        observed[i, j, k, 1] = free
+def write_body(observed, low, voxel, number, bodies, is_free):  # type: ignore[no-untyped-def]
+    """Write a body, in place, into an array (X, Y, Z, 2): its inside as seen free, or its surface as seen."""
+    farthest = 0.0 if is_free else FARTHEST * DISTANCE_STEP_M
+    centre, reach = bodies.centres[number], bodies.reaches[number] + farthest
+    i0, i1 = _span(centre[0], reach, low[0], voxel, observed.shape[0])
+    j0, j1 = _span(centre[1], reach, low[1], voxel, observed.shape[1])
+    k0, k1 = _span(centre[2], reach, low[2], voxel, observed.shape[2])
+    for i in range(i0, i1 + 1):
+        x = low[0] + (i + 0.5) * voxel
+        for j in range(j0, j1 + 1):
+            y = low[1] + (j + 0.5) * voxel
+            for k in range(k0, k1 + 1):
+                away = body_distance(x, y, low[2] + (k + 0.5) * voxel, number, bodies, farthest)
+                if is_free:
+                    if away <= 0.0:
+                        observed[i, j, k, 1] = np.uint8(FREE)
+                    continue
+                code = np.uint8(min(np.rint(abs(away) / DISTANCE_STEP_M), FARTHEST))
+                observed[i, j, k, 0] = min(observed[i, j, k, 0], code)
+                if away < 0.0:
+                    behind = 1 + min(int(-away / BEHIND_STEP_M), MOST_BEHIND - 1)
+                    observed[i, j, k, 1] = np.uint8(behind)

@@ -6,27 +6,28 @@ know of it. Compiled.
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import InputError
-from cspace.world import Contact
+from cspace.view_file import MAX_MESHES, MAX_TRIANGLES
+from cspace.world import CheckCancelled, Contact
 from cspace.worlds.spatial.arm import MAX_SPHERES, TOOL, Part, SerialArm
 from cspace.worlds.spatial.bodies import (
     BodyArrays,
-    add_bodies,
     body_arrays,
-    clear_bodies,
     part_contact,
     points_to_bodies,
+    write_body,
 )
 from cspace.worlds.spatial.checks import KERNELS, scene_arrays
 from cspace.worlds.spatial.kinematics import arm_arrays
 from cspace.worlds.spatial.obstacles import Obstacles
 from cspace.worlds.spatial.planning_scene import Attached, Body, BoxShape, PlanningScene
 from cspace.worlds.spatial.poses import HERE, moved
-from cspace.worlds.spatial.sensor import FREE, NO_READING, OUT_OF_VIEW, GridBox
+from cspace.worlds.spatial.sensor import NO_READING, OUT_OF_VIEW, GridBox
 from cspace.worlds.spatial.visibility import SLACK_M, lookup
 from cspace.worlds.spatial.world import SpatialWorld
 
@@ -53,7 +54,7 @@ class Situation:
         seen: (X, Y, Z, 2), what pictures show beside that; None before :meth:`complete`.
 
     Raises:
-        InputError: a name stands for nothing, or two names are one.
+        InputError: a name stands for nothing, two names are one, or the meshes are too many or too fine.
         ScenarioError: what is attached is on a link whose frame is not known.
     """
 
@@ -61,6 +62,7 @@ class Situation:
         self.known = known
         self.seen: NDArray[np.uint8] | None = None
         meshes = known.corners_m()
+        self._check_meshes(meshes)
         self.bodies = bodies_of(known.scene, meshes)
         self.ignored = bodies_of(known.ignore, meshes)
         self._check_names(arm)
@@ -92,15 +94,32 @@ class Situation:
         near = points_to_bodies(points, self.bodies, SLACK_M) <= SLACK_M
         return np.asarray(near | (points_to_bodies(points, self.ignored, 0.0) <= 0.0))
 
-    def complete(self, image: NDArray[np.uint8], grid: GridBox) -> None:
+    def complete(
+        self, image: NDArray[np.uint8], grid: GridBox, check_cancelled: CheckCancelled = lambda: None
+    ) -> None:
         """Write what is known, in place, into what pictures show, (X, Y, Z, 2).
 
-        Searches go by :attr:`seen`, without the known bodies, which they check exactly.
+        Searches go by :attr:`seen`, without the known bodies, which they check themselves.
+
+        Args:
+            image: to write into.
+            grid: of it.
+            check_cancelled: called after each body; what it raises passes through.
         """
         low = np.asarray(grid.low_m)
-        clear_bodies(image, low, grid.voxel_m, self.ignored, FREE)
-        self.seen = image.copy()
-        add_bodies(image, low, grid.voxel_m, self.bodies)
+        for bodies, is_free in ((self.ignored, True), (self.bodies, False)):
+            if not is_free:
+                self.seen = image.copy()
+            for number in range(len(bodies.centres)):
+                write_body(image, low, grid.voxel_m, number, bodies, is_free)
+                check_cancelled()
+
+    @property
+    def size_bytes(self) -> int:
+        """See :class:`cspace.world.Known`."""
+        arrays: list[NDArray[Any]] = [*self.bodies, *self.ignored]
+        arrays += [] if self.seen is None else [self.seen]
+        return sum(int(array.nbytes) for array in arrays) + sum(map(len, self.known.meshes.values()))
 
     def contact(
         self, configuration: NDArray[np.floating], image: NDArray[np.uint8], grid: GridBox
@@ -164,6 +183,17 @@ class Situation:
             np.cumsum([len(one.spheres_m) for one in self.arm.parts]), moving[at], side="right"
         )
         return Contact(kind, self.arm.parts[part].name, "", _place(centres[moving[at]]), depth)
+
+    def _check_meshes(self, meshes: Mapping[str, NDArray[np.float64]]) -> None:
+        every = (*self.known.scene, *self.known.attached, *self.known.ignore)
+        counts = [len(meshes[one.mesh.file]) for one in every if one.mesh is not None]
+        if len(counts) > MAX_MESHES or sum(counts) > MAX_TRIANGLES:
+            raise InputError(
+                "the bodies have too many meshes, or too fine ones",
+                expected=f"at most {MAX_MESHES} bodies with a mesh, of {MAX_TRIANGLES} triangles together",
+                got=f"{len(counts)} of {sum(counts)}",
+                remedy="simplify the meshes, or send boxes and cylinders about them",
+            )
 
     def _check_names(self, arm: SerialArm) -> None:
         parts = {part.name for part in arm.parts}

@@ -26,6 +26,8 @@ SLACK_M = 0.02
 _NEAREST_SPHERE_M = 0.01
 # Rays that are intersected at once, in some ms.
 _AT_ONCE = 60_000
+# Points that are compared with known bodies at once.
+_POINTS = 4096
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -363,7 +365,7 @@ def observe_one(
         smaller, camera, np.empty((0, 4)) if spheres is None else spheres, check_cancelled=check_cancelled
     )
     surface_m = to_m(kept.depth_mm)
-    shown = patches(_unexplained(surface_m, camera, is_explained), camera, grid)
+    shown = patches(_unexplained(surface_m, camera, is_explained, check_cancelled), camera, grid)
     check_cancelled()
     away = distance_codes(shown, grid, check_cancelled)
     check_cancelled()
@@ -376,6 +378,7 @@ def _unexplained(
     surface_m: NDArray[np.float32],
     camera: DepthCamera,
     is_explained: Callable[[NDArray[np.float64]], NDArray[np.bool_]] | None,
+    check_cancelled: CheckCancelled,
 ) -> NDArray[np.float32]:
     """The surfaces (H, W) m that are not explained, 0 for the others."""
     if is_explained is None:
@@ -384,7 +387,11 @@ def _unexplained(
     pose = camera.matrix
     points = camera.rays()[rows, columns] * surface_m[rows, columns, None] @ pose[:3, :3].T + pose[:3, 3]
     found = surface_m.copy()
-    found[rows, columns] = np.where(is_explained(points), np.float32(0.0), surface_m[rows, columns])
+    for first in range(0, len(points), _POINTS):
+        some = slice(first, first + _POINTS)
+        kept = ~is_explained(points[some])
+        found[rows[some], columns[some]] *= kept
+        check_cancelled()
     return found
 
 

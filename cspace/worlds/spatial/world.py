@@ -167,7 +167,7 @@ class SpatialWorld:
         single = self._each(view, check_cancelled, known)
         image = fused(single)
         if known is not None:
-            known.complete(image, self.sensor.grid)
+            known.complete(image, self.sensor.grid, check_cancelled or (lambda: None))
         findings = diagnose(self.body, self.sensor, view, single, image)
         return Examined(image[None], findings, None in view.states, known)
 

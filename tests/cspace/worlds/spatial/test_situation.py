@@ -227,5 +227,19 @@ def test_names_that_stand_for_nothing_are_refused(fields, words):
         Situation(ARM, scene_of(**fields))
 
 
+def test_meshes_are_bounded_together_and_count_in_memory():
+    sphere = stl_of(trimesh.creation.icosphere(subdivisions=4))
+    fine = [{"name": str(at), "mesh": {"file": "m"}} for at in range(4)]
+    for bodies in ({"scene": fine}, {"ignore": fine}, {"scene": fine[:2], "attached": fine[2:]}):
+        with pytest.raises(InputError, match=r"too fine ones.*20000 triangles"):
+            Situation(ARM, scene_of(**bodies, meshes={"m": sphere}))
+    coarse = stl_of(trimesh.creation.box((0.1, 0.1, 0.1)))
+    many = [{"name": str(at), "mesh": {"file": "m"}} for at in range(33)]
+    with pytest.raises(InputError, match="too many meshes"):
+        Situation(ARM, scene_of(scene=many, meshes={"m": coarse}))
+    held = Situation(ARM, scene_of(scene=fine[:3], meshes={"m": sphere}))
+    assert held.size_bytes > 3 * 5120 * 9 * 8 + len(sphere)
+
+
 def test_nothing_known_is_in_the_way_of_nothing():
     assert Situation(ARM, PlanningScene()).free(ROWS).all()
