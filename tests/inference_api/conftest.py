@@ -63,6 +63,8 @@ def api_over(
         poll_s=3600.0,
         pretrained_folder=bundles["shipped"] if shipped else folder / "nothing",
         protection=protection or Protection(),
+        # Whether or not somebody built the documentation here.
+        guide_folder=folder / "no guide",
     )
     with running(create_app(settings, registry)) as client:
         yield client
