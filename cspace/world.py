@@ -150,8 +150,10 @@ class Contact:
 class Known(Protocol):
     """What is known of a scene beside its pictures."""
 
-    def free(self, configurations: NDArray[np.floating]) -> NDArray[np.bool_]:
-        """Which of (N, d) rad touch nothing that is known."""
+    def free(
+        self, configurations: NDArray[np.floating], check_cancelled: CheckCancelled = lambda: None
+    ) -> NDArray[np.bool_]:
+        """Which of (N, d) rad touch nothing that is known; ``check_cancelled`` is called between parts."""
 
     @property
     def size_bytes(self) -> int:

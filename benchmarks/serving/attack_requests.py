@@ -243,6 +243,31 @@ def depth_pictures(page: str, side: int = SIDE, **fields: str) -> Callable[[int]
     return data
 
 
+def known_bodies(turn: int) -> bytes:
+    """As many bodies as a request may hold, as large and as fine as they may be, and never the same twice."""
+    rng = np.random.default_rng(turn)
+    triangles = np.zeros(625, [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])
+    triangles["corners"] = rng.uniform(-1.0, 1.0, triangles["corners"].shape)
+    mesh = bytes(80) + struct.pack("<I", len(triangles)) + triangles.tobytes()
+    shapes = [{"mesh": {"file": "a"}}] * 32 + [{"box": {"size_m": [2.0, 2.0, 2.0]}}] * 468
+    places = rng.uniform(-1.0, 1.0, (len(shapes), 3)).round(3).tolist()
+    scene = [
+        {"name": str(number), **shape, "pose": {"translation": place}}
+        for number, (shape, place) in enumerate(zip(shapes, places, strict=True))
+    ]
+    rod = {"cylinder": {"radius_m": 0.05, "length_m": 1.0}}
+    body = {
+        "model": PANDA,
+        "image": base64.b64encode(depth_png(SIDE)).decode(),
+        "camera": [pinholes(turn)[0]],
+        "configurations": [READY] * 2000,
+        "scene": scene,
+        "attached": [{"name": f"held {number}", **rod} for number in range(16)],
+        "meshes": {"a": base64.b64encode(mesh).decode()},
+    }
+    return request("/validity", json.dumps(body).encode(), "application/json")
+
+
 def depth_tensors(turn: int) -> bytes:
     """The same as tensors."""
     cameras = pinholes(turn)
@@ -357,6 +382,7 @@ ATTACKS: dict[str, Attack] = {
         4,
     ),
     "fresh depth pictures for v2": at_once(again(depth_tensors), 4),
+    "known bodies": at_once(again(known_bodies), 4),
     "20,000 rows to score in JSON": at_once(always(configurations()), 4),
     "the same, left after 20 ms": at_once(left_soon(configurations()), 4),
     "64 cameras for a next view": at_once(again(next_views), 4),

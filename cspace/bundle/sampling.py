@@ -58,12 +58,14 @@ class Head:
         if picture.map is not None and self.looks_at_map:
             fixed[MAP] = picture.map
 
+        stop = check_cancelled or (lambda: None)
+
         def score(part: NDArray[np.float32]) -> NDArray[np.float32]:
             shapes = dict.fromkeys(self._outputs, (len(part),))
             found = self._graph.run(fixed | {"configurations": part}, shapes)
             columns = np.stack([found[name] for name in self._outputs], axis=1)
             if picture.known is not None:
-                columns[~picture.known.free(part), 0] = 0.0
+                columns[~picture.known.free(part, stop), 0] = 0.0
             return columns
 
         def run(rows: slice) -> NDArray[np.float32]:
@@ -73,8 +75,7 @@ class Head:
             parts = []
             for first in range(0, len(part), CACHED_ROWS):
                 parts.append(score(part[first : first + CACHED_ROWS]))
-                if check_cancelled is not None:
-                    check_cancelled()
+                stop()
             return np.concatenate(parts)
 
         found = chunked(run, len(configurations), check_cancelled)
@@ -333,7 +334,8 @@ class GeneratorSampler:
 
         wanted = shares(request.n, len(request.epsilon_sigma))
         if head is None or not request.min_confidence:
-            samples = space.to_float32(_inside(generate, wanted, _keeps(space, picture), check_cancelled))
+            keeps = _keeps(space, picture, check_cancelled or (lambda: None))
+            samples = space.to_float32(_inside(generate, wanted, keeps, check_cancelled))
             scores = (
                 head.scores(picture, samples, check_cancelled)
                 if head is not None and report_confidence
@@ -412,12 +414,14 @@ def _inside(
     return rows
 
 
-def _keeps(space: JointSpace, picture: Picture) -> Callable[[NDArray[np.float32]], NDArray[np.bool_]]:
+def _keeps(
+    space: JointSpace, picture: Picture, stop: CheckCancelled
+) -> Callable[[NDArray[np.float32]], NDArray[np.bool_]]:
     """Which rows (n, d) are within the limits and touch nothing that is known."""
     known = picture.known
     if known is None:
         return space.keeps_pose
-    return lambda rows: space.keeps_pose(rows) & known.free(rows)
+    return lambda rows: space.keeps_pose(rows) & known.free(rows, stop)
 
 
 def expected_share(spec: BundleSpec) -> float:

@@ -339,14 +339,17 @@ def _span(centre, reach, low, voxel, count):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def write_body(observed, low, voxel, number, bodies, is_free):  # type: ignore[no-untyped-def]
-    """Write a body, in place, into an array (X, Y, Z, 2): its inside as seen free, or its surface as seen."""
+def write_body(observed, low, voxel, number, bodies, is_free, first, last):  # type: ignore[no-untyped-def]
+    """Write a body, in place, into an array (X, Y, Z, 2): its inside as seen free, or its surface as seen.
+
+    Only from ``first`` to before ``last`` along X.
+    """
     farthest = 0.0 if is_free else FARTHEST * DISTANCE_STEP_M
     centre, reach = bodies.centres[number], bodies.reaches[number] + farthest
     i0, i1 = _span(centre[0], reach, low[0], voxel, observed.shape[0])
     j0, j1 = _span(centre[1], reach, low[1], voxel, observed.shape[1])
     k0, k1 = _span(centre[2], reach, low[2], voxel, observed.shape[2])
-    for i in range(i0, i1 + 1):
+    for i in range(max(i0, first), min(i1 + 1, last)):
         x = low[0] + (i + 0.5) * voxel
         for j in range(j0, j1 + 1):
             y = low[1] + (j + 0.5) * voxel

@@ -33,6 +33,8 @@ from cspace.worlds.spatial.world import SpatialWorld
 
 # The base stands where it stands.
 _STILL = 0
+# So many spheres of the arm, times triangles and bodies, are looked at in some ms.
+_AT_ONCE = 500_000
 # Spheres that cover an attached body, most; the least side of the cells that they are about.
 _MOST_SPHERES, _CELL_M, _COARSER = 1024, 0.005, 1.1
 # So deep a body may touch others, for less of its spheres to stick out.
@@ -73,19 +75,28 @@ class Situation:
         limits = np.full(arm.dim, np.inf)
         scene = scene_arrays(replace(self.arm, touching=pairs), Obstacles((), ()), bodies=self.bodies)
         self._scene = scene._replace(lower=-limits, upper=limits)
+        work = self.arm.sphere_count * (1 + len(self.bodies.centres) + len(self.bodies.corners))
+        self._rows_at_once = max(1, _AT_ONCE // work)
 
     @property
     def names(self) -> tuple[str, ...]:
         """Of the bodies, in the order of the arrays."""
         return tuple(one.name for one in in_order(self.known.scene))
 
-    def free(self, configurations: NDArray[np.floating]) -> NDArray[np.bool_]:
+    def free(
+        self, configurations: NDArray[np.floating], check_cancelled: CheckCancelled = lambda: None
+    ) -> NDArray[np.bool_]:
         """Which of (N, d) rad touch no known body, and nothing of the arm with what is attached to it.
 
-        Joint limits, pictures and the arm's own self-collision are left to others.
+        Joint limits, pictures and the arm's own self-collision are left to others. ``check_cancelled`` is
+        called between parts of some ms; what it raises passes through.
         """
         rows = np.ascontiguousarray(configurations, dtype=np.float64)
-        found: NDArray[np.bool_] = KERNELS.free_batch(rows, self._scene)
+        found = np.empty(len(rows), dtype=np.bool_)
+        for first in range(0, len(rows), self._rows_at_once):
+            some = slice(first, first + self._rows_at_once)
+            found[some] = KERNELS.free_batch(rows[some], self._scene)
+            check_cancelled()
         return found
 
     def explains(self, points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -104,15 +115,18 @@ class Situation:
         Args:
             image: to write into.
             grid: of it.
-            check_cancelled: called after each body; what it raises passes through.
+            check_cancelled: called after each body, and each layer of a mesh; what it raises passes through.
         """
         low = np.asarray(grid.low_m)
         for bodies, is_free in ((self.ignored, True), (self.bodies, False)):
             if not is_free:
                 self.seen = image.copy()
+            meshes_from = len(bodies.centres) - len(bodies.roots)
             for number in range(len(bodies.centres)):
-                write_body(image, low, grid.voxel_m, number, bodies, is_free)
-                check_cancelled()
+                layers = len(image) if number < meshes_from else 1
+                for first in range(0, len(image), layers):
+                    write_body(image, low, grid.voxel_m, number, bodies, is_free, first, first + layers)
+                    check_cancelled()
 
     @property
     def size_bytes(self) -> int:

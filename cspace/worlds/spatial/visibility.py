@@ -27,7 +27,7 @@ _NEAREST_SPHERE_M = 0.01
 # Rays that are intersected at once, in some ms.
 _AT_ONCE = 60_000
 # Points that are compared with known bodies at once.
-_POINTS = 4096
+_POINTS = 512
 
 
 @dataclass(frozen=True, slots=True, eq=False)

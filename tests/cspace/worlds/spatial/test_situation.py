@@ -165,6 +165,20 @@ def test_known_bodies_are_in_the_picture_once_and_ignored_volumes_are_free():
     assert WORLD.examine_picture(view_of({"scene": []})).images[0].tobytes() == plain.tobytes()
 
 
+def test_fine_meshes_are_looked_at_in_small_parts():
+    calls = []
+    some = {"name": "soup", "mesh": {"file": "a"}}
+    corners = np.random.default_rng(0).uniform(-1.0, 1.0, (6000, 3))
+    soup = trimesh.Trimesh(corners, np.arange(6000).reshape(-1, 3), process=False)
+    known = {"scene": [some], "meshes": {"a": stl_of(soup)}}
+    picture = WORLD.examine_picture(view_of(known), lambda: calls.append("picture"))
+    # Each layer that the mesh is in.
+    assert len(calls) > GRID.counts[0]
+    calls.clear()
+    picture.known.free(np.tile(READY, (100, 1)), lambda: calls.append("rows"))
+    assert len(calls) > 10
+
+
 def tetrahedron(count=4, value=0.0):
     corners = np.zeros((count, 3, 3), "<f4")
     corners[:, 1:, :2] = np.eye(2)
