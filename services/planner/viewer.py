@@ -1,8 +1,9 @@
 """``python -m services.planner.viewer``: an arm among obstacles in 3D, with the API's samples and plans.
 
 The scene is drawn with viser. Obstacles and depth cameras can be dragged; the depth pictures are rendered
-again, and the API is asked for samples and plans as any client would ask. A view file or a recording that is
-dropped on the page takes the scene's place.
+again, and the API is asked for samples and plans as any client would ask. Boxes that no camera sees can be
+made known, and the arm can hold one. A view file or a recording that is dropped on the page takes the scene's
+place.
 """
 
 import argparse
@@ -27,15 +28,18 @@ from numpy.typing import NDArray
 
 from cspace.errors import CspaceError, InputError
 from cspace.planning.paths import spread_points
-from cspace.simulator import UNIFORM, Problem, ProblemRequest, Split
+from cspace.simulator import UNIFORM, Checker, Problem, ProblemRequest, Split
 from cspace.world import World
 from cspace.worlds import partly_seen, read_world, simulator_of
-from cspace_client import ClientError, DepthPictures, Diagnosis, FoundPlan, PlanQuery, SamplingClient
+from cspace.worlds.spatial.obstacles import Box
+from cspace.worlds.spatial.planning_scene import read_planning_scene
+from cspace.worlds.spatial.situation import Situation
+from cspace_client import ClientError, DepthPictures, Diagnosis, FoundPlan, Known, PlanQuery, SamplingClient
 from services.planner.client import usual_api
 
 Floats = NDArray[np.float64]
 GREY, START, GOAL, ALONG = (150, 150, 155), (70, 120, 200), (60, 160, 90), (230, 150, 40)
-UNSEEN = (200, 190, 230)
+UNSEEN, KNOWN, CONTACT = (200, 190, 230), (90, 130, 190), (220, 30, 30)
 # Around this point further cameras are placed, m in the base frame.
 FOCUS_M = np.array([0.45, 0.0, 0.35])
 ASIDE_RAD = (0.0, 1.3, -1.3)
@@ -107,6 +111,8 @@ class SceneState:
         self.api, self.world, self.model = api, world, model
         self.simulator, self.benchmark = simulator_of(world), partly_seen(world)
         self.opened: Any = None
+        self.boxes: tuple[Box, ...] = ()
+        self.hold(None)
         self.problem = self.draw(*EXAMPLES["table-top"])
 
     @property
@@ -158,6 +164,25 @@ class SceneState:
         self.problem = replace(found, scenario=replace(scene, world=self.world))
         return self.problem
 
+    @property
+    def known(self) -> Known:
+        """Boxes that no camera sees, and what the arm holds, as the API takes them."""
+        scene = [{"name": f"box {at}", **_body(box)} for at, box in enumerate(self.boxes)]
+        return Known(scene, [] if self.held is None else [{"name": "held", **_body(self.held)}])
+
+    def hold(self, box: Box | None) -> None:
+        """Attach a box, whose pose is in the tool's frame, to the arm, or nothing."""
+        self.held, self.arm = box, cast("Any", self.world).body
+        if box is not None:
+            known = read_planning_scene(json.dumps(self.known.fields).encode())
+            self.arm = Situation(self.arm, known).arm
+
+    def checker(self) -> Checker:
+        """Of the scene's own obstacles and the known boxes, for the arm with what it holds."""
+        obstacles = replace(self.scene.obstacles, boxes=(*self.scene.obstacles.boxes, *self.boxes))
+        world = replace(self.scene.world, body=self.arm)
+        return self.simulator.checker(replace(self.scene, world=world, obstacles=obstacles))
+
     def change(self, **parts: Any) -> None:
         """Replace ``obstacles``, ``cameras`` or ``state`` of the scene."""
         self.problem = replace(self.problem, scenario=replace(self.scene, **parts))
@@ -180,7 +205,7 @@ class SceneState:
         """What the cameras see, as the API takes it."""
         view, fields = self.view, ("fx", "fy", "cx", "cy", "pose")
         cameras = [{name: one.to_dict()[name] for name in fields} for one in view.cameras]
-        return DepthPictures(view.pictures, cameras, view.state)
+        return DepthPictures(view.pictures, cameras, view.state, known=self.known)
 
     def points_m(self) -> Floats:
         """What the cameras read, (N, 3) m in the base frame, thinned out."""
@@ -216,24 +241,30 @@ class SceneState:
         rows = np.asarray(batch.samples, dtype=np.float64)
         scored = self.api.validity(shown, rows, self.model)
         unseen = None if scored.unseen is None else float(np.mean(scored.unseen))
-        free = None if self.opened is not None else self.simulator.checker(self.scene).valid_batch(rows)
+        free = None if self.opened is not None else self.checker().valid_batch(rows)
         return Samples(rows, scored.confidence, free, batch.novelty, unseen)
 
     def plan(self, min_confidence: float, seed: int = 0) -> tuple[FoundPlan, str]:
         """A plan from start to goal, and what the scene's own obstacles say of it."""
-        query = PlanQuery(
-            self.problem.start.tolist(), self.problem.goal.tolist(), seed, min_confidence=min_confidence
-        )
+        ends = self.problem.start.tolist(), self.problem.goal.tolist()
+        query = PlanQuery(*ends, seed, min_confidence=min_confidence, explain=True)
         found = self.api.plan(self.pictures(), query, self.model)
         path = found.plan.path
         if len(path) < 2:
             return found, f"**{found.plan.status}**: {found.reason}"
         if self.opened is not None:
             return found, f"Confidence {found.plan.confidence:.0%}. The true scene is unknown."
-        checker = self.simulator.checker(self.scene)
-        hits = int((~checker.edge_batch(path[:-1], path[1:], CHECK_RAD)).sum())
+        hits = int((~self.checker().edge_batch(path[:-1], path[1:], CHECK_RAD)).sum())
         truth = "collision-free" if hits == 0 else f"**in collision** on {hits} of {len(path) - 1} edges"
         return found, f"Confidence {found.plan.confidence:.0%}. In the true scene the path is {truth}."
+
+
+def _body(box: Box) -> dict[str, Any]:
+    return {"box": {"size_m": [2.0 * half for half in box.half_m]}, "pose": box.pose}
+
+
+def _pose(place_m: Floats) -> Any:
+    return vtf.SE3.from_translation(place_m).as_matrix().tolist()
 
 
 def _thinned(points: Floats) -> Floats:
@@ -303,7 +334,7 @@ class Viewer:
 
     def show(self, state: SceneState) -> None:
         """Show a model's arm in a scene of its own, in place of all that is shown."""
-        self.state, self.space, self.arm = state, state.world.space, cast("Any", state.world.body)
+        self.state, self.space = state, state.world.space
         self.path = np.empty((0, self.space.dim))
         self.views: list[bytes] = []
         self.server.gui.reset()
@@ -311,6 +342,7 @@ class Viewer:
         self.server.scene.set_up_direction("+z")
         self.server.scene.add_grid("/ground", 2.0, 2.0, cell_size=0.1, section_size=0.5)
         self._add_controls()
+        self._add_known()
         self.show_scene()
 
     def _list_models(self) -> None:
@@ -364,6 +396,15 @@ class Viewer:
         plan.on_click(lambda _: self._guarded(self.show_plan))
         self.along.on_update(lambda _: self._show_along())
 
+    def _add_known(self) -> None:
+        gui = self.server.gui
+        with gui.add_folder("Known beside the pictures", expand_by_default=False):
+            self.size_m: Any = gui.add_vector3(
+                "size, m", (0.1, 0.1, 0.1), min=(0.01,) * 3, max=(1.0,) * 3, step=0.01
+            )
+            known = gui.add_button_group("a box", ("add", "hold", "forget"))
+        known.on_click(lambda event: self._guarded(partial(self._know, event.target.value)))
+
     def _joint_sliders(self, name: str) -> list[Any]:
         values = getattr(self.state.problem, name)
         with self.server.gui.add_folder(f"{name.capitalize()}, rad", expand_by_default=False):
@@ -401,6 +442,17 @@ class Viewer:
         self.views, self.which.visible, self.doctor.content = [], False, ""
         self.cameras.disabled = False
         self._show_ends()
+        self.show_scene()
+
+    def _know(self, what: str) -> None:
+        half: Any = tuple(size / 2.0 for size in self.size_m.value)
+        if what == "add":
+            self.state.boxes += (Box(_pose(FOCUS_M), half),)
+        elif what == "hold":
+            self.state.hold(Box(_pose(np.zeros(3)), half))
+        else:
+            self.state.boxes = ()
+            self.state.hold(None)
         self.show_scene()
 
     def _show_ends(self) -> None:
@@ -452,6 +504,11 @@ class Viewer:
         self._forget_path()
         if self.state.opened is None:
             self._show_obstacles()
+        for at, box in enumerate(self.state.boxes):
+            shape = scene.add_box(
+                f"/scene/known {at}", KNOWN, 2.0 * np.asarray(box.half_m), opacity=0.6, **_placed(box.pose)
+            )
+            self._movable(shape, partial(self._move_known, at))
         for at, camera in enumerate(self.state.view.cameras):
             field, aspect = 2.0 * np.arctan2(camera.height / 2.0, camera.fy), camera.width / camera.height
             frustum = scene.add_camera_frustum(
@@ -500,6 +557,13 @@ class Viewer:
         self._forget_path()
         self.show_samples()
 
+    def _move_known(self, at: int, pose: Floats) -> None:
+        boxes = list(self.state.boxes)
+        boxes[at] = replace(boxes[at], pose=pose)
+        self.state.boxes = tuple(boxes)
+        self._forget_path()
+        self.show_samples()
+
     def _move_camera(self, at: int, pose: Floats) -> None:
         cameras = list(self.state.scene.cameras)
         cameras[at] = replace(cameras[at], pose=pose)
@@ -516,7 +580,7 @@ class Viewer:
         scene.add_point_cloud("/scene/cloud", cloud, (40, 40, 40), point_size=0.004)
         self._show_unseen()
         found = self.state.sample(int(self.count.value))
-        joints = self.arm.joint_positions_m(found.rows)
+        joints = self.state.arm.joint_positions_m(found.rows)
         segments = np.stack([joints[:, :-1], joints[:, 1:]], axis=2)
         confidence = np.asarray(found.confidence)[:, None, None, None]
         colours = np.array([200, 40, 40]) * (1.0 - confidence) + np.array([40, 170, 80]) * confidence
@@ -543,10 +607,13 @@ class Viewer:
         """Ask for a path, check it in the true scene, and draw it."""
         self._forget_path()
         found, self.verdict.content = self.state.plan(float(self.least.value))
+        if found.plan.contact is not None:
+            place = found.plan.contact.position_m
+            self.server.scene.add_icosphere("/path/contact", 0.03, CONTACT, position=place)
         if len(found.plan.path) < 2:
             return
         self.path = spread_points(found.plan.path, FRAMES + 1, self.space)
-        hand = self.arm.joint_positions_m(self.path)[:, -1]
+        hand = self.state.arm.joint_positions_m(self.path)[:, -1]
         self.server.scene.add_line_segments(
             "/path/hand", np.stack([hand[:-1], hand[1:]], axis=1), ALONG, thickness=0.008
         )
@@ -567,13 +634,13 @@ class Viewer:
     def _show_arm(
         self, name: str, configuration: Floats, colour: tuple[int, int, int], opacity: float
     ) -> None:
-        radii = self.arm.spheres_m()[:, 3]
+        radii = self.state.arm.spheres_m()[:, 3]
         self.server.scene.add_batched_meshes_simple(
             name,
             self.ball.vertices.astype(np.float32),
             self.ball.faces.astype(np.uint32),
             np.tile(np.array([1.0, 0.0, 0.0, 0.0], np.float32), (len(radii), 1)),
-            self.arm.sphere_centres_m(configuration[None])[0].astype(np.float32),
+            self.state.arm.sphere_centres_m(configuration[None])[0].astype(np.float32),
             batched_scales=radii.astype(np.float32),
             batched_colors=colour,
             opacity=None if opacity == 1.0 else opacity,

@@ -36,6 +36,13 @@ def test_a_scene_is_sampled_planned_and_changed(page: Page, address: str) -> Non
     open_viewer(page, address)
     # The first scene shows what the arm can do, the other example what it refuses to do.
     assert re.search(r"Confidence \d+%. In the true scene the path is collision-free.", plan_in_viewer(page))
+    page.get_by_text("Known beside the pictures").click()
+    for what in ("add", "hold"):
+        page.get_by_role("button", name=what, exact=True).click()
+        # What is known changes the answer, so that the path is no more.
+        expect(page.get_by_text("No path yet.")).to_be_visible()
+    plan_in_viewer(page)
+    page.get_by_role("button", name="forget").click()
     page.get_by_role("button", name="hard bin").click()
     expect(page.get_by_role("combobox", name="family")).to_have_value("bin")
     page.get_by_role("button", name="Plan a path").click()

@@ -10,6 +10,8 @@ import pytest
 from cspace.errors import ImageError, InputError
 from cspace.simulator import Split
 from cspace.worlds import examples, simulator_of
+from cspace.worlds.spatial.obstacles import Box
+from cspace.worlds.spatial.poses import HERE
 from cspace.worlds.spatial.view import write_view
 from cspace_client import DepthPictures
 from services.planner.viewer import SceneState
@@ -35,6 +37,7 @@ class FakeApi:
 
     def plan(self, picture: DepthPictures, query: Any, model: str) -> Any:
         solved = len(self.path) > 0
+        assert query.explain
         plan = SimpleNamespace(path=self.path, confidence=0.75, status="solved" if solved else "refused")
         return SimpleNamespace(plan=plan, reason=None if solved else "none is sure enough")
 
@@ -85,6 +88,27 @@ def test_what_is_dragged_is_seen_in_the_next_pictures(api: FakeApi, state: Scene
     assert [len(one.pictures) for one in api.shown] == [1, 1, 3, 3]
     assert not np.array_equal(three.pictures[0], moved.pictures[0])
     assert np.isfinite(state.points_m()).all()
+
+
+def test_what_is_known_is_sent_and_counts_as_true(api: FakeApi, state: SceneState) -> None:
+    free = api.rows[state.sample(20).free]
+    place = WORLD.body.joint_positions_m(free)[0, -1]
+    box = Box(
+        np.block([[np.eye(3), place[:, None]], [np.zeros((1, 3)), np.ones((1, 1))]]).tolist(), (0.1,) * 3
+    )
+    state.boxes = (box,)
+    api.path = np.stack([free[0], free[0]])
+    assert "in collision" in state.plan(0.5)[1]
+    state.boxes = ()
+    assert "collision-free" in state.plan(0.5)[1]
+    # A rod of two metres reaches the ground or the arm from nearly everywhere.
+    state.hold(Box(HERE, (1.0, 0.02, 0.02)))
+    assert state.sample(20).free.sum() < len(free)
+    sent = api.shown[-1].known
+    assert [one["name"] for one in sent.attached] == ["held"]
+    assert not sent.scene
+    state.hold(None)
+    assert state.sample(20).free.sum() == len(free)
 
 
 def test_sets_of_the_benchmark_are_families_of_its_robot(state: SceneState) -> None:
