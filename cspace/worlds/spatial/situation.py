@@ -39,6 +39,8 @@ _AT_ONCE = 500_000
 _MOST_SPHERES, _CELL_M, _COARSER = 1024, 0.005, 1.1
 # So deep a body may touch others, for less of its spheres to stick out.
 _BARE_M = 0.003
+# Half diagonals of a cell that the middle of a sphere may move inwards.
+_INWARDS = (0.0, 1.0, 3.0)
 # A cell is looked at in so many parts along each side.
 _PARTS = 6
 _MOST_CELLS = 100_000
@@ -351,8 +353,33 @@ def _cells(
     first = np.where(held, points, np.inf).min(axis=1)
     last = np.where(held, points, -np.inf).max(axis=1)
     middle = (first + last) / 2.0
-    radius = np.where(held[..., 0], np.linalg.norm(points - middle[:, None], axis=2), 0.0).max(axis=1) + reach
-    return np.column_stack([middle, radius])
+    spheres = _least_out(own, middle, points, held[..., 0], half)
+    spheres[:, 3] += reach
+    return spheres
+
+
+def _least_out(
+    own: BodyArrays,
+    middle: NDArray[np.float64],
+    points: NDArray[np.float64],
+    held: NDArray[np.bool_],
+    half: float,
+) -> NDArray[np.float64]:
+    """Spheres (S, 4) about those of points (S, N, 3) that are held.
+
+    Each is about a middle (S, 3), moved inwards as it sticks out least: large spheres are flat.
+    """
+    ahead = (middle[:, None, None] + half / 4.0 * np.stack([np.eye(3), -np.eye(3)], axis=1)).reshape(-1, 3)
+    slope = np.diff(points_to_bodies(ahead, own, 2.0 * half).reshape(-1, 3, 2), axis=2)[..., 0]
+    inwards = slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-9)
+    best, least = np.empty((len(middle), 4)), np.full(len(middle), np.inf)
+    for step in _INWARDS:
+        centres = middle + step * half * inwards
+        radii = np.where(held, np.linalg.norm(points - centres[:, None], axis=2), 0.0).max(axis=1)
+        out = radii + points_to_bodies(centres, own, 2.0 * half)
+        best[out < least] = np.column_stack([centres, radii])[out < least]
+        least = np.minimum(least, out)
+    return best
 
 
 def load_kernels(world: SpatialWorld) -> None:
