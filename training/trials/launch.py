@@ -275,7 +275,8 @@ def _run_all(
 ) -> None:
     """Run trials until each has ended or, where the job is being stopped, until none runs any more."""
     stage, stop = trials[0].stage, trials[0].stop
-    task = ray.remote(_run_trial)
+    # A worker ends with its trial, and what torch has allocated with it.
+    task = ray.remote(max_calls=1)(_run_trial)
     stored = {name: ray.put(value) for name, value in shared.items()}
     waiting: dict[ray.ObjectRef[Any], TrialRequest] = {}
     failed: list[str] = []
