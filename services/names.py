@@ -13,6 +13,8 @@ from cspace.worlds import KINDS, default_world, examples, robot_digest
 MODEL_NAME = "cspace-sampler"
 PATH_MODEL_NAME = "path-sampler"
 EXPERIMENT = "cspace-sampler"
+# Of what users report of answers.
+OUTCOMES_EXPERIMENT = "cspace-outcomes"
 # The setting that names where artifacts lie that the tracking server does not hand out itself: ``s3://models``.
 ARTIFACT_STORE = "CSPACE_ARTIFACT_STORE"
 ALIAS_CHALLENGER = "challenger"

@@ -23,7 +23,7 @@ from mlflow.entities import Dataset, DatasetInput, Experiment, InputTag, Metric,
 from mlflow.exceptions import MlflowException
 
 from cspace.errors import RegistryError, RegistryUnavailableError
-from services.names import NOTE, TAG_JOB, TAG_KEY, TAG_MODEL, TAG_PRESET, TAG_STAGE
+from services.names import NOTE, OUTCOMES_EXPERIMENT, TAG_JOB, TAG_KEY, TAG_MODEL, TAG_PRESET, TAG_STAGE
 from services.registry.mlflow_errors import all_pages, mapped, patiently
 from services.registry.ports import ID, ID_LENGTH, FoundRun, Picture, RunLog, RunStatus, flatten
 
@@ -165,7 +165,9 @@ class MlflowTracking:
                 remedy="restore it in the MLflow UI, or remove it for good with `mlflow gc`",
             )
         experiment_id = str(found.experiment_id)
-        for key, value in described(experiment_id).items():
+        # Its runs are no trainings.
+        page = {} if name == OUTCOMES_EXPERIMENT else described(experiment_id)
+        for key, value in page.items():
             if key not in found.tags:
                 self.client.set_experiment_tag(experiment_id, key, value)
         return experiment_id

@@ -85,7 +85,9 @@ class FakeRunLog(RunLog):
         self._run.artifacts.setdefault(f"tables/{name}.parquet", b"PAR1")
 
     def dataset(self, name: str, digest: str, source: str, context: str) -> None:
-        self._run.inputs.append({"name": name, "digest": digest, "source": source, "context": context})
+        entry = {"name": name, "digest": digest, "source": source, "context": context}
+        if entry not in self._run.inputs:
+            self._run.inputs.append(entry)
 
     def flush(self) -> None:
         pass
