@@ -10,8 +10,9 @@ request.
 import argparse
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from cspace.simulator import Problem, Split
 from cspace.strict_json import parse_json
 from cspace.world import World
 from cspace.worlds import examples, named_world, simulator_of
+from cspace_client import OutcomeSender
 from services.command_errors import finite, report_error
 from services.planner.client import DEFAULT_TIMEOUT_S, SamplingClient, usual_api
 from services.planner.ompl_planner import DEFAULT_UNIFORM_SHARE
@@ -39,6 +41,7 @@ from services.planner.report import (
     comparison_table,
     plan_text,
     problem_line,
+    report_samples,
 )
 from services.planner.settings import LEARNED_PLANNERS, RRT, PlannerSettings, check_uniform_share
 from services.scene_files import SceneFile, read_scene_file
@@ -67,6 +70,7 @@ class Command:
         whole: whether the API plans the whole path.
         ways: number of paths that it chooses from then.
         constraints: ``limits``, ``upright`` and ``unwrapped`` of its :class:`cspace.query.PlanQuery`.
+        outcomes: whether the API is told what the exact checks found.
     """
 
     url: str
@@ -84,6 +88,7 @@ class Command:
     whole: bool
     ways: int
     constraints: dict[str, Any]
+    outcomes: bool
 
 
 def parse_command(arguments: Sequence[str] | None = None) -> Command:
@@ -134,6 +139,7 @@ def parse_command(arguments: Sequence[str] | None = None) -> Command:
         whole=options.whole_plan,
         ways=options.ways,
         constraints=_constraints(options.constraints),
+        outcomes=options.outcomes,
     )
 
 
@@ -218,6 +224,9 @@ def make_parser() -> argparse.ArgumentParser:
     search.add_argument("--time-limit", type=finite, default=defaults.time_limit_s, help="s; %(default)s")
     search.add_argument("--planner-seed", type=_count, help="of planner and samples; default --seed")
     output = parser.add_argument_group("output")
+    output.add_argument(
+        "--outcomes", action="store_true", help="tell the API what the exact checks found (POST /outcomes)"
+    )
     output.add_argument("--plot", type=Path, metavar="FILE", help="draw the outcome (.png, .pdf or .svg)")
     output.add_argument("--json", action="store_true", help="print the outcome as JSON")
     return parser
@@ -253,6 +262,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if command.whole:
             return _plan_whole(command, problem)
         comparison = _compare(command, problem)
+        _report(command, partial(report_samples, comparison))
         _print(command, comparison)
         _draw(command, comparison)
     except CspaceError as error:
@@ -276,6 +286,7 @@ def _plan_whole(command: Command, problem: Problem) -> int:
     timeout_s = command.timeout_s + settings.time_limit_s
     with SamplingClient(command.url, timeout_s) as client:
         whole = ask_for_plan(problem, client, query, request.model)
+    _report(command, whole.report)
     print(json.dumps(as_json(whole), allow_nan=False) if command.json else plan_text(whole))
     if command.plot is not None:
         title = f"{problem_line(problem)}: {whole.found.plan.status}"
@@ -286,6 +297,14 @@ def _plan_whole(command: Command, problem: Problem) -> int:
 def _compare(command: Command, problem: Problem) -> Comparison:
     with SamplingClient(command.url, command.timeout_s) as client:
         return compare_with_api(problem, client, command.settings, command.request, command.uniform_share)
+
+
+def _report(command: Command, report: Callable[[OutcomeSender], None]) -> None:
+    if command.outcomes:
+        with OutcomeSender(command.url) as sender:
+            report(sender)
+        if not sender.sent:
+            print("the API was not told of the outcome", file=sys.stderr)
 
 
 def _print(command: Command, comparison: Comparison) -> None:

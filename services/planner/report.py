@@ -1,4 +1,4 @@
-"""The outcome of a comparison, or of the API's own plan, as text and as JSON."""
+"""The outcome of a comparison, or of the API's own plan, as text and as JSON, and reported to the API."""
 
 import math
 from collections.abc import Iterable
@@ -11,7 +11,7 @@ from cspace.planning.paths import spaced
 from cspace.query import PlanQuery
 from cspace.simulator import OWN, Problem
 from cspace.worlds import checker_of, picture_file_of, simulator_of
-from cspace_client import PictureWarning
+from cspace_client import OutcomeSender, PictureWarning
 from services.planner.client import FoundPlan, SamplingClient
 from services.planner.planning import Comparison
 from services.planner.result import PlanResult, Reason
@@ -74,6 +74,14 @@ def comparison_json(comparison: Comparison, planner: str) -> dict[str, Any]:
         "sampler_unavailable": comparison.learned.unavailable,
         "runs": {name: _run(result) for name, result in named_results(comparison, planner)},
     }
+
+
+def report_samples(comparison: Comparison, sender: OutcomeSender) -> None:
+    """Checks all samples of the API and reports how many are free."""
+    batch = comparison.learned.batch
+    if batch is not None and len(batch.samples):
+        free = np.count_nonzero(checker_of(comparison.problem.scenario).valid_batch(batch.samples))
+        sender.samples(batch, checked=len(batch.samples), free=int(free))
 
 
 def named_results(comparison: Comparison, planner: str) -> list[tuple[str, PlanResult]]:
@@ -163,6 +171,16 @@ class WholePlan:
     def free(self) -> bool:
         """Whether there is a path that touches nothing."""
         return self.clearance_m > 0.0
+
+    def report(self, sender: OutcomeSender) -> None:
+        """Reports whether the path is free; nothing moved along it."""
+        sender.plan(
+            self.found,
+            success=self.free,
+            executed=False,
+            collided=not self.free if len(self.found.plan.path) else None,
+            time_s=self.found.round_trip_s,
+        )
 
     @property
     def result(self) -> PlanResult:

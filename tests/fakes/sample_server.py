@@ -59,6 +59,7 @@ def batch_answer(batch: SampleBatch) -> Answer:
         "X-Model-Digest": batch.digest,
         "X-Seed": str(batch.seed),
         "X-Shortfall": str(batch.shortfall),
+        "X-Request-ID": "request-1",
     }
     return 200, headers, npy(batch.samples)
 

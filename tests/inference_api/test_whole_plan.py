@@ -2,10 +2,15 @@
 
 import json
 from functools import partial
+from types import SimpleNamespace
 
+import httpx
+import numpy as np
 import pytest
 
+from cspace_client import OutcomeSender
 from services.planner import __main__ as command
+from services.planner import report
 from services.planner.client import SamplingClient
 from tests.inference_api.client_transports import IntoApp
 
@@ -41,6 +46,23 @@ def test_a_way_as_json_says_whether_it_is_free(plan):
     assert (report["status"], report["ways"]) == ("solved", 3)
     assert len(report["path"]) == len(report["edges"]) + 1
     assert report["in_truth"]["free"] == (report["in_truth"]["clearance_m"] > 0.0) == (code == 0)
+
+
+@pytest.mark.parametrize("clearance_m", [0.01, -0.01])
+def test_the_api_is_told_whether_the_path_collides(plan, monkeypatch, clearance_m):
+    told = []
+
+    def take(request: httpx.Request) -> httpx.Response:
+        told.extend(json.loads(request.read())["outcomes"])
+        return httpx.Response(202)
+
+    checker = SimpleNamespace(clearance=lambda states: np.full(len(states), clearance_m))
+    monkeypatch.setattr(report, "checker_of", lambda _: checker)
+    monkeypatch.setattr(command, "OutcomeSender", partial(OutcomeSender, transport=httpx.MockTransport(take)))
+    code, _, _ = plan(*CAREFUL, "--outcomes")
+    [one] = told
+    assert (one["kind"], one["model"], one["executed"]) == ("plan", "cspace-sampler/5", False)
+    assert one["success"] is (code == 0) is (clearance_m > 0.0) is not one["collided"]
 
 
 def test_what_is_not_sure_enough_is_told_with_the_reason_and_returns_1(plan, tmp_path):

@@ -1,7 +1,10 @@
 import json
+from functools import partial
 
+import httpx
 import pytest
 
+from cspace_client import OutcomeSender
 from services.planner import __main__ as command
 from tests.fakes.sample_server import sample_server
 from tests.fakes.sample_source import FakeSampleSource
@@ -42,6 +45,29 @@ def test_the_same_command_gives_the_same_outcome_as_json(api, capsys):
     assert runs[0] == runs[1]
     assert runs[0]["samples"]["count"] == 50
     assert runs[0]["runs"]["RRT, learned"]["solved"] is True
+
+
+def test_the_api_is_told_what_the_exact_checks_found_if_asked_to(capsys, monkeypatch):
+    told = []
+
+    def take(request):
+        told.extend(json.loads(request.read())["outcomes"])
+        return httpx.Response(202)
+
+    with sample_server(FakeSampleSource()) as server, monkeypatch.context() as patch:
+        patch.setattr(command, "OutcomeSender", partial(OutcomeSender, transport=httpx.MockTransport(take)))
+        for option in ([], ["--outcomes"]):
+            assert command.main(["--api", server.url, *UNIFORM, "--n", "50", *option]) == 0
+    [outcome] = told
+    assert (outcome["kind"], outcome["request_id"], outcome["model"]) == (
+        "samples",
+        "request-1",
+        "pretrained/0",
+    )
+    assert (outcome["checked"], 0 < outcome["free"] <= 50) == (50, True)
+    # Who plans without the API has nothing to tell, and plans.
+    assert command.main([*DEAD, *UNIFORM, "--outcomes"]) == 0
+    assert "not told" in capsys.readouterr().err
 
 
 def test_a_dead_server_is_reported_and_the_problem_solved_uniformly(capsys):

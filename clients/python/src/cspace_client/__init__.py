@@ -38,6 +38,7 @@ from cspace_client.models import (
     Verdict,
     Wanted,
 )
+from cspace_client.outcomes import OutcomeSender
 from cspace_client.pictures import DepthPictures, Picture
 from cspace_client.requests import Predictions
 from cspace_client.transport import RetryPolicy
@@ -60,6 +61,7 @@ __all__ = [
     "LocalError",
     "ModelHead",
     "NextView",
+    "OutcomeSender",
     "Picture",
     "PictureWarning",
     "Plan",

@@ -466,6 +466,8 @@ def _flag(headers: Mapping[str, str], name: str) -> bool:
 
 
 _MAX_TIMING = 1024
+REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,128}", re.ASCII)
+"""Of the header that answers carry."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -478,6 +480,7 @@ class SampleHead:
         shortfall: likewise.
         timing: likewise.
         acceptance: likewise.
+        request_id: likewise.
     """
 
     model: ModelHead
@@ -485,6 +488,7 @@ class SampleHead:
     shortfall: int
     timing: SourceTiming | None
     acceptance: float | None = None
+    request_id: str | None = None
 
 
 def read_head(headers: Mapping[str, str], query: Wanted, model: str | None) -> SampleHead:
@@ -511,7 +515,14 @@ def read_head(headers: Mapping[str, str], query: Wanted, model: str | None) -> S
         shortfall=shortfall,
         timing=read_timing(headers.get("server-timing", "")),
         acceptance=share(headers, "x-acceptance") if "x-acceptance" in headers else None,
+        request_id=read_request_id(headers),
     )
+
+
+def read_request_id(headers: Mapping[str, str]) -> str | None:
+    """The id that the server gave the request; None where a header has none, which is no error."""
+    value = headers.get("x-request-id", "")
+    return value if REQUEST_ID.fullmatch(value) else None
 
 
 def read_timing(header: str) -> SourceTiming | None:

@@ -370,6 +370,7 @@ class SampleBatch:
             for it.
         space: the joint space; None where it is not told.
         warnings: what is wrong, or may be, with the pictures.
+        request_id: under which outcomes are told of it; None where no server answered, or an old one did.
     """
 
     samples: NDArray[np.float32]
@@ -388,6 +389,7 @@ class SampleBatch:
     confidence: NDArray[np.float32] | None = None
     space: JointSpace | None = None
     warnings: tuple[PictureWarning, ...] = ()
+    request_id: str | None = None
 
 
 class Source(Protocol):
@@ -650,6 +652,7 @@ class FoundPlan:
         seed: that was used.
         model: that answered.
         round_trip_s: from the request to the checked answer, further attempts included.
+        request_id: under which outcomes are told of it; None where an old server answered.
     """
 
     plan: Plan
@@ -657,3 +660,4 @@ class FoundPlan:
     seed: int
     model: ModelHead
     round_trip_s: float
+    request_id: str | None = None

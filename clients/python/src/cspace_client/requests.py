@@ -21,6 +21,7 @@ from cspace_client.answers import (
     read_head,
     read_media_type,
     read_model_head,
+    read_request_id,
     read_rows,
     read_samples,
     require_requested,
@@ -191,6 +192,7 @@ class SampleReading:
             acceptance=head.acceptance,
             space=model.space,
             warnings=model.warnings,
+            request_id=head.request_id,
         )
 
 
@@ -337,7 +339,7 @@ class PlanQuestion(Question[FoundPlan]):
     def read(self, headers: Mapping[str, str]) -> "PlanReading":
         """See :class:`cspace_client.requests.Question`."""
         read_media_type(headers, JSON)
-        return PlanReading(self)
+        return PlanReading(self, read_request_id(headers))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -345,6 +347,7 @@ class PlanReading:
     """See :class:`cspace_client.requests.Reading`."""
 
     question: PlanQuestion
+    request_id: str | None
 
     @property
     def limit_bytes(self) -> int:
@@ -370,7 +373,7 @@ class PlanReading:
         reason = printable(answer.text("reason")) if answer.has_required("reason") else None
         warnings = warnings_of(answer) if answer.has("warnings") else ()
         head = replace(head, space=space, novelty=novelty, warnings=warnings)
-        return FoundPlan(plan, reason, seed, head, round_trip_s)
+        return FoundPlan(plan, reason, seed, head, round_trip_s, self.request_id)
 
 
 def _json(name: str, value: object) -> str:

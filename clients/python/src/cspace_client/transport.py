@@ -154,13 +154,17 @@ class Endpoint:
         Transports are given it as it is. A client of httpx would store a stranger's cookies and look at where
         he redirects to.
         """
+        form = {"data": question.fields, "files": question.files}
+        return self.post(question.path, spent_s, question.media_type, **form)
+
+    def post(self, path: str, spent_s: float, media_type: str = "*/*", **body: Any) -> httpx.Request:
+        """A request with a body, in the arguments of ``httpx.Request``; see :meth:`request`."""
         return httpx.Request(
             "POST",
-            f"{self.url}{question.path}",
-            headers=self._headers | {"Accept": f"{question.media_type}, application/problem+json"},
-            data=question.fields,
-            files=question.files,
+            f"{self.url}{path}",
+            headers=self._headers | {"Accept": f"{media_type}, application/problem+json"},
             extensions={"timeout": self.timeout(spent_s).as_dict()},
+            **body,
         )
 
 
@@ -206,7 +210,7 @@ MAX_PROBLEM_BYTES = 64 * 1024
 _START_REMEDY = "check that the inference API runs and that the address is right"
 # Statuses after which the same request may find an answer. A gateway's time-out (504) is not among them: the
 # server works on the request, and another would add to that. So it is with a time-out while reading.
-_AGAIN = (
+AGAIN = (
     httpx.codes.REQUEST_TIMEOUT,
     httpx.codes.TOO_MANY_REQUESTS,
     httpx.codes.BAD_GATEWAY,
@@ -332,7 +336,7 @@ def lost(error: Exception, endpoint: Endpoint) -> Failure:
 def _failure(answer: httpx.Response, body: bytes) -> Failure:
     """What a status of 400 or above stands for, with the problem's own words (RFC 9457)."""
     status = answer.status_code
-    again, failed = status in _AGAIN, status >= httpx.codes.INTERNAL_SERVER_ERROR
+    again, failed = status in AGAIN, status >= httpx.codes.INTERNAL_SERVER_ERROR
     problem = _problem(answer.headers.get("content-type", ""), body)
     title = printable(problem.get("title") or f"{status} {answer.reason_phrase}".strip())
     named = f" ({printable(problem['type'])})" if problem.get("type") else ""
