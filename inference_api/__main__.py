@@ -39,7 +39,8 @@ DESCRIPTION = (
     "answers to beside loopback and --host, * for any), CSPACE_API_ORIGINS (of other sites' pages), "
     "CSPACE_API_TRUSTED_PROXIES (addresses or networks whose X-Forwarded-For is believed), CSPACE_API_GUIDE "
     "(folder of the built documentation site, for /guide), CSPACE_API_WORKBENCH (1 is as --workbench), "
-    "CSPACE_API_MLFLOW_PAGES (where browsers find MLflow)."
+    "CSPACE_API_MLFLOW_PAGES (where browsers find MLflow), CSPACE_OUTCOMES (folder that keeps what POST "
+    "/outcomes is told; none keeps nothing), CSPACE_OUTCOMES_MIB (of that folder)."
 )
 
 

@@ -1,7 +1,7 @@
 """The application: settings in, a FastAPI app out; models are loaded when it starts, not when it is made."""
 
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, nullcontext
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -19,9 +19,9 @@ from inference_api.models.served import ShippedModels
 from inference_api.models.store import ModelStore, following
 from inference_api.models.worker import RegistryWorker
 from inference_api.problem_types import add_problem_handlers
-from inference_api.process import few_arenas, settle, trimmed
+from inference_api.process import few_arenas, repeated, settle, trimmed
 from inference_api.requests import Service
-from inference_api.routes import doctor, models, open_inference, plan, sample, validity
+from inference_api.routes import doctor, models, open_inference, outcomes, plan, sample, validity
 from inference_api.routes.documentation import add_docs_page, add_guide
 from inference_api.scheduler import Lookups, Scheduler
 from inference_api.schemas import ModelInfo, Problem, model_info
@@ -30,10 +30,13 @@ from inference_api.telemetry import Metrics, Telemetry
 from inference_api.tensors import InferenceRequest
 from inference_api.tracing import TracedObserver, add_tracing, otlp_provider
 from inference_api.workbench.routes import add_workbench
+from services.outcomes import Spool
 from services.registry.ports import PRETRAINED, ModelReader
 
 # Long enough for a registry nearby, short enough for a health check's patience.
 FIRST_LOOK_S = 20.0
+# Between two files of outcomes, which is what a killed process loses.
+FLUSH_S = 10.0
 
 
 def create_app(settings: ApiSettings | None = None, registry: ModelReader | None = None) -> FastAPI:
@@ -56,8 +59,13 @@ def create_app(settings: ApiSettings | None = None, registry: ModelReader | None
         # Before the first thread has an arena.
         few_arenas()
         scheduler = Scheduler(settings.threads, metrics.waiting)
-        app.state.store, app.state.service = store, Service(store, scheduler, Lookups(), metrics)
-        async with trimmed(), following(store, settings.poll_s, FIRST_LOOK_S):
+        folder, most_bytes = settings.outcomes_folder, settings.outcomes_bytes
+        spool = None if folder is None else Spool(folder, most_bytes, metrics.outcomes)
+        app.state.store, app.state.service = store, Service(store, scheduler, Lookups(), metrics, spool)
+        flushed: AbstractAsyncContextManager[None] = nullcontext()
+        if spool is not None:
+            flushed = repeated(spool.flush, FLUSH_S, at_end=True)
+        async with trimmed(), flushed, following(store, settings.poll_s, FIRST_LOOK_S):
             settle()
             if app.state.loads_planner:
                 store.planner.begin()
@@ -74,7 +82,7 @@ def create_app(settings: ApiSettings | None = None, registry: ModelReader | None
         docs_url=None,
         redoc_url=None,
     )
-    for routes in (sample, validity, plan, doctor, models, open_inference):
+    for routes in (sample, validity, plan, doctor, outcomes, models, open_inference):
         app.include_router(routes.router)
     add_docs_page(app)
     add_guide(app, settings.guide_folder)
@@ -118,7 +126,7 @@ def document(app: FastAPI, default_model: str) -> dict[str, Any]:
             for body in made["paths"][path]["post"]["requestBody"]["content"].values():
                 body["schema"]["properties"]["model"]["default"] = default_model
         schemas = components.setdefault("schemas", {})
-        for unseen in (Problem, InferenceRequest):
+        for unseen in (Problem, InferenceRequest, outcomes.OutcomesRequest):
             schema = unseen.model_json_schema(ref_template="#/components/schemas/{model}")
             schemas.update(schema.pop("$defs", {}))
             schemas[unseen.__name__] = schema

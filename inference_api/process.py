@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
+from functools import partial
 from types import FrameType
 
 from anyio import to_thread
@@ -55,17 +56,34 @@ async def trimmed(every_s: float = TRIM_S) -> AsyncIterator[None]:
     except (OSError, AttributeError, TypeError):
         yield
         return
+    async with repeated(partial(trim, 0), every_s):
+        yield
+
+
+@asynccontextmanager
+async def repeated(
+    call: Callable[[], object], every_s: float, *, at_end: bool = False
+) -> AsyncIterator[None]:
+    """While this is entered, something is called in a thread again and again.
+
+    Args:
+        call: which raises nothing.
+        every_s: seconds between two times.
+        at_end: whether it is called once more when this is left.
+    """
 
     async def again() -> None:
         while True:
             await asyncio.sleep(every_s)
-            await to_thread.run_sync(trim, 0)
+            await to_thread.run_sync(call)
 
     task = asyncio.create_task(again())
     try:
         yield
     finally:
         task.cancel()
+        if at_end:
+            await to_thread.run_sync(call)
 
 
 def settle() -> None:

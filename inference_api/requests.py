@@ -35,6 +35,7 @@ from inference_api.problem_types import (
 from inference_api.scheduler import Job, Lookups, Scheduler, rows_of
 from inference_api.schemas import ModelFields, RequestFields
 from inference_api.telemetry import Metrics
+from services.outcomes import Spool
 from services.registry.ports import ModelReference
 
 NPY = "application/x-npy"
@@ -71,12 +72,14 @@ class Service:
         scheduler: in whose turns requests are computed.
         lookups: where requests wait for models that have to be fetched.
         metrics: of the app.
+        spool: of outcomes; None keeps none.
     """
 
     store: ModelStore
     scheduler: Scheduler
     lookups: Lookups
     metrics: Metrics
+    spool: Spool | None = None
 
     async def respond(self, request: Request, parse: Parse) -> Response:
         """The answer to a request whose body has been read.

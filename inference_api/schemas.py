@@ -307,11 +307,12 @@ class RequestFields(BaseModel):
             places = {name: place for place, name in enumerate(cls.model_fields)}
             wrong = error.errors(include_url=False, include_context=False)
             wrong.sort(key=lambda one: places.get(str(one["loc"][0]) if one["loc"] else "", len(places)))
-            problems = [cls._problem(one["type"], one["loc"], one["input"]) for one in wrong[:MAX_REPORTED]]
+            problems = [cls.problem_at(one["type"], one["loc"], one["input"]) for one in wrong[:MAX_REPORTED]]
             raise FieldsError(problems) from error
 
     @classmethod
-    def _problem(cls, kind: str, location: tuple[int | str, ...], value: object) -> FieldProblem:
+    def problem_at(cls, kind: str, location: tuple[int | str, ...], value: object) -> FieldProblem:
+        """What is wrong at a place, as pydantic tells it."""
         name = str(location[0])[:100] if location else ""
         if kind == "extra_forbidden":
             expected = f"one of {', '.join(cls.model_fields)}"

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from cspace.errors import ConfigError
+from services.outcomes import FOLDER
 from services.registry.ports import PRETRAINED, SHIPPED, is_model_name, is_shipped
 
 TRACES_ENDPOINTS = ("OTEL_EXPORTER_OTLP_ENDPOINT", "OTEL_EXPORTER_OTLP_TRACES_ENDPOINT")
@@ -101,6 +102,8 @@ class ApiSettings:
         workbench: whether the page at ``/`` may ask for the truth of scenes.
         mlflow_pages: where browsers find MLflow's pages, for links; None for no links.
         load_planner: whether the search of plans is loaded before the server is ready.
+        outcomes_folder: where outcomes wait for their upload; None keeps none.
+        outcomes_bytes: of that folder, at least 16 MiB.
     """
 
     registry_uri: str | None
@@ -122,6 +125,8 @@ class ApiSettings:
     workbench: bool = False
     mlflow_pages: str | None = None
     load_planner: bool = True
+    outcomes_folder: Path | None = None
+    outcomes_bytes: int = 256 * MIB
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str] | None = None) -> "ApiSettings":
@@ -157,6 +162,8 @@ class ApiSettings:
             workbench=_switch(values, WORKBENCH),
             mlflow_pages=_pages(values, "CSPACE_API_MLFLOW_PAGES"),
             load_planner=_switch(values, "CSPACE_API_LOAD_PLANNER", "1"),
+            outcomes_folder=Path(values[FOLDER]) if values.get(FOLDER) else None,
+            outcomes_bytes=int(MIB * _number(values, "CSPACE_OUTCOMES_MIB", 256, 16)),
         )
 
 

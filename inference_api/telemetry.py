@@ -29,6 +29,7 @@ from cspace.query import Status
 from inference_api.limits import RAW_SECURITY_HEADERS
 from inference_api.logs import RequestRecord, begin, choose_request_id, current, end, log_request
 from inference_api.problem_types import PROBLEMS, SHUTTING_DOWN, failure_response, problem_response
+from services.outcomes import RESULTS
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 REQUEST_ID = "X-Request-ID"
@@ -140,7 +141,10 @@ class Metrics(Observer):
         self._reloads = counter(
             "cspace_model_reloads", "Champions put into service, or refused.", ("outcome", "reason")
         )
+        self._outcomes = counter("cspace_outcomes", "Outcomes written to disk, or lost.", ("result",))
         # Else a rate over the first event of a kind would see no rise.
+        for result in RESULTS:
+            self._outcomes.labels(result)
         for problem in PROBLEMS:
             self._failures.labels(problem.name)
         for status in get_args(Status):
@@ -178,6 +182,10 @@ class Metrics(Observer):
     def refused(self, reason: Refusal) -> None:
         """Counts a champion that was not."""
         self._reloads.labels("refused", reason).inc()
+
+    def outcomes(self, result: str, count: int) -> None:
+        """Counts outcomes that were written, or are lost."""
+        self._outcomes.labels(result).inc(count)
 
     def finished(self, route: str, method: str, status: int, record: RequestRecord) -> None:
         """Counts a request."""

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from cspace.errors import ConfigError, ServiceStartError, StorageError
 from cspace.files import IGNORE_ALL, IGNORE_FILE, ignore, replacing, write_json
+from services.outcomes import FOLDER as OUTCOMES
 from services.planner.client import API_URL
 
 MARKER = ".cspace-sampler.json"
@@ -130,6 +131,11 @@ class Settings:
     def data_folder(self) -> Path:
         """Data sets and what jobs keep between runs."""
         return self.home / "data"
+
+    @property
+    def outcomes_folder(self) -> Path:
+        """What users reported of answers, until it is uploaded."""
+        return self.data_folder / "outcomes"
 
     @property
     def logs_folder(self) -> Path:
@@ -361,6 +367,8 @@ def service_environment(settings: Settings, base: Mapping[str, str] = os.environ
         # Jobs that run from an uploaded copy of the sources, without history, tell their commit by this.
         "CSPACE_GIT_DIR": str(settings.root / ".git"),
         "CSPACE_MODEL_CACHE": str(settings.home / "models"),
+        # Empty switches it off; another folder would be that of another state folder.
+        OUTCOMES: "" if base.get(OUTCOMES) == "" else str(settings.outcomes_folder),
         "MLFLOW_DISABLE_TELEMETRY": "true",
         # Progress bars turn a log into noise.
         "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false",
@@ -400,6 +408,7 @@ def shell_lines(settings: Settings) -> list[str]:
         "RAY_ADDRESS": settings.ray_url,
         "RAY_JOB_SUBMIT_HOOK": "services.local.upload.check_upload",
         API_URL: settings.api_url,
+        OUTCOMES: str(settings.outcomes_folder),
         "MLFLOW_TRACKING_URI": settings.mlflow_url,
         "MLFLOW_DISABLE_TELEMETRY": "true",
         "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false",

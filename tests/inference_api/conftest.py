@@ -55,6 +55,8 @@ def api_over(
     *,
     shipped: bool = True,
     protection: Protection | None = None,
+    outcomes_folder: Path | None = None,
+    outcomes_bytes: int = 2**28,
 ) -> Iterator[ApiClient]:
     """An app in this process; its registry is looked at once on start and then only when told."""
     settings = ApiSettings(
@@ -65,6 +67,8 @@ def api_over(
         protection=protection or Protection(),
         # Whether or not somebody built the documentation here.
         guide_folder=folder / "no guide",
+        outcomes_folder=outcomes_folder,
+        outcomes_bytes=outcomes_bytes,
     )
     with running(create_app(settings, registry)) as client:
         yield client

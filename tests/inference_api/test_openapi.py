@@ -3,6 +3,7 @@
 import base64
 import json
 import re
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -45,6 +46,7 @@ def test_every_page_of_the_contract_is_in_the_document(document: dict[str, Any])
         "/validity": {"post"},
         "/plan": {"post"},
         "/doctor": {"post"},
+        "/outcomes": {"post"},
         "/models": {"get"},
         "/metrics": {"get"},
         "/health/live": {"get"},
@@ -59,6 +61,12 @@ def test_every_page_of_the_contract_is_in_the_document(document: dict[str, Any])
         "/v2/models/{model}/versions/{version}/ready": {"get"},
         "/v2/models/{model}/versions/{version}/infer": {"post"},
     }
+
+
+def test_the_proxies_pass_every_page_on_but_the_metrics(document: dict[str, Any]) -> None:
+    text = Path(__file__).parents[2].joinpath("docker/nginx/pages.conf").read_text(encoding="utf-8")
+    (pattern,) = re.findall(r"location ~ (\S+) \{", text)
+    assert {path for path in document["paths"] if not re.search(pattern, path)} == {"/metrics"}
 
 
 REQUESTS: list[tuple[dict[str, Any], bool]] = [

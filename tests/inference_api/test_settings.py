@@ -51,6 +51,8 @@ def test_every_setting_is_read() -> None:
         "CSPACE_API_WORKBENCH": "1",
         "CSPACE_API_MLFLOW_PAGES": "http://127.0.0.1:5000/",
         "CSPACE_API_LOAD_PLANNER": "0",
+        "CSPACE_OUTCOMES": "/srv/outcomes",
+        "CSPACE_OUTCOMES_MIB": "16",
     }
     protection = Protection(
         keys_file=Path("/srv/keys"),
@@ -80,6 +82,8 @@ def test_every_setting_is_read() -> None:
         workbench=True,
         mlflow_pages="http://127.0.0.1:5000",
         load_planner=False,
+        outcomes_folder=Path("/srv/outcomes"),
+        outcomes_bytes=16 * 2**20,
     )
 
 
@@ -118,6 +122,7 @@ WRONG = {
     "CSPACE_API_ORIGINS": ("site.example", "https://site.example/", "*"),
     "CSPACE_API_TRUSTED_PROXIES": ("*", "proxy.example", "10.0.0.1/8"),
     "CSPACE_API_WORKBENCH": ("yes",),
+    "CSPACE_OUTCOMES_MIB": ("15", "inf"),
     "CSPACE_API_MLFLOW_PAGES": ("javascript:alert(1)",),
 }
 

@@ -23,6 +23,7 @@ def test_jobs_find_tracking_data_token_mode_and_one_thread(settings: Settings) -
         "MLFLOW_TRACKING_URI": settings.mlflow_url,
         "CSPACE_DATA_DIR": str(settings.data_folder),
         "CSPACE_MODEL_CACHE": str(settings.home / "models"),
+        "CSPACE_OUTCOMES": str(settings.data_folder / "outcomes"),
         "RAY_AUTH_MODE": "token",
         "RAY_USAGE_STATS_ENABLED": "0",
         "MLFLOW_DISABLE_TELEMETRY": "true",
@@ -33,6 +34,7 @@ def test_jobs_find_tracking_data_token_mode_and_one_thread(settings: Settings) -
     }
     assert expected.items() <= environment.items()
     assert Path(environment["CSPACE_DATA_DIR"]).is_absolute()
+    assert service_environment(settings, BASE | {"CSPACE_OUTCOMES": ""})["CSPACE_OUTCOMES"] == ""
     assert environment["PATH"].split(os.pathsep) == [str(Path(sys.executable).parent), "/usr/bin"]
 
 
@@ -58,6 +60,7 @@ def test_the_shell_lines_do_in_a_shell_what_they_say(settings: Settings) -> None
     assert values["RAY_ADDRESS"] == settings.ray_url
     assert values["MLFLOW_TRACKING_URI"] == settings.mlflow_url
     assert values["CSPACE_API_URL"] == settings.api_url
+    assert values["CSPACE_OUTCOMES"] == str(settings.data_folder / "outcomes")
     # MLflow prints addresses among the evaluator's results otherwise.
     assert values["MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT"] == "true"
     assert values["PATH"] == f"{Path(sys.executable).parent}:/usr/bin:/bin"
