@@ -11,7 +11,7 @@ RUN pip install --no-cache-dir --only-binary :all: -c /tmp/constraints.txt pip \
  && pip install --no-cache-dir --only-binary :all: -c /tmp/constraints.txt -r /tmp/requirements.txt
 
 RUN useradd --uid 1000 --create-home cspace \
- && install -d -o cspace -g cspace /var/lib/cspace/models /opt/cspace/kernels
+ && install -d -o cspace -g cspace /var/lib/cspace/models /var/lib/outcomes /opt/cspace/kernels
 COPY cspace /app/cspace
 COPY services /app/services
 COPY inference_api /app/inference_api

@@ -95,6 +95,7 @@ def test_a_container_reaches_its_neighbours_alone(
 
     assert neighbours("inference-api") == {"edge", "mlflow-reader"}
     assert neighbours("postgres") == {"mlflow", "mlflow-migrate"}
+    assert neighbours("outcomes") == {"mlflow", "mlflow-reader"}
     assert neighbours("ray-worker") == {"ray-head", "mlflow", "train", "evaluate"}
     published = set().union(*(networks[name] for name, service in services.items() if "ports" in service))
     for name, network in compose_file["networks"].items():
@@ -102,6 +103,15 @@ def test_a_container_reaches_its_neighbours_alone(
     assert published >= {"door", "cluster"}
     # The API's has no way out.
     assert networks["inference-api"] == {"api"}
+
+
+def test_what_callers_report_is_open_to_the_api_and_its_upload_alone(services: Mapping[str, Any]) -> None:
+    mounts = {name: " ".join(service.get("volumes", [])) for name, service in services.items()}
+    assert {name for name, mounted in mounts.items() if "outcomes" in mounted} == {
+        "inference-api",
+        "outcomes",
+    }
+    assert services["outcomes"]["image"] == services["inference-api"]["image"]
 
 
 def test_a_service_that_is_scaled_publishes_nothing_and_has_no_fixed_name(

@@ -1,5 +1,6 @@
 """The whole flow in containers: come up, train, evaluate, serve the new champion, take more workers."""
 
+import time
 from collections.abc import Mapping
 from typing import Any
 
@@ -32,6 +33,15 @@ def test_a_container_is_not_root_and_cannot_write_to_its_root(stack: Stack, serv
     assert stack.compose("exec", "-T", service, "id", "-u").strip() != "0"
     with pytest.raises(AssertionError, match="Read-only file system"):
         stack.compose("exec", "-T", service, "touch", "/written")
+
+
+def test_what_callers_report_is_uploaded(stack: Stack, untrained: httpx.Response) -> None:
+    named = {"request_id": untrained.headers["x-request-id"], "model": "pretrained/0"}
+    told = {"outcomes": [{"kind": "samples", "checked": 3, "free": 2, **named}]}
+    assert httpx.post(f"{stack.url('API')}/outcomes", json=told, timeout=60).json() == {"kept": 1}
+    until = time.monotonic() + 60.0
+    while "uploaded 1 of samples" not in stack.job("outcomes"):
+        assert time.monotonic() < until
 
 
 def test_the_api_plans_without_compiling_first(stack: Stack) -> None:
