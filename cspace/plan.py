@@ -3,7 +3,7 @@
 import math
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -216,13 +216,13 @@ def search_paths(
     found = find_paths(checkers, ends[0], goals, count, seed, until_s, check_cancelled=check_cancelled)
     searched = time.monotonic()
     scored = score(found.paths, checkers[0].space, STEP_RAD, predict, seen.plan_calibration)
-    ranked = sorted(scored, key=_by_cost)
+    ranked = _ranked(scored, seen.known)
     if found.checker is not None:
         check_cancelled = with_deadline(until_s, check_cancelled)
         refiner = PathRefiner(
             found.checker, predict, seen.plan_calibration, Effort(step_rad=STEP_RAD), check_cancelled
         )
-        ranked = _refined(ranked, refiner, seed)
+        ranked = _ranked(_refined(ranked, refiner, seed), seen.known)
     return Searched(ranked, found.late, 1e3 * (searched - began), 1e3 * (time.monotonic() - searched))
 
 
@@ -270,16 +270,17 @@ def _constrained(
 
 
 def _refined(ranked: list[ScoredPath], refiner: PathRefiner, seed: int) -> list[ScoredPath]:
-    """The paths, the first of them changed."""
+    """The paths, the first of them changed, in the same order."""
     changed = ranked[: refiner.effort.paths]
     found = [
         refiner.refine(path, np.random.default_rng([seed, number, 1])) for number, path in enumerate(changed)
     ]
-    return sorted([*found, *ranked[len(changed) :]], key=_by_cost)
+    return [*found, *ranked[len(changed) :]]
 
 
-def _by_cost(path: ScoredPath) -> float:
-    return path.cost
+def _ranked(paths: Iterable[ScoredPath], known: Known | None) -> list[ScoredPath]:
+    """Lowest cost first; of those that are known to be free, and so have none, the shortest."""
+    return sorted(paths, key=lambda one: (one.cost, 0.0 if known is None else one.length_rad))
 
 
 def _answer(best: ScoredPath, found: int, min_confidence: float) -> Plan:

@@ -155,6 +155,11 @@ class Known(Protocol):
     ) -> NDArray[np.bool_]:
         """Which of (N, d) rad touch nothing that is known; ``check_cancelled`` is called between parts."""
 
+    def certain(
+        self, configurations: NDArray[np.floating], check_cancelled: CheckCancelled = lambda: None
+    ) -> NDArray[np.bool_]:
+        """Which of (N, d) rad are free by what is known alone, so that there is nothing to predict."""
+
     @property
     def size_bytes(self) -> int:
         """Of what it holds, nearly."""

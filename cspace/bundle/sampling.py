@@ -19,6 +19,7 @@ of 2 and 3.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,7 @@ from cspace.plan import Seen, search_paths
 from cspace.planning.paths import AlongPaths
 from cspace.query import DEFAULT_PATHS
 from cspace.space import JointSpace
+from cspace.world import Known
 
 CONFIDENCE, UNSEEN = "confidence", "unseen"
 # A head that reads arrays of space at hundreds of spheres a configuration is quickest while what it computes
@@ -60,13 +62,15 @@ class Head:
 
         stop = check_cancelled or (lambda: None)
 
-        def score(part: NDArray[np.float32]) -> NDArray[np.float32]:
+        def predicted(part: NDArray[np.float32]) -> NDArray[np.float32]:
             shapes = dict.fromkeys(self._outputs, (len(part),))
             found = self._graph.run(fixed | {"configurations": part}, shapes)
-            columns = np.stack([found[name] for name in self._outputs], axis=1)
-            if picture.known is not None:
-                columns[~picture.known.free(part, stop), 0] = 0.0
-            return columns
+            return np.stack([found[name] for name in self._outputs], axis=1)
+
+        def score(part: NDArray[np.float32]) -> NDArray[np.float32]:
+            if picture.known is None:
+                return predicted(part)
+            return self._beside(picture.known, part, predicted, stop)
 
         def run(rows: slice) -> NDArray[np.float32]:
             part = configurations[rows]
@@ -82,6 +86,22 @@ class Head:
         if np.any((found < 0.0) | (found > 1.0)):
             raise BundleError("the validity head gives no probabilities", expected="values from 0 to 1")
         return found
+
+    def _beside(
+        self,
+        known: Known,
+        rows: NDArray[np.float32],
+        predicted: Callable[[NDArray[np.float32]], Any],
+        stop: CheckCancelled,
+    ) -> NDArray[np.float32]:
+        """Scores of rows (n, d) rad, of which those that are known are not predicted."""
+        certain = known.certain(rows, stop)
+        columns = np.zeros((len(rows), len(self._outputs)), dtype=np.float32)
+        columns[certain, 0] = 1.0
+        if not certain.all():
+            columns[~certain] = predicted(rows[~certain])
+        columns[~known.free(rows, stop), 0] = 0.0
+        return columns
 
     def predict(
         self, picture: Picture, configurations: NDArray[np.float32], check_cancelled: CheckCancelled | None

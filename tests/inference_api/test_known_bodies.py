@@ -112,6 +112,21 @@ def test_a_plan_whose_start_touches_a_known_body_says_what_and_where(api):
     assert allowed.get("contact") is None or allowed["contact"]["other"] != "ball"
 
 
+def test_where_everything_is_known_plans_are_certain_and_the_shortest_path_is_the_answer(api):
+    ends = {"start": list(PROBLEM.start), "goal": list(PROBLEM.goal), "seed": 1, "alternatives": True}
+    plain = ask(api, "/plan", **ends, min_confidence=0.0, scene=[WALL]).json()
+    assert plain["confidence"] < 1.0
+    whole = {"box": {"size_m": [4.0, 4.0, 4.0]}}
+    found = ask(api, "/plan", **ends, min_confidence=1.0, scene=[WALL], ignore=[whole]).json()
+    assert (found["status"], found["confidence"]) == ("solved", 1.0)
+    assert set(found["edges"]) == {1.0}
+    assert set(found["unseen"]) == {0.0}
+    assert not behind_the_wall(np.concatenate(np.linspace(found["path"][:-1], found["path"][1:], 40))).any()
+    lengths = [np.linalg.norm(np.diff(one["path"], axis=0), axis=1).sum() for one in found["alternatives"]]
+    assert lengths == sorted(lengths)
+    assert len(lengths) == 4
+
+
 def test_wrong_bodies_are_refused_with_the_field(api):
     for fields, words in (
         ({"scene": [{"name": "a", "box": {"size_m": [1, -1, 1]}}]}, "scene.0.box.size_m.1"),

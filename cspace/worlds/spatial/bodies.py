@@ -333,6 +333,22 @@ def points_to_bodies(points, bodies, bound):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def are_inside(centres, radii, bodies):  # type: ignore[no-untyped-def]
+    """Which rows of spheres (N, S, 3) m of radii (S,) m lie in bodies, each sphere in one of them, (N,)."""
+    out = np.ones(centres.shape[0], np.bool_)
+    for row in range(centres.shape[0]):
+        for index in range(centres.shape[1]):
+            x, y, z = centres[row, index, 0], centres[row, index, 1], centres[row, index, 2]
+            inside = False
+            for number in range(bodies.centres.shape[0]):
+                inside = inside or body_distance(x, y, z, number, bodies, -radii[index]) <= -radii[index]
+            if not inside:
+                out[row] = False
+                break
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _span(centre, reach, low, voxel, count):  # type: ignore[no-untyped-def]
     first = max(0, int(np.floor((centre - reach - low) / voxel)))
     return first, min(count - 1, int(np.ceil((centre + reach - low) / voxel)))

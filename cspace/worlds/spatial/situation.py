@@ -4,7 +4,7 @@ The arm with what is attached to it is an arm again, so that searches, self filt
 know of it. Compiled.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -17,13 +17,14 @@ from cspace.world import CheckCancelled, Contact
 from cspace.worlds.spatial.arm import MAX_SPHERES, TOOL, Part, SerialArm
 from cspace.worlds.spatial.bodies import (
     BodyArrays,
+    are_inside,
     body_arrays,
     part_contact,
     points_to_bodies,
     write_body,
 )
 from cspace.worlds.spatial.checks import KERNELS, scene_arrays
-from cspace.worlds.spatial.kinematics import arm_arrays
+from cspace.worlds.spatial.kinematics import arm_arrays, sphere_centres_batch
 from cspace.worlds.spatial.obstacles import Obstacles
 from cspace.worlds.spatial.planning_scene import Attached, Body, BoxShape, PlanningScene
 from cspace.worlds.spatial.poses import HERE, moved
@@ -75,10 +76,13 @@ class Situation:
         held = {one.name for one in known.attached}
         pairs = tuple(pair for pair in self.arm.touching if held & set(pair))
         limits = np.full(arm.dim, np.inf)
-        scene = scene_arrays(replace(self.arm, touching=pairs), Obstacles((), ()), bodies=self.bodies)
-        self._scene = scene._replace(lower=-limits, upper=limits)
-        work = self.arm.sphere_count * (1 + len(self.bodies.centres) + len(self.bodies.corners))
-        self._rows_at_once = max(1, _AT_ONCE // work)
+        nothing = Obstacles((), ())
+        self._scene, self._whole = (
+            scene_arrays(one, nothing, bodies=self.bodies)._replace(lower=-limits, upper=limits)
+            for one in (replace(self.arm, touching=pairs), self.arm)
+        )
+        looked_at = [*self.bodies.centres, *self.bodies.corners, *self.ignored.centres, *self.ignored.corners]
+        self._rows_at_once = max(1, _AT_ONCE // (self.arm.sphere_count * (1 + len(looked_at))))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -93,11 +97,42 @@ class Situation:
         Joint limits, pictures and the arm's own self-collision are left to others. ``check_cancelled`` is
         called between parts of some ms; what it raises passes through.
         """
+        return self._in_parts(
+            lambda rows: KERNELS.free_batch(rows, self._scene), configurations, check_cancelled
+        )
+
+    def certain(
+        self, configurations: NDArray[np.floating], check_cancelled: CheckCancelled = lambda: None
+    ) -> NDArray[np.bool_]:
+        """Which of (N, d) rad touch no known body nor the arm itself, all that moves in volumes to ignore.
+
+        Each sphere lies in one of the volumes. Joint limits are left to others. ``check_cancelled`` as for
+        :meth:`free`.
+        """
+        if not self.known.ignore:
+            return np.zeros(len(configurations), dtype=np.bool_)
+        arrays = arm_arrays(self.arm)
+        moving = arrays.links > _STILL
+
+        def is_certain(rows: NDArray[np.float64]) -> NDArray[np.bool_]:
+            centres = sphere_centres_batch(rows, arrays)[:, moving]
+            found: NDArray[np.bool_] = are_inside(centres, arrays.radii[moving], self.ignored)
+            found[found] = KERNELS.free_batch(rows[found], self._whole)
+            return found
+
+        return self._in_parts(is_certain, configurations, check_cancelled)
+
+    def _in_parts(
+        self,
+        check: Callable[[NDArray[np.float64]], NDArray[np.bool_]],
+        configurations: NDArray[np.floating],
+        check_cancelled: CheckCancelled,
+    ) -> NDArray[np.bool_]:
         rows = np.ascontiguousarray(configurations, dtype=np.float64)
         found = np.empty(len(rows), dtype=np.bool_)
         for first in range(0, len(rows), self._rows_at_once):
             some = slice(first, first + self._rows_at_once)
-            found[some] = KERNELS.free_batch(rows[some], self._scene)
+            found[some] = check(rows[some])
             check_cancelled()
         return found
 
@@ -390,4 +425,5 @@ def load_kernels(world: SpatialWorld) -> None:
     made.explains(np.zeros((1, 3)))
     made.complete(np.zeros(world.sensor.picture_shape, dtype=np.uint8), world.sensor.grid)
     made.free(np.zeros((1, world.dim)))
+    made.certain(np.zeros((1, world.dim)))
     made.contact(np.zeros(world.dim), np.zeros(world.sensor.picture_shape, dtype=np.uint8), world.sensor.grid)

@@ -16,6 +16,7 @@ from cspace.worlds import examples, partly_seen
 from cspace.worlds.spatial.arm import ready_rad
 from cspace.worlds.spatial.bodies import points_to_bodies
 from cspace.worlds.spatial.checks import CollisionChecker
+from cspace.worlds.spatial.obstacles import Obstacles
 from cspace.worlds.spatial.planning_scene import PlanningScene, read_planning_scene, read_stl
 from cspace.worlds.spatial.sensor import FREE
 from cspace.worlds.spatial.situation import Situation, bodies_of, cover
@@ -115,6 +116,24 @@ def test_the_base_may_stand_in_a_table_and_pairs_that_are_allowed_may_touch():
     assert not situation.free(ROWS).all()
     allowed = [[part.name, "table"] for part in ARM.parts]
     assert Situation(ARM, scene_of(scene=[TABLE], allowed=allowed)).free(ROWS).all()
+
+
+def test_in_ignored_volumes_a_robot_is_certainly_free_where_it_touches_neither_bodies_nor_itself():
+    assert not Situation(ARM, scene_of(scene=[TABLE])).certain(ROWS).any()
+    everything = Situation(ARM, scene_of(scene=[TABLE], ignore=[{"box": {"size_m": [4.0, 4.0, 4.0]}}]))
+    alone = CollisionChecker(ARM, Obstacles((), ())).valid_batch(ROWS)
+    assert not alone.all()
+    certain = everything.certain(ROWS)
+    np.testing.assert_array_equal(certain, everything.free(ROWS) & alone)
+    above = {"box": {"size_m": [4.0, 4.0, 4.0]}, "pose": at(0.0, 0.0, 2.1)}
+    moving = ARM.sphere_links() > 0
+    low = ARM.sphere_centres_m(ROWS)[:, moving, 2] - ARM.spheres_m()[moving, 3]
+    found = Situation(ARM, scene_of(scene=[TABLE], ignore=[above])).certain(ROWS)
+    np.testing.assert_array_equal(found, certain & (low.min(axis=1) >= 0.1))
+    assert 0 < found.sum() < certain.sum()
+    rod = {"name": "rod", "cylinder": {"radius_m": 0.01, "length_m": 0.4}, "pose": at(0.0, 0.0, 2.6)}
+    held = scene_of(attached=[rod], ignore=[{"box": {"size_m": [4.0, 4.0, 4.0]}}])
+    assert Situation(ARM, held).certain(READY[None]).tolist() == [False]
 
 
 def test_an_attached_body_touches_what_the_hand_does_not():
