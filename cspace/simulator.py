@@ -477,12 +477,14 @@ class ProblemRequest:
         seed: of those that are drawn.
         aim: what cameras look at: ``goal``, or ``scene`` for the middle of all obstacles.
         folder: of problems that do not ship; None where none are needed.
+        held: whether the robot holds what its goal grasps, and planners know this and the table.
     """
 
     split: Split
     seed: int = 0
     aim: str = "goal"
     folder: Path | None = None
+    held: bool = False
 
 
 class ValidityChecker(Protocol):
@@ -502,6 +504,10 @@ class PartlySeen(Protocol):
     @property
     def hard(self) -> tuple[str, ...]:
         """The families that planners find hard although all is known; none where nobody looked."""
+
+    @property
+    def grasping(self) -> tuple[str, ...]:
+        """The families whose goals grasp something on a table."""
 
     def count(self, family: str, split: Split) -> int | None:
         """How many problems a family has; None where they are drawn without end."""

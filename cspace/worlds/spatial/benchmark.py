@@ -20,10 +20,12 @@ from cspace.strict_json import Record, parse_json, read_object, validated
 from cspace.world import Image, World
 from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.checks import CollisionChecker, seen_checkers
+from cspace.worlds.spatial.distances import distance_m
 from cspace.worlds.spatial.furniture import FAMILIES, GoalRegion, Layout
 from cspace.worlds.spatial.kinematics import arm_arrays, sphere_centres_batch
 from cspace.worlds.spatial.mesh_checker import Description, MeshChecker, RobotMeshes, panda_urdf
 from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles
+from cspace.worlds.spatial.planning_scene import Attached, Body, BoxShape, CylinderShape, PlanningScene
 from cspace.worlds.spatial.poses import Vector, pose_of
 from cspace.worlds.spatial.problems import draw_problem
 from cspace.worlds.spatial.scenes import SpatialScene, scenes_of, seen
@@ -201,6 +203,7 @@ def _bad(path: Path, got: str) -> DatasetError:
 
 
 PREFIX = "motionbench_"
+_GRASPING = (f"{PREFIX}table_pick", f"{PREFIX}table_under_pick")
 # Of MotionBenchMaker's Panda, m.
 FINGERS_M = 0.065
 
@@ -222,6 +225,11 @@ class SpatialPartlySeen:
         """Thin and tall shelves, the cage and the bin."""
         return tuple(PREFIX + family for family in ("bookshelf_thin", "bookshelf_tall", "cage", "box"))
 
+    @property
+    def grasping(self) -> tuple[str, ...]:
+        """The two sets with a table."""
+        return _GRASPING if is_benchmarked(self.world.body) else ()
+
     def count(self, family: str, split: Split) -> int | None:
         """Of MotionBenchMaker's sets."""
         return len(NUMBERS[split]) if family.startswith(PREFIX) else None
@@ -229,15 +237,21 @@ class SpatialPartlySeen:
     def problem(self, request: ProblemRequest, family: str, index: int, pictures: int) -> Problem | None:
         """See :func:`from_both_sides`; the arm waits at the start.
 
-        That of MotionBenchMaker's problems has the wider limits of the benchmark.
+        That of MotionBenchMaker's problems has the wider limits of the benchmark. What it holds, see
+        :func:`in_hand`, is with it at the start and ends at the goal where the problem has it.
         """
         world = with_benchmark_limits(self.world) if family.startswith(PREFIX) else self.world
         layout, start, goal, number = _found(world, request, family, index)
         ends = np.array([start, goal])
-        if not CollisionChecker(world.body, layout.obstacles).valid_batch(ends).all():
+        known, holding = None, None
+        if request.held:
+            obstacles, known = in_hand(world.body, layout.obstacles, ends[1])
+            layout, holding = replace(layout, obstacles=obstacles), world.situation(known).arm
+        if not CollisionChecker(holding or world.body, layout.obstacles).valid_batch(ends).all():
             return None
         rng = np.random.default_rng([25, pictures, *family.removeprefix(PREFIX).encode(), *number])
         scene = from_both_sides(rng, viewed(world, pictures), layout, ends[0], request.aim)
+        scene = replace(scene, known=known, holding=holding)
         try:
             world.examined(scene.view())
         except ImageError:
@@ -247,7 +261,7 @@ class SpatialPartlySeen:
     def checkers(self, problem: Problem, image: Image, taken: Taken) -> Sequence[CollisionChecker]:
         """Where unseen space is occupied, room is made for the arm at the start, where it stands."""
         scene = cast("SpatialScene", problem.scenario)
-        world, obstacles = scene.world, scene.obstacles
+        world, obstacles = replace(scene.world, body=scene.arm), scene.obstacles
         if taken is Taken.KNOWN:
             return [CollisionChecker(world.body, obstacles)]
         ends = np.array([problem.start, problem.goal])
@@ -267,15 +281,49 @@ class SpatialPartlySeen:
         return np.asarray(lookup(image, self.world.sensor.grid, centres).unseen.mean(axis=1))
 
     def mesh_checker(self, problem: Problem) -> MeshChecker | None:
-        """By convex hulls of the Panda's meshes; None for other arms as well."""
+        """By convex hulls of the Panda's meshes; None for other arms, and where it holds something."""
         scene = cast("SpatialScene", problem.scenario)
-        meshes = _meshes(scene.world.body)
+        meshes = _meshes(scene.world.body) if scene.holding is None else None
         return None if meshes is None else meshes.among(scene.obstacles)
 
 
 def open_partly_seen(world: World) -> SpatialPartlySeen:
     """Of a world of this kind."""
     return SpatialPartlySeen(cast("SpatialWorld", world))
+
+
+def level_face(box: Box) -> float:
+    """Area of the face that looks up the most, square metres."""
+    up = int(np.argmax(np.abs(np.asarray(box.pose)[2, :3])))
+    return float(4.0 * np.prod(np.delete(box.half_m, up)))
+
+
+def body_of(name: str, shape: Box | Cylinder) -> Body:
+    """An obstacle as a planner knows it."""
+    if isinstance(shape, Box):
+        x, y, z = (2.0 * half for half in shape.half_m)
+        return Body(name, box=BoxShape((x, y, z)), pose=shape.pose)
+    size = CylinderShape(shape.radius_m, 2.0 * shape.half_length_m)
+    return Body(name, cylinder=size, pose=shape.pose)
+
+
+def in_hand(
+    arm: SerialArm, obstacles: Obstacles, goal: NDArray[np.float64]
+) -> tuple[Obstacles, PlanningScene]:
+    """Obstacles without what the tool grasps at a goal (d,) rad; a planner that knows this and the table.
+
+    Grasped is the obstacle nearest to the tool, attached as it stands there; the table is the box with the
+    largest level face.
+    """
+    tool = arm.tool_frames(goal[None])[0]
+    shapes: tuple[Box | Cylinder, ...] = (*obstacles.boxes, *obstacles.cylinders)
+    grasped = min(shapes, key=lambda one: float(distance_m(Obstacles.of([one]), tool[:3, 3])))
+    body = body_of("grasped", grasped)
+    pose = pose_of(np.linalg.inv(tool) @ body.matrix)
+    held = Attached(body.name, body.box, body.cylinder, pose=pose)
+    table = body_of("table", max(obstacles.boxes, key=level_face))
+    rest = Obstacles.of([one for one in shapes if one is not grasped])
+    return rest, PlanningScene((table,), (held,))
 
 
 def is_benchmarked(arm: SerialArm) -> bool:

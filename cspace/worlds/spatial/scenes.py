@@ -24,11 +24,12 @@ from cspace.worlds.spatial.furniture import (
     floating,
 )
 from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles
+from cspace.worlds.spatial.planning_scene import PlanningScene
 from cspace.worlds.spatial.poses import make_pose, turned
 from cspace.worlds.spatial.rendering import Disparity, Noise, Stereo, StructuredLight, holed, render_depth
 from cspace.worlds.spatial.sensor import CameraViews
 from cspace.worlds.spatial.view import DepthView
-from cspace.worlds.spatial.world import SpatialWorld
+from cspace.worlds.spatial.world import SpatialWorld, spheres_at
 
 _MAX_DRAWS = 300
 # The column that the arm's base and shoulder turn in: balls above each other.
@@ -226,6 +227,8 @@ class SpatialScene:
         noise_seed: of its draws.
         regions: where goals of the hand make sense; none where nobody knows.
         holes: chance of each picture that parts of it read nothing.
+        known: that planners know beside the pictures; None without anything.
+        holding: the arm with what is attached to it there; None where nothing is.
     """
 
     world: SpatialWorld
@@ -236,11 +239,18 @@ class SpatialScene:
     noise_seed: int = 0
     regions: tuple[GoalRegion, ...] = ()
     holes: float = 0.0
+    known: PlanningScene | None = None
+    holding: SerialArm | None = None
+
+    @property
+    def arm(self) -> SerialArm:
+        """The arm, with what it holds."""
+        return self.world.body if self.holding is None else self.holding
 
     def view(self) -> DepthView:
         """What the cameras see."""
         rng = np.random.default_rng(self.noise_seed)
-        spheres = None if self.state is None else self.world.spheres_at(self.state)
+        spheres = None if self.state is None else spheres_at(self.arm, self.state)
         pictures = []
         for camera in self.cameras:
             depth = render_depth(self.obstacles, camera, spheres).depth_m
@@ -250,7 +260,7 @@ class SpatialScene:
                 # A picture that reads nothing at all is none.
                 read = with_holes if (with_holes > 0.0).any() else read
             pictures.append(to_mm(read))
-        return DepthView(tuple(pictures), self.cameras, self.state)
+        return DepthView(tuple(pictures), self.cameras, self.state, known=self.known)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""

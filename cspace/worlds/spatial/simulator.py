@@ -147,7 +147,7 @@ class SpatialSimulator:
     def checker(self, scene: Scene) -> Checker:
         """See :class:`cspace.worlds.spatial.checks.CollisionChecker`."""
         found = _spatial(scene)
-        return CollisionChecker(found.world.body, found.obstacles)
+        return CollisionChecker(found.arm, found.obstacles)
 
     def proposals(self, scene: Scene, rng: np.random.Generator, count: int) -> Proposals:
         """See :func:`cspace.worlds.spatial.problems.draw_proposals`."""

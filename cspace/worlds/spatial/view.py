@@ -1,5 +1,6 @@
 """What depth cameras saw of a scene, as a view file or as arrays. NumPy alone."""
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
@@ -80,7 +81,8 @@ class DepthView:
 def write_view(view: DepthView) -> bytes:
     """The view file of a view."""
     cameras = [_camera_values(camera) for camera in view.cameras]
-    return pack_view([encode_depth(picture) for picture in view.pictures], cameras, view.state)
+    known = None if view.known is None else json.dumps(view.known.to_dict()).encode()
+    return pack_view([encode_depth(picture) for picture in view.pictures], cameras, view.state, known=known)
 
 
 def pixels_of(data: bytes) -> int:

@@ -228,7 +228,7 @@ class SpatialWorld:
 
     def spheres_at(self, state: tuple[float, ...]) -> NDArray[np.float64]:
         """The arm's spheres at a configuration (d,) rad, (S, 4): place in the base frame and radius, m."""
-        return _spheres_at(self.body, state)
+        return spheres_at(self.body, state)
 
     def levers(self, points_per_link: int, side_m: float) -> Levers:
         """None: pictures of this world are not read by levers.
@@ -307,11 +307,12 @@ class SpatialWorld:
 
 def _spheres(arm: SerialArm, view: DepthView) -> list[NDArray[np.float64] | None]:
     """Those of an arm at the state of each picture, (S, 4) m; None where it has none."""
-    known = {state: None if state is None else _spheres_at(arm, state) for state in set(view.states)}
+    known = {state: None if state is None else spheres_at(arm, state) for state in set(view.states)}
     return [known[state] for state in view.states]
 
 
-def _spheres_at(arm: SerialArm, state: tuple[float, ...]) -> NDArray[np.float64]:
+def spheres_at(arm: SerialArm, state: tuple[float, ...]) -> NDArray[np.float64]:
+    """An arm's spheres at a configuration (d,) rad, (S, 4): place in the base frame and radius, m."""
     return np.concatenate([arm.sphere_centres_m([state])[0], arm.spheres_m()[:, 3:]], axis=1)
 
 

@@ -52,7 +52,7 @@ PLAN_PROBLEMS, PAPER_PROBLEMS, PROBLEMS, UNSOLVABLE = 30, 10, 300, 30
 OF_SAMPLES = (
     "arms", "planners", "min_confidence", "samples", "shares", "optimising_iterations", "pages", "list_arms",
 )  # fmt: skip
-OF_PLANS = ("pictures", "aim", "problems_folder")
+OF_PLANS = ("pictures", "aim", "held", "problems_folder")
 
 
 def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] = os.environ) -> int:
@@ -151,6 +151,10 @@ def parser() -> argparse.ArgumentParser:
         "--pictures", type=int, nargs="+", metavar="N", help="by which each is seen (default: 1 2 3)"
     )
     plans.add_argument("--aim", choices=AIMS, help="what cameras look at (default: goal)")
+    plans.add_argument(
+        "--held", action="store_true",
+        help="of problems with a table alone: the robot holds what its goal grasps; planners know both",
+    )  # fmt: skip
     plans.add_argument(
         "--problems-folder", type=Path,
         help="of test problems that python -m training.motionbench fetch wrote",
@@ -288,6 +292,7 @@ def _setting(options: argparse.Namespace) -> Setting:
         options.aim or AIMS[0],
         PLAN_LIMIT_S,
         WORLDS[options.robot],
+        options.held,
     )
 
 
@@ -303,6 +308,9 @@ def _plan_request(options: argparse.Namespace, setting: Setting, repeats: int) -
     pictures = tuple(dict.fromkeys(options.pictures or PICTURES))
     _require(all(1 <= count <= 4 for count in pictures), "pictures", "1 to 4", pictures)
     known = [family for families in seen.sources.values() for family in families]
+    if options.held:
+        known = list(seen.grasping)
+        _require(bool(known), "held", "a robot with problems of a table, as panda", options.robot)
     problems = {}
     for family in _wanted(options, known, known):
         most = seen.count(family, setting.split)

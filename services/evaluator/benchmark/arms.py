@@ -273,6 +273,7 @@ class Setting:
         aim: what cameras look at, ``goal`` or ``scene``.
         plan_limit_s: time in which paths are planned without exact checks.
         world: robot and sensor.
+        held: whether the robot holds what goals grasp, and planners know this and the table.
     """
 
     protocol: Protocol
@@ -284,6 +285,7 @@ class Setting:
     aim: str = AIMS[0]
     plan_limit_s: float = PLAN_LIMIT_S
     world: World = field(default_factory=default_world)
+    held: bool = False
 
     @property
     def families(self) -> Families:

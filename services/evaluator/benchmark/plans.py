@@ -100,7 +100,7 @@ class PlanWorker:
             SamplerError: a model does not answer.
         """
         setting, seen = self._setting, partly_seen(self._setting.world)
-        request = ProblemRequest(setting.split, setting.seed, setting.aim, unit.folder)
+        request = ProblemRequest(setting.split, setting.seed, setting.aim, unit.folder, setting.held)
         problem = seen.problem(request, unit.family, unit.index, max(1, unit.pictures))
         if problem is None:
             nothing: Row = {"status": NO_PROBLEM, "solved": False}

@@ -454,6 +454,11 @@ def about(runs: pd.DataFrame, setting: Setting, manifest: Mapping[str, Any]) -> 
         out = len(runs[runs["status"] == NO_PROBLEM][["family", "problem"]].drop_duplicates())
         lines += [
             f"- Cameras look at the {setting.aim}, from {VIEWS_NOTE}",
+            *(
+                ["- The robot holds what its goal grasps; planners know this and the table."]
+                if setting.held
+                else []
+            ),
             f"- Paths are searched for {setting.plan_limit_s:g} s; exact checks end after {search}.",
             f"- {out} problems are left out, because their start or goal collides.",
             f"- A state check, median: spheres {spheres}, convex meshes {meshes}.",

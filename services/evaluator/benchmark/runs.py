@@ -90,7 +90,12 @@ class RunStore:
         self.folder, self._path, self._protocol = folder, folder / RUNS, setting.protocol
         described: dict[str, Any] = {
             "schema": SCHEMA,
-            "setting": {name: value for name, value in asdict(setting).items() if name != "world"},
+            # What is off is left out, so that folders without it go on.
+            "setting": {
+                name: value
+                for name, value in asdict(setting).items()
+                if name != "world" and value is not False
+            },
             "world": setting.world.to_dict(),
             "arms": {arm.name: asdict(arm) for arm in arms},
             "samplers": {spec.name: spec.described for spec in specs},

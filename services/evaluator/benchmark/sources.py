@@ -40,7 +40,7 @@ def fresh_picture(file: bytes, note: str) -> bytes:
     if is_view(file):
         view = unpack_view(file)
         pictures = [fresh_picture(view.pictures[0], note), *view.pictures[1:]]
-        return pack_view(pictures, view.cameras, view.state, view.depth_scale_m)
+        return pack_view(pictures, view.cameras, view.state, view.depth_scale_m, view.known)
     if not file.endswith(_END):
         raise ValueError("a PNG file ends with an empty IEND chunk")
     content = b"tEXtComment\0" + note.encode("latin-1")
@@ -191,7 +191,8 @@ class PlanModel:
         """
         if isinstance(self.engine, Bundle):
             bundle, began = self.engine.within(world), time.perf_counter()
-            plan = bundle.plan(bundle.prepare(world.read_picture(picture)), query)
+            read = world.examine_picture(picture)
+            plan = bundle.plan(replace(bundle.prepare(read.images[0]), known=read.known), query)
             return plan, time.perf_counter() - began
         if not self.space.contains(np.array([query.start, query.goal], dtype=np.float64)).all():
             return Plan("refused", np.empty((0, self.space.dim))), 0.0

@@ -9,6 +9,7 @@ import pytest
 from cspace.errors import ConfigError, DatasetError, EvaluationError, SamplerError
 from cspace.query import Plan, PlanQuery
 from cspace.simulator import Split, Taken
+from cspace.view_file import unpack_view
 from cspace.worlds import examples
 from cspace.worlds.spatial.arm import ready_rad
 from inference_api.settings import PRETRAINED_FOLDER
@@ -17,7 +18,7 @@ from services.evaluator.benchmark.__main__ import make_request, parser, refuse_o
 from services.evaluator.benchmark.arms import CONNECT, TRUE_PATHS, Protocol, Setting, plan_arms
 from services.evaluator.benchmark.figures import safety_figure
 from services.evaluator.benchmark.job import run_benchmark
-from services.evaluator.benchmark.plans import NO_PROBLEM, plan_units
+from services.evaluator.benchmark.plans import NO_PROBLEM, PlanWorker, plan_units
 from services.evaluator.benchmark.report import plan_sections
 from services.evaluator.benchmark.runs import PLAN_COLUMNS, RUNS, frame_of
 from services.evaluator.benchmark.sources import PlanModel, SourceSpec
@@ -61,6 +62,8 @@ def options(tmp_path, *given):
         (("--bundle", "m=x", "--family", "narrow"), "no such family"),
         (("--bundle", "m=x", "--robot", "two-link"), "seen in part"),
         (("--bundle", "m=x", "--robot", "ur5", "--family", "motionbench_cage"), "no such family"),
+        (("--bundle", "m=x", "--held", "--family", "motionbench_cage"), "no such family"),
+        (("--bundle", "m=x", "--held", "--robot", "ur5"), "problems of a table"),
         (("--bundle", f"m={PRETRAINED_FOLDER}"), "does not plan for this robot"),
     ],
 )
@@ -90,6 +93,27 @@ def test_a_request_holds_what_a_set_has_at_most(tmp_path):
     assert request.problems == {"motionbench_cage": 30, "shelf": 30}
     assert (request.pictures, request.repeats) == ((1, 2, 3), 3)
     assert make_request(options(tmp_path, *given, "--problems", "40")).problems["motionbench_cage"] == 30
+
+
+def test_a_model_is_told_what_the_arm_holds(tmp_path, monkeypatch):
+    bundle, asked = write_space_bundle(tmp_path / "bundle"), []
+    given = ("--bundle", f"m={bundle}", "--held", "--pictures", "1", "--runs", "1", "--problems", "1")
+    request = make_request(options(tmp_path, *given))
+    assert set(request.problems) == {"motionbench_table_pick", "motionbench_table_under_pick"}
+    worker = PlanWorker(request.setting, request.specs)
+    asking = PlanModel.plan
+    monkeypatch.setattr(PlanModel, "plan", lambda *call: asked.append(call[1]) or asking(*call))
+    (unit,) = [
+        one.without({key for key in one.run_keys() if key[-1] not in ("m", FREE)})
+        for one in request.units()
+        if one.family == "motionbench_table_pick" and one.pictures
+    ]
+    rows = {row["arm"]: row for row in worker.run(unit)}
+    assert rows["m"]["solved"]
+    assert rows[FREE]["solved"]
+    known = json.loads(unpack_view(asked[0]).known)
+    assert [len(known[name]) for name in ("scene", "attached")] == [1, 1]
+    assert rows["m"]["meshes_free"] is None
 
 
 def test_only_missing_runs_are_done():
