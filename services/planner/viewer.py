@@ -123,8 +123,8 @@ class SceneState:
 
     @property
     def scene(self) -> Any:
-        """Obstacles, cameras and the arm's state."""
-        return self.problem.scenario
+        """Obstacles, cameras, the arm's state and the arm with what it holds."""
+        return replace(cast("Any", self.problem.scenario), holding=self.arm)
 
     @property
     def view(self) -> Any:
@@ -178,10 +178,9 @@ class SceneState:
             self.arm = Situation(self.arm, known).arm
 
     def checker(self) -> Checker:
-        """Of the scene's own obstacles and the known boxes, for the arm with what it holds."""
+        """Of the scene's own obstacles and the known boxes."""
         obstacles = replace(self.scene.obstacles, boxes=(*self.scene.obstacles.boxes, *self.boxes))
-        world = replace(self.scene.world, body=self.arm)
-        return self.simulator.checker(replace(self.scene, world=world, obstacles=obstacles))
+        return self.simulator.checker(replace(self.scene, obstacles=obstacles))
 
     def change(self, **parts: Any) -> None:
         """Replace ``obstacles``, ``cameras`` or ``state`` of the scene."""
