@@ -5,8 +5,9 @@ A view file is a line and the pictures' files behind it, one after the other. Th
 (each in a form of :func:`cspace.worlds.spatial.camera_info.read_pinhole`; ``link`` and ``stamp_s`` may stand
 beside it), ``state`` (rad, or null where the robot is in no picture, or a list with one or the other for each
 picture) and, where the unit of the pictures is another, ``depth_scale_m`` (metres per unit); ``known`` is the
-size in bytes of a planning scene in JSON behind the pictures, where there is one. Here it is only packed and
-unpacked, and stamps are read; the rest is checked by the world that takes such pictures.
+size in bytes of a planning scene in JSON behind the pictures, where there is one; with it a single picture
+needs no camera, as that of a plane has none. Here it is only packed and unpacked, and stamps are read; the
+rest is checked by the world that takes such pictures.
 """
 
 import json
@@ -75,7 +76,7 @@ def pack_view(
     Raises:
         ImageError: the counts do not fit.
     """
-    check_counts(len(pictures), len(cameras))
+    _check_parts(len(pictures), len(cameras), known)
     header = {"pictures": [len(one) for one in pictures], "cameras": list(cameras), "state": state}
     # Readers of files in mm need not know the key.
     header |= {} if depth_scale_m is None else {"depth_scale_m": depth_scale_m}
@@ -102,7 +103,7 @@ def unpack_view(data: bytes) -> ViewFile:
             remedy="send a camera beside each picture, in the same order",
         )
     header, rest = _line_of(data)
-    check_counts(len(header.pictures), len(header.cameras))
+    _check_parts(len(header.pictures), len(header.cameras), header.known)
     sizes = [*header.pictures, header.known or 0]
     if sum(sizes) != len(rest):
         raise no_view(f"parts of {sizes!r} bytes"[:200], f"{len(rest)} bytes")
@@ -193,6 +194,12 @@ def check_counts(pictures: int, cameras: int) -> None:
             expected=f"1 to {MAX_PICTURES} pictures and a camera each, in the same order",
             got=f"{pictures} pictures, {cameras} cameras",
         )
+
+
+def _check_parts(pictures: int, cameras: int, known: object) -> None:
+    # A picture of a plane has no camera.
+    if (pictures, cameras) != (1, 0) or known is None:
+        check_counts(pictures, cameras)
 
 
 def no_view(expected: str, got: object) -> ImageError:

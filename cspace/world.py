@@ -400,7 +400,7 @@ class World(Protocol):
     ) -> Contact | None:
         """What is in the way of a configuration (d,) rad, or unseen about it.
 
-        None where nothing is, and in worlds that are seen whole.
+        None where nothing is; in worlds that are seen whole only what is known is.
         """
 
     def blank_picture(self) -> bytes:

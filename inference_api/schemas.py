@@ -51,7 +51,6 @@ from cspace.view_file import (
     without_stamps,
 )
 from cspace.world import Contact, Finding
-from cspace.worlds import check_known
 from inference_api.models.served import ServedModel
 from inference_api.problem_types import FieldProblem, FieldsError, brief
 from services.registry.ports import ModelReference
@@ -249,7 +248,7 @@ _Upright = Annotated[
 ]
 
 
-# What is in a body is checked as :mod:`cspace.worlds.spatial.planning_scene` has it.
+# What is in a body is checked by the world of the model.
 _SHAPE = {
     "box": _object({"size_m": _numbers(3)}),
     "cylinder": _object({"radius_m": _NUMBER, "length_m": _NUMBER}),
@@ -257,7 +256,8 @@ _SHAPE = {
     "mesh": _object({"file": _TEXT}, scale=_NUMBER),
 }
 _VOLUME = _object({}, name=_TEXT, pose=_ANY_POSE["pose"], **_SHAPE)
-_BODY = _object({"name": _TEXT}, pose=_ANY_POSE["pose"], **_SHAPE)
+_DISC = _object(dict.fromkeys(("x_m", "y_m", "radius_m"), _NUMBER))
+_BODY = _object({"name": _TEXT}, pose=_ANY_POSE["pose"], disc=_DISC, **_SHAPE)
 _HELD = _object(
     {"name": _TEXT},
     pose=_ANY_POSE["pose"],
@@ -271,7 +271,7 @@ _Pair = Annotated[tuple[str, str], Strict(strict=False)]
 _Many = Annotated[tuple[dict[str, Any], ...], Strict(strict=False)]
 _Scene = Annotated[
     Annotated[_Many, Field(max_length=MAX_BODIES)],
-    Expected("an array of bodies: name, box, cylinder, sphere or mesh, and pose"),
+    Expected("an array of bodies: name, box, cylinder, sphere or mesh, and pose; in a plane name and disc"),
     WithJsonSchema({"type": "array", "items": _BODY, "maxItems": MAX_BODIES}),
 ]
 _Attached = Annotated[
@@ -401,9 +401,10 @@ class SceneFields(ModelFields):
 
     scene: _Scene = Field(
         (),
-        description="For models of depth cameras: bodies that are known to stand in the base frame, checked "
-        "by their shapes, whatever the pictures show. Each has a `name`, one of `box`, `cylinder` (about its "
-        "own z), `sphere` or `mesh`, and `pose`, as of a camera; sizes in m.",
+        description="Bodies that are known to stand in the base frame, checked by their shapes, whatever the "
+        "pictures show. For models of depth cameras each has a `name`, one of `box`, `cylinder` (about its "
+        "own z), `sphere` or `mesh`, and `pose`, as of a camera; for planar models a `name` and a `disc`, at "
+        "most 64 of them. Sizes in m.",
     )
     attached: _Attached = Field(
         (),
@@ -435,16 +436,9 @@ class SceneFields(ModelFields):
         return any(getattr(self, name) for name in _KNOWN)
 
     def known(self) -> bytes | None:
-        """JSON of the planning scene; None where nothing is known beside the pictures.
-
-        Raises:
-            InputError: it does not fit.
-        """
-        if not self.has_known:
-            return None
-        text = json.dumps({name: getattr(self, name) for name in _KNOWN}).encode()
-        check_known(text)
-        return text
+        """JSON of the planning scene, which the world reads; None where nothing is known."""
+        given = {name: value for name in _KNOWN if (value := getattr(self, name))}
+        return json.dumps(given).encode() if given else None
 
     def picture(self) -> bytes:
         """The one file that a world reads as the picture of a scene.
@@ -455,7 +449,7 @@ class SceneFields(ModelFields):
             ImageError: there is not a camera for each of several images, or a picture is too old or from the
                 future.
             InputError: several images come without cameras, or a unit of depths does, or there is a largest
-                age and no stamp, or what is known does not fit.
+                age and no stamp.
         """
         file, stamps = self._stamped()
         if self.max_age_s is not None:
@@ -466,7 +460,7 @@ class SceneFields(ModelFields):
         known = self.known()
         if self.camera or self.state is not None or known is not None:
             cameras, stamps = unstamped(self.camera)
-            return pack_view(self.image, cameras, self.state, self.depth_scale_m, known), stamps
+            return pack_view(self.image, cameras, self.state, self.depth_scale_m, known), stamps or [None]
         if self.depth_scale_m is not None:
             raise InputError(
                 "depth_scale_m comes without a camera",

@@ -253,6 +253,9 @@ class Bundle:
         found = self._sampler.sample(
             picture, request, report_confidence=report_confidence, check_cancelled=check_cancelled
         )
+        if picture.known is not None:
+            # Where all are wanted, those that nothing has replaced are still among them.
+            found = found.only(picture.known.free(found.samples))
         samples, confidence = found.samples, found.scores
         unseen = None
         if confidence is not None and confidence.ndim > 1:

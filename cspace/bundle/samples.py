@@ -80,6 +80,11 @@ class Sampled:
     acceptance: float = 1.0
     ways: NDArray[np.int64] | None = None
 
+    def only(self, kept: NDArray[np.bool_]) -> "Sampled":
+        """The samples of which ``kept`` (n',) is true."""
+        scores, ways = (None if one is None else one[kept] for one in (self.scores, self.ways))
+        return Sampled(self.samples[kept], scores, self.acceptance, ways)
+
 
 @dataclass(frozen=True, slots=True)
 class SampleSet:

@@ -168,15 +168,6 @@ def seen_checkers(
     return cast("Sequence[Checker]", found)
 
 
-def check_known(values: bytes) -> None:
-    """Refuse JSON that is no planning scene, as view files hold one.
-
-    Raises:
-        InputError: it is none.
-    """
-    _part("spatial", "planning_scene").read_planning_scene(values)
-
-
 def load_known(world: World) -> None:
     """Have the compiled code of what is known beside pictures in this process, where a world's can be."""
     if world.kind in _PARTLY_SEEN:

@@ -138,11 +138,11 @@ def _server_query(query: cspace_client.Wanted) -> SampleQuery:
 
 
 def _picture(picture: cspace_client.Picture) -> Picture:
-    """Depth pictures as the file of a view, others as they are."""
-    if not isinstance(picture, cspace_client.DepthPictures):
+    """Depth pictures, and what is known beside a picture, as the file of a view; others as they are."""
+    if not isinstance(picture, cspace_client.DepthPictures | cspace_client.PlanarPicture):
         return picture
     sent = shown(picture)
-    cameras = [json.loads(one) for one in sent.fields["camera"]]
+    cameras = [json.loads(one) for one in sent.fields.get("camera", ())]
     state, scale, max_age_s = (
         json.loads(sent.fields.get(name, "null")) for name in ("state", "depth_scale_m", "max_age_s")
     )
@@ -151,6 +151,8 @@ def _picture(picture: cspace_client.Picture) -> Picture:
     if sent.meshes:
         known["meshes"] = {name: base64.b64encode(data).decode() for name, data, _ in sent.meshes}
     files = [data for _, data, _ in sent.files]
+    if not cameras and not known:
+        return files[0]
     try:
         if max_age_s is not None:
             check_ages(unstamped(cameras)[1], max_age_s, time.time())

@@ -7,10 +7,15 @@ import numpy as np
 import pytest
 
 from cspace.query import SampleQuery
+from cspace.worlds.planar.arm import TWO_LINK
+from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.world import Disc, Scenario
 from cspace_client import (
     DepthPictures,
     JointSpace,
+    Known,
     LocalError,
+    PlanarPicture,
     SamplerError,
     SamplerModelError,
     SamplerUnavailableError,
@@ -47,6 +52,19 @@ def test_a_bundle_answers_as_the_projects_own_sampler(folder, client):
     assert np.array_equal(ours.samples, theirs.samples)
     assert (ours.digest, ours.shortfall) == (theirs.digest, theirs.shortfall)
     assert theirs.space == JointSpace((-np.pi,) * 2, (np.pi,) * 2, (True,) * 2)
+
+
+def test_a_bundle_keeps_clear_of_known_discs(client):
+    disc = Disc(1.5, 1.0, 0.5)
+    pole = {"name": "pole", "disc": {"x_m": disc.x_m, "y_m": disc.y_m, "radius_m": disc.radius_m}}
+    known = client.sample(PlanarPicture(picture(), Known([pole])), 200, seed=7)
+    checker = CollisionChecker(Scenario(TWO_LINK, (disc,)))
+    assert len(known.samples) == 200
+    assert checker.valid_batch(known.samples).all()
+    plain = client.sample(picture(), 200, seed=7)
+    assert not checker.valid_batch(plain.samples).all()
+    again = client.sample(PlanarPicture(picture(), Known()), 200, seed=7)
+    assert np.array_equal(again.samples, plain.samples)
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ from PIL import Image
 from cspace.png import canonical_png, read_header
 from cspace.worlds.planar.camera import decode_png
 from cspace.worlds.spatial.depth_files import read_depth
-from cspace_client import DepthPictures, SamplerError
+from cspace_client import DepthPictures, Known, PlanarPicture, SamplerError
 from cspace_client.pictures import encode_png, shown
 from tests.bundles import picture
 
@@ -69,6 +69,17 @@ def test_cameras_go_beside_their_pictures_in_the_same_order():
         "link": "tool",
         "stamp_s": 12.5,
     }
+
+
+def test_known_discs_go_beside_a_picture_of_the_plane():
+    disc = {"name": "pole", "disc": {"x_m": np.float64(1.5), "y_m": 0, "radius_m": 0.3}}
+    sent = shown(PlanarPicture(picture(), Known([disc])))
+    assert [data for _, data, _ in sent.files] == [encode_png(picture())]
+    assert list(sent.fields) == ["scene"]
+    assert json.loads(sent.fields["scene"]) == [disc]
+    assert shown(PlanarPicture(b"a file", Known())).fields == {}
+    with pytest.raises(SamplerError, match="plain values"):
+        shown(PlanarPicture(picture(), Known([{"name": {1}}])))
 
 
 def test_depth_pictures_that_do_not_fit_are_refused():

@@ -113,6 +113,24 @@ def _is_range(low: float, high: float) -> bool:
     return -MAX_LIMIT_RAD <= low < high <= MAX_LIMIT_RAD and high - low >= MIN_RANGE_RAD
 
 
+def link_offsets_m(joints: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """From the nearest point on each link's axis to places.
+
+    Args:
+        joints: (k, d + 1, 2) m, as :meth:`PlanarArm.joint_positions_m` has them.
+        places: (n, 2) m.
+
+    Returns:
+        (k, d, n, 2) m.
+    """
+    begins = joints[:, :-1, None]
+    along = joints[:, 1:, None] - begins
+    offsets = places - begins
+    shares = np.clip((offsets * along).sum(axis=-1) / (along * along).sum(axis=-1), 0.0, 1.0)
+    found: NDArray[np.float64] = offsets - shares[..., None] * along
+    return found
+
+
 TWO_LINK = PlanarArm()
 THREE_LINK = PlanarArm(link_lengths_m=(1.6, 1.4, 1.0))
 

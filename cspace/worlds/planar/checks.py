@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from cspace.kernel_cache import njit
 from cspace.planning.kernels import SceneKernels
 from cspace.simulator import Checker
-from cspace.worlds.planar.arm import PlanarArm
+from cspace.worlds.planar.arm import PlanarArm, link_offsets_m
+from cspace.worlds.planar.known import KnownDiscs
 from cspace.worlds.planar.world import PlanarWorld, Scenario
 
 # Sine of the angle up to which two lines count as parallel.
@@ -167,10 +168,18 @@ def _pairs(robot: PlanarArm) -> NDArray[np.int64] | None:
 
 
 def seen_checkers(
-    world: PlanarWorld, picture: NDArray[np.uint8], ends: NDArray[np.float64]
+    world: PlanarWorld,
+    picture: NDArray[np.uint8],
+    ends: NDArray[np.float64],
+    known: KnownDiscs | None = None,
 ) -> list[CollisionChecker]:
-    """See :func:`cspace.worlds.seen_checkers`; covered pixels are discs of their area."""
+    """See :func:`cspace.worlds.seen_checkers`; covered pixels are discs of their area, known discs exact.
+
+    Known discs keep their radius at least, even where an end touches them.
+    """
     camera, arm = world.sensor, world.body
+    if known is not None:
+        picture = known.seen
     # Red discs lie over the blue arm and the white ground.
     covered = 1.0 - picture[..., 2] / _GROUND
     rows, columns = np.nonzero(_outline(covered >= _COVERED))
@@ -178,10 +187,15 @@ def seen_checkers(
     left, _, _, top = camera.extent_m
     places = np.stack([left + (columns + 0.5) * width, top - (rows + 0.5) * height], axis=1)
     radii = np.sqrt(covered[rows, columns] * width * height / np.pi)
-    room = _distances(arm.joint_positions_m(ends), places) - arm.half_width_m
+    least = np.zeros(len(radii))
+    if known is not None:
+        places = np.concatenate([places, known.discs[:, :2]])
+        radii, least = (np.concatenate([one, known.discs[:, 2]]) for one in (radii, least))
+    offsets = link_offsets_m(arm.joint_positions_m(ends), places)
+    room = np.linalg.norm(offsets, axis=-1).min(axis=(0, 1)) - arm.half_width_m
     found = []
     for margin in MARGINS:
-        sizes = np.minimum(radii + margin * width, 0.99 * room)
+        sizes = np.maximum(np.minimum(radii + margin * width, 0.99 * room), least)
         discs = np.column_stack([places, sizes])[sizes > 0.0]
         found.append(CollisionChecker(Scenario.from_array(arm, discs, camera)))
     return found
@@ -198,13 +212,3 @@ def _outline(covered: NDArray[np.bool_]) -> NDArray[np.bool_]:
     framed = np.pad(covered, 1, constant_values=False)
     inner = framed[:-2, 1:-1] & framed[2:, 1:-1] & framed[1:-1, :-2] & framed[1:-1, 2:]
     return covered & ~inner
-
-
-def _distances(joints: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Of places (n, 2) to the nearest of the arms' links (k, j, 2), (n,) m."""
-    begins, ends = joints[:, :-1].reshape(-1, 2), joints[:, 1:].reshape(-1, 2)
-    along = ends - begins
-    offsets = places[:, None] - begins
-    shares = np.clip((offsets * along).sum(axis=2) / (along * along).sum(axis=1), 0.0, 1.0)
-    found: NDArray[np.float64] = np.linalg.norm(offsets - shares[..., None] * along, axis=2).min(axis=1)
-    return found

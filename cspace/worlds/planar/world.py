@@ -13,10 +13,21 @@ from cspace.png import read_header
 from cspace.simulator import Split, scenario_rng
 from cspace.space import JointSpace
 from cspace.strict_json import read_object, validated
-from cspace.view_file import is_view
-from cspace.world import Arrays, CheckCancelled, Diagnosis, Examined, Finding, Levers, TensorInput, World
+from cspace.view_file import is_view, unpack_view
+from cspace.world import (
+    Arrays,
+    CheckCancelled,
+    Contact,
+    Diagnosis,
+    Examined,
+    Finding,
+    Levers,
+    TensorInput,
+    World,
+)
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, JointLimits, PlanarArm, levers
 from cspace.worlds.planar.camera import Camera, Length, Place
+from cspace.worlds.planar.known import KnownDiscs
 from cspace.worlds.planar.scenes import MAX_GIVEN, DiscScenes, GivenScenes, Scenes
 
 KIND = "planar"
@@ -54,18 +65,12 @@ class PlanarWorld:
         return ("discs",)
 
     def pixels_of(self, data: bytes) -> int:
-        """See :meth:`cspace.world.World.pixels_of`; a view's are none, for it is refused."""
-        return 0 if is_view(data) else read_header(data).pixels
+        """See :meth:`cspace.world.World.pixels_of`."""
+        return read_header(_unpacked(data)[0]).pixels
 
     def read_picture(self, data: bytes, check_cancelled: CheckCancelled | None = None) -> NDArray[np.uint8]:
-        """See :func:`cspace.worlds.planar.camera.decode_png`."""
-        if is_view(data):
-            raise ImageError(
-                "the picture comes with a camera",
-                expected="a picture alone",
-                remedy="leave camera and state out",
-            )
-        return self.sensor.decode(data, check_cancelled)
+        """See :func:`cspace.worlds.planar.camera.decode_png`; known discs are drawn into it."""
+        return np.asarray(self.examine_picture(data, check_cancelled).images[0])
 
     @property
     def tensors(self) -> tuple[TensorInput, ...]:
@@ -80,8 +85,18 @@ class PlanarWorld:
         return np.asarray(tensors[_IMAGE], dtype=np.uint8)
 
     def examine_picture(self, data: bytes, check_cancelled: CheckCancelled | None = None) -> Examined:
-        """Nothing is said of what a camera above the plane sees."""
-        return Examined(self.read_picture(data, check_cancelled)[None])
+        """Nothing is said of what a camera above the plane sees.
+
+        Raises:
+            ImageError: it is none that is accepted, or comes with a camera or a state.
+            InputError: what is known beside it does not fit.
+        """
+        file, text = _unpacked(data)
+        image = self.sensor.decode(file, check_cancelled)
+        if text is None:
+            return Examined(image[None])
+        known = KnownDiscs.read(text, self.body, image)
+        return Examined(known.drawn(self.sensor, check_cancelled or (lambda: None))[None], known=known)
 
     def examine_tensors(self, tensors: Arrays, check_cancelled: CheckCancelled | None = None) -> Examined:
         """Likewise."""
@@ -102,9 +117,10 @@ class PlanarWorld:
         del answer
         return ()
 
-    def contact(self, configuration: object, image: object, known: object) -> None:
-        """None: this world is seen whole."""
-        del configuration, image, known
+    def contact(self, configuration: NDArray[np.floating], image: object, known: object) -> Contact | None:
+        """With known discs alone: all else is seen."""
+        del image
+        return known.contact(configuration) if isinstance(known, KnownDiscs) else None
 
     def blank_picture(self) -> bytes:
         """All white."""
@@ -169,6 +185,20 @@ class PlanarWorld:
         if self.scenes != DiscScenes():
             values["scenes"] = None if self.scenes is None else self.scenes.to_dict()
         return values
+
+
+def _unpacked(data: bytes) -> tuple[bytes, bytes | None]:
+    """The picture of an untrusted file, and JSON of what is known beside it; None without that."""
+    if not is_view(data):
+        return data, None
+    view = unpack_view(data)
+    if view.known is None or view.cameras or view.state is not None or view.depth_scale_m is not None:
+        raise ImageError(
+            "the picture comes with a camera",
+            expected="a picture alone",
+            remedy="leave camera and state out",
+        )
+    return view.pictures[0], view.known
 
 
 # The types of its parts.

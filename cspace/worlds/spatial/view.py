@@ -109,6 +109,7 @@ def read_view(data: bytes, arm: SerialArm, check_cancelled: CheckCancelled | Non
         InputError: what is known does not fit.
     """
     file = unpack_view(data)
+    known = None if file.known is None else read_planning_scene(file.known)
     check_cancelled = check_cancelled or (lambda: None)
     pictures, cameras = [], []
     for one in file.pictures:
@@ -121,7 +122,6 @@ def read_view(data: bytes, arm: SerialArm, check_cancelled: CheckCancelled | Non
         pictures[number] = undistorted(pictures[number], camera, distortion, check_cancelled)
         cameras.append(camera)
     on_link = tuple(number for number, values in enumerate(given) if _is_on_link(values))
-    known = None if file.known is None else read_planning_scene(file.known)
     return DepthView(tuple(pictures), tuple(cameras), state, on_link, known)
 
 

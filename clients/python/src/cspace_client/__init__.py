@@ -39,7 +39,7 @@ from cspace_client.models import (
     Wanted,
 )
 from cspace_client.outcomes import OutcomeSender
-from cspace_client.pictures import DepthPictures, Picture
+from cspace_client.pictures import DepthPictures, Picture, PlanarPicture
 from cspace_client.requests import Predictions
 from cspace_client.transport import RetryPolicy
 
@@ -67,6 +67,7 @@ __all__ = [
     "Plan",
     "PlanOptions",
     "PlanQuery",
+    "PlanarPicture",
     "PlanningError",
     "Predictions",
     "RetryPolicy",

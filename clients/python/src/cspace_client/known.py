@@ -25,7 +25,7 @@ class Known:
 
     Args:
         scene: bodies in the base frame: ``name``, one of ``box``, ``cylinder``, ``sphere``, ``mesh``, and
-            ``pose``.
+            ``pose``. Of a plane ``name`` and ``disc`` (``x_m``, ``y_m``, ``radius_m``), and nothing else.
         attached: likewise, with ``link`` and ``touch_links``.
         allowed: pairs of names that may touch.
         ignore: volumes that count as free.

@@ -59,8 +59,21 @@ class DepthPictures:
             )
 
 
-Picture = bytes | NDArray[np.uint8] | DepthPictures
-"""A picture's file, uint8 (P, P, 3), or what depth cameras saw."""
+@dataclass(frozen=True, slots=True, eq=False)
+class PlanarPicture:
+    """A picture of a plane with what is known of the scene beside it.
+
+    Args:
+        picture: its file, or uint8 (P, P, 3).
+        known: discs, as its ``scene``.
+    """
+
+    picture: bytes | NDArray[np.uint8]
+    known: Known
+
+
+Picture = bytes | NDArray[np.uint8] | PlanarPicture | DepthPictures
+"""A picture's file, uint8 (P, P, 3), one of these with known discs, or what depth cameras saw."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,11 +97,11 @@ def shown(picture: Picture) -> Shown:
     Raises:
         SamplerError: it is none that can be.
     """
-    parts = picture.pictures if isinstance(picture, DepthPictures) else [picture]
-    files = tuple(_file(part) for part in parts)
-    if not isinstance(picture, DepthPictures):
-        return Shown(files, {})
+    if not isinstance(picture, DepthPictures | PlanarPicture):
+        return Shown((_file(picture),), {})
+    parts = picture.pictures if isinstance(picture, DepthPictures) else [picture.picture]
     meshes = () if picture.known is None else picture.known.meshes.items()
+    files = tuple(_file(part) for part in parts)
     return Shown(files, _fields(picture), tuple((name, data, _STL) for name, data in meshes))
 
 
@@ -100,21 +113,28 @@ def _file(part: bytes | NDArray[Any]) -> File:
     return "scenario.png", part if isinstance(part, bytes) else encode_png(part), _PNG
 
 
-def _fields(picture: DepthPictures) -> dict[str, Any]:
+def _fields(picture: DepthPictures | PlanarPicture) -> dict[str, Any]:
     try:
-        fields: dict[str, Any] = {"camera": [_text(dict(camera)) for camera in picture.cameras]}
-        if picture.state is not None:
-            fields["state"] = _text(picture.state)
-        for name in ("depth_scale_m", "max_age_s"):
-            value = getattr(picture, name)
-            if value is not None:
-                fields[name] = repr(float(value))
+        fields = _cameras(picture) if isinstance(picture, DepthPictures) else {}
         if picture.known is not None:
             fields |= {name: _text(value) for name, value in picture.known.fields.items()}
     except (TypeError, ValueError) as error:
         raise SamplerError(
-            "the cameras are no plain values", expected="numbers, lists and arrays", got=str(error)[:200]
+            "the cameras or known bodies are no plain values",
+            expected="numbers, lists and arrays",
+            got=str(error)[:200],
         ) from error
+    return fields
+
+
+def _cameras(picture: DepthPictures) -> dict[str, Any]:
+    fields: dict[str, Any] = {"camera": [_text(dict(camera)) for camera in picture.cameras]}
+    if picture.state is not None:
+        fields["state"] = _text(picture.state)
+    for name in ("depth_scale_m", "max_age_s"):
+        value = getattr(picture, name)
+        if value is not None:
+            fields[name] = repr(float(value))
     return fields
 
 

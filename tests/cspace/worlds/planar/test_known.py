@@ -1,0 +1,106 @@
+"""Known discs of the plane: checked as the exact checker does, and drawn as the renderer does."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cspace.errors import ImageError, InputError
+from cspace.png import encode_png
+from cspace.view_file import pack_view
+from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
+from cspace.worlds.planar.checks import CollisionChecker, seen_checkers
+from cspace.worlds.planar.known import KnownDiscs
+from cspace.worlds.planar.render import render
+from cspace.worlds.planar.world import Disc, PlanarWorld, Scenario
+
+DISCS = (Disc(1.5, 1.0, 0.3), Disc(-2.0, 0.5, 0.8), Disc(0.3, -2.5, 0.05))
+SHOWN = Disc(-3.0, -3.0, 1.0)
+
+
+def text_of(discs):
+    return json.dumps(
+        {
+            "scene": [
+                {"name": f"disc {at}", "disc": {"x_m": one.x_m, "y_m": one.y_m, "radius_m": one.radius_m}}
+                for at, one in enumerate(discs)
+            ]
+        }
+    ).encode()
+
+
+def known_discs(arm=TWO_LINK, discs=DISCS, shown=(SHOWN,)):
+    return KnownDiscs.read(text_of(discs), arm, render(Scenario(arm, shown)))
+
+
+@pytest.mark.parametrize("arm", [TWO_LINK, THREE_LINK, replace(THREE_LINK, self_collision=True)])
+def test_what_is_free_is_what_the_exact_checker_finds_clear_of_the_discs_alone(arm):
+    rows = arm.space.sample_uniform(np.random.default_rng(1), 3000)
+    known = known_discs(arm)
+    clearance = CollisionChecker(Scenario(replace(arm, self_collision=False), DISCS)).clearance(rows)
+    np.testing.assert_array_equal(known.free(rows), clearance > 0.0)
+    assert 300 < (clearance <= 0.0).sum() < 2700
+    for row, away in zip(rows[:300], clearance[:300], strict=True):
+        contact = known.contact(row)
+        if away > 0.0:
+            assert contact is None
+            continue
+        assert contact.depth_m == pytest.approx(-away, abs=1e-12)
+        disc = DISCS[int(contact.other.removeprefix("disc "))]
+        place = np.asarray(contact.position_m[:2])
+        gap = np.linalg.norm(place - (disc.x_m, disc.y_m)) - disc.radius_m - arm.half_width_m
+        assert gap == pytest.approx(away, abs=1e-12)
+        link = int(contact.link.removeprefix("link ")) - 1
+        base, tip = arm.joint_positions_m(row)[0, link : link + 2]
+        assert np.linalg.norm(place - base) + np.linalg.norm(tip - place) == pytest.approx(
+            arm.link_lengths_m[link]
+        )
+
+
+def test_discs_are_drawn_as_the_renderer_draws_them():
+    far = (Disc(3.3, 3.1, 0.7), Disc(-2.2, 2.9, 0.15), Disc(5.2, -4.7, 0.9))
+    drawn = known_discs(discs=far).drawn(PlanarWorld().sensor).astype(int)
+    exact = render(Scenario(TWO_LINK, (SHOWN, *far))).astype(int)
+    assert np.abs(drawn - exact).max() <= 0.08 * 255
+    assert np.abs(drawn - render(Scenario(TWO_LINK, (SHOWN,))))[..., 2].sum() > 255 * 50
+    # Over the arm and over each other both round their edges differently.
+    near = (Disc(1.5, 0.0, 0.3), Disc(-2.5, -2.5, 0.6))
+    drawn = known_discs(discs=near).drawn(PlanarWorld().sensor).astype(int)
+    assert np.abs(drawn - render(Scenario(TWO_LINK, (SHOWN, *near)))).mean() < 0.2
+
+
+def test_the_search_keeps_known_discs_whole_and_those_of_the_picture_as_they_were():
+    world, ends = PlanarWorld(), np.array([[0.5, 0.2], [2.0, -0.4]])
+    # The first end is inside the first disc.
+    tip = TWO_LINK.joint_positions_m(ends[:1])[0, -1]
+    known = known_discs(discs=(Disc(*tip, 0.3), Disc(4.0, 4.0, 0.5)))
+    plain = seen_checkers(world, known.seen, ends)
+    both = seen_checkers(world, known.drawn(world.sensor), ends, known)
+    for margin_m, before, after in zip((5 / 48, 0.0, 0.0), plain, both, strict=True):
+        seen, added = np.split(after.scene.discs, [-2])
+        np.testing.assert_array_equal(seen, before.scene.discs)
+        np.testing.assert_allclose(added, [[*tip, 0.3], [4.0, 4.0, 0.5 + margin_m]])
+        assert not after.valid(ends[0])
+
+
+def view(**options):
+    given = {"cameras": (), "state": None, "known": text_of(DISCS)} | options
+    return pack_view([encode_png(render(Scenario(TWO_LINK, (SHOWN,))))], **given)
+
+
+def test_a_picture_with_known_discs_shows_them_and_holds_them():
+    world = PlanarWorld()
+    read = world.examine_picture(view())
+    np.testing.assert_array_equal(read.images[0], read.known.drawn(world.sensor))
+    np.testing.assert_array_equal(read.known.discs[:, 2], [0.3, 0.8, 0.05])
+    np.testing.assert_array_equal(world.read_picture(view()), read.images[0])
+    assert world.pixels_of(view()) == 48 * 48
+    with pytest.raises(ImageError, match="comes with a camera"):
+        world.examine_picture(view(cameras=[{}]))
+    with pytest.raises(ImageError, match="comes with a camera"):
+        world.examine_picture(view(state=[0.0, 0.0]))
+    with pytest.raises(ImageError, match="a camera each"):
+        view(known=None)
+    with pytest.raises(InputError, match="is not JSON"):
+        world.examine_picture(view(known=b'{"scene": [NaN]}'))
