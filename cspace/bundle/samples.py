@@ -82,7 +82,8 @@ class Sampled:
 
     def only(self, kept: NDArray[np.bool_]) -> "Sampled":
         """The samples of which ``kept`` (n',) is true."""
-        scores, ways = (None if one is None else one[kept] for one in (self.scores, self.ways))
+        scores = None if self.scores is None else self.scores[kept]
+        ways = None if self.ways is None else self.ways[kept]
         return Sampled(self.samples[kept], scores, self.acceptance, ways)
 
 

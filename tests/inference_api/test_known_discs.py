@@ -130,7 +130,9 @@ def test_known_discs_beside_cameras_or_several_pictures_are_refused(api):
 
 def plan(api, **fields):
     ends = {"start": list(PROBLEM.start), "goal": list(PROBLEM.goal), "time_limit_s": 10.0}
-    return ask(api, "/plan", model=CAREFUL, **ends, **fields).json()
+    answer = ask(api, "/plan", model=CAREFUL, **ends, **fields)
+    assert answer.status_code == 200, answer.text
+    return answer.json()
 
 
 def test_a_plan_keeps_clear_of_a_known_disc_that_stands_in_its_way(api):
