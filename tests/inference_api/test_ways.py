@@ -8,6 +8,8 @@ import pytest
 from cspace.png import encode_png
 from cspace.simulator import Split
 from cspace.worlds import examples, simulator_of
+from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.world import Disc, Scenario
 from inference_api import scheduler
 from tests.bundles import write_tiny_bundle
 from tests.inference_api.conftest import CountingRegistry, api_over, stock
@@ -52,6 +54,18 @@ def test_an_npy_holds_the_same_samples(api):
     found = ask(api, headers={"Accept": "application/x-npy"})
     samples = np.frombuffer(found.content[-50 * 8 :], dtype="<f4").reshape(50, 2)
     assert np.allclose(samples, ask(api).json()["samples"], atol=1e-6)
+
+
+def test_the_ways_keep_clear_of_known_discs(api):
+    plain = np.array(ask(api).json()["samples"])
+    # On the first way, between its ends.
+    x_m, y_m = WORLD.body.joint_positions_m(plain[6:7])[0, -1].tolist()
+    disc = {"x_m": x_m, "y_m": y_m, "radius_m": 0.1}
+    checker = CollisionChecker(Scenario(WORLD.body, (Disc(**disc),)))
+    assert not checker.valid_batch(plain).all()
+    answer = ask(api, scene=json.dumps([{"name": "pole", "disc": disc}])).json()
+    assert len(answer["samples"]) == len(answer["ways"]) == 50
+    assert checker.valid_batch(answer["samples"]).all()
 
 
 def test_others_have_their_turns_during_the_search(api, monkeypatch):
