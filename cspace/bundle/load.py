@@ -255,7 +255,7 @@ class Bundle:
         )
         if picture.known is not None:
             # Where all are wanted, those that nothing has replaced are still among them.
-            found = found.only(picture.known.free(found.samples))
+            found = found.only(picture.known.free(found.samples, check_cancelled or (lambda: None)))
         samples, confidence = found.samples, found.scores
         unseen = None
         if confidence is not None and confidence.ndim > 1:

@@ -87,14 +87,24 @@ class KnownDiscs:
         """See :class:`cspace.world.Known`."""
         return self.discs.nbytes + self.seen.nbytes + sum(map(len, self.names))
 
-    def free(self, configurations: NDArray[np.floating]) -> NDArray[np.bool_]:
+    def free(
+        self, configurations: NDArray[np.floating], check_cancelled: CheckCancelled = lambda: None
+    ) -> NDArray[np.bool_]:
         """Which of (N, d) rad touch no disc: those that :mod:`cspace.worlds.planar.checks` finds free."""
         joints = self.arm.joint_positions_m(configurations)
         found = np.ones(len(joints), dtype=np.bool_)
         # One by one: all at once would take 100 MB.
         for disc in self.discs:
             found &= (self._gaps(link_offsets_m(joints, disc[None, :2]), disc[2]) > 0.0).all(axis=(1, 2))
+            check_cancelled()
         return found
+
+    def certain(
+        self, configurations: NDArray[np.floating], check_cancelled: CheckCancelled = lambda: None
+    ) -> NDArray[np.bool_]:
+        """None: other discs than the known ones are seen."""
+        check_cancelled()
+        return np.zeros(len(configurations), dtype=np.bool_)
 
     def contact(self, configuration: NDArray[np.floating]) -> Contact | None:
         """Where a configuration (d,) rad is deepest in a disc; None where it touches none."""
