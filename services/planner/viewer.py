@@ -558,7 +558,7 @@ class Viewer:
 
     def _move_known(self, at: int, pose: Floats) -> None:
         boxes = list(self.state.boxes)
-        boxes[at] = replace(boxes[at], pose=pose)
+        boxes[at] = Box(cast("Any", pose.tolist()), boxes[at].half_m)
         self.state.boxes = tuple(boxes)
         self._forget_path()
         self.show_samples()
