@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.planning.cost import Predict, ScoredPath, score
+from cspace.planning.paths import spaced
 from cspace.planning.refine import Effort, PathRefiner, route_search
 from cspace.planning.rrt_connect import CheckCancelled, connect_trees
 from cspace.planning.search import find_paths, with_deadline
@@ -66,6 +67,8 @@ def main() -> int:
 
 # Between states that the model is asked about.
 STEP_RAD = 0.15
+# Between states of a path that are checked against known bodies, beside which no margin is left.
+_KNOWN_STEP_RAD = 0.01
 # Configurations that bring the tool to a goal, which paths are searched to.
 MAX_GOALS = 4
 # Of an angle at an end, which came in single precision.
@@ -215,14 +218,15 @@ def search_paths(
         )
     found = find_paths(checkers, ends[0], goals, count, seed, until_s, check_cancelled=check_cancelled)
     searched = time.monotonic()
-    scored = score(found.paths, checkers[0].space, STEP_RAD, predict, seen.plan_calibration)
-    ranked = _ranked(scored, seen.known)
+    space = checkers[0].space
+    scored = score(found.paths, space, STEP_RAD, predict, seen.plan_calibration)
+    ranked = _ranked(scored, space, seen.known)
     if found.checker is not None:
         check_cancelled = with_deadline(until_s, check_cancelled)
         refiner = PathRefiner(
             found.checker, predict, seen.plan_calibration, Effort(step_rad=STEP_RAD), check_cancelled
         )
-        ranked = _ranked(_refined(ranked, refiner, seed), seen.known)
+        ranked = _ranked(_refined(ranked, refiner, seed), space, seen.known)
     return Searched(ranked, found.late, 1e3 * (searched - began), 1e3 * (time.monotonic() - searched))
 
 
@@ -278,9 +282,16 @@ def _refined(ranked: list[ScoredPath], refiner: PathRefiner, seed: int) -> list[
     return [*found, *ranked[len(changed) :]]
 
 
-def _ranked(paths: Iterable[ScoredPath], known: Known | None) -> list[ScoredPath]:
-    """Lowest cost first; of those that are known to be free, and so have none, the shortest."""
-    return sorted(paths, key=lambda one: (one.cost, 0.0 if known is None else one.length_rad))
+def _ranked(paths: Iterable[ScoredPath], space: JointSpace, known: Known | None) -> list[ScoredPath]:
+    """Lowest cost first.
+
+    Where something is known, without paths that touch it between the states of the search; of those that are
+    known to be free, and so have no cost, the shortest is first.
+    """
+    if known is None:
+        return sorted(paths, key=lambda one: one.cost)
+    free = [one for one in paths if known.free(spaced(one.path, space, _KNOWN_STEP_RAD)).all()]
+    return sorted(free, key=lambda one: (one.cost, one.length_rad))
 
 
 def _answer(best: ScoredPath, found: int, min_confidence: float) -> Plan:

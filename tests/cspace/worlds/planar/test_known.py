@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from cspace.errors import ImageError, InputError
+from cspace.plan import Seen, search_paths
 from cspace.png import encode_png
 from cspace.view_file import pack_view
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
@@ -82,6 +83,26 @@ def test_the_search_keeps_known_discs_whole_and_those_of_the_picture_as_they_wer
         np.testing.assert_array_equal(seen, before.scene.discs)
         np.testing.assert_allclose(added, [[*tip, 0.3], [4.0, 4.0, 0.5 + margin_m]])
         assert not after.valid(ends[0])
+
+
+class ThinWall(KnownDiscs):
+    """Stands where the first joint is 0 or pi, thinner than a search's steps."""
+
+    def free(self, configurations, check_cancelled=lambda: None):
+        del check_cancelled
+        return np.abs(np.sin(configurations[:, 0])) > 0.006
+
+
+def test_a_path_that_touches_what_is_known_between_the_states_of_the_search_is_no_answer():
+    known = known_discs(discs=())
+    ends = np.array([[-1.0, 0.2], [1.0, 0.2]])
+
+    def found(what):
+        seen = Seen(PlanarWorld(TWO_LINK), what.seen, lambda rows: (np.ones(len(rows)), None), known=what)
+        return search_paths(seen, ends, 4, 0).paths
+
+    assert found(known)
+    assert not found(ThinWall(known.arm, known.names, known.discs, known.seen))
 
 
 def view(**options):
