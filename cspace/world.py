@@ -262,6 +262,7 @@ class GridArm:
         origins: (d, 4, 4) of each joint in the frame before it, m.
         axes: (d, 3) unit vectors that joints turn about.
         spheres_m: (S, 4) centres in their frames, and radii.
+        own_radii_m: (S,) of the same spheres, by which they are held apart from each other.
         links: (S,) the frame of each sphere.
         touching: pairs of sets of spheres, numbers (a,) and (b,), that must not touch each other.
         group_spheres_m: (G, 4), each of which holds a group of spheres.
@@ -277,6 +278,7 @@ class GridArm:
     origins: NDArray[np.float64]
     axes: NDArray[np.float64]
     spheres_m: NDArray[np.float64]
+    own_radii_m: NDArray[np.float64]
     links: NDArray[np.int64]
     touching: tuple[tuple[NDArray[np.int64], NDArray[np.int64]], ...]
     group_spheres_m: NDArray[np.float64]

@@ -60,7 +60,7 @@ class Head:
 
     def confidence(self, picture: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         image = self.world.sensor.to_network(picture[None])
-        known = self.map.run({"image": image}, {"map": self.map.sizes("map")})["map"]
+        known = self.map.run({"image": image}, {"map": self.map.fixed_shape("map")})["map"]
         feeds = {"image": image, "map": known, "configurations": rows}
         shape = (len(rows),)
         found = self.validity.run(feeds, {"confidence": shape, "unseen": shape})

@@ -104,7 +104,7 @@ class SelfGap(nn.Module):
         for number, sets in enumerate(arm.touching):
             self.many.append(len(sets[0]) * len(sets[1]) > _MANY_PAIRS)
             for side, spheres in zip(("first", "second"), sets, strict=True):
-                self._hold(f"{side}_{number}", arm, spheres, arm.spheres_m[spheres, 3])
+                self._hold(f"{side}_{number}", arm, spheres, arm.own_radii_m[spheres])
                 if self.many[-1]:
                     self._hold(f"{side}_balls_{number}", arm, *_balls(arm, spheres))
 

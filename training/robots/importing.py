@@ -22,6 +22,8 @@ Pairs = set[frozenset[str]]
 _SEED = 20261123
 # Of written places, m.
 _DIGITS = 5
+# Of what spheres stick out at most, what they may overlap those of others; measured with the shipped arms.
+_OVERLAP = 0.5
 # As MoveIt's setup assistant counts a pair that always collides.
 ALWAYS_SHARE = 0.95
 _SAMPLES = 4000
@@ -105,7 +107,8 @@ def import_robot(request: Request, report: Callable[[str], None] = lambda _: Non
         if allowed.excess_m > request.allowances.excess_m:
             notes.append(f"{where} is large: spheres stick out by up to {1e3 * allowed.excess_m:.0f} mm")
         rows = np.round(np.column_stack([moved(frame, spheres[:, :3]), spheres[:, 3]]), _DIGITS).tolist()
-        parts.append(Part(name, number, tuple((x, y, z, radius) for x, y, z, radius in rows)))
+        overlap_m = round(_OVERLAP * fits[name].excess_m, _DIGITS)
+        parts.append(Part(name, number, tuple((x, y, z, radius) for x, y, z, radius in rows), overlap_m))
         surfaces[name] = moved(frame, union_surface(own, _PICTURE_POINTS, np.random.default_rng(_SEED)))
     if (count := sum(fit.spheres for fit in fits.values())) > MAX_SPHERES:
         raise ScenarioError(

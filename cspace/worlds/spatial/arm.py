@@ -16,6 +16,8 @@ from cspace.worlds.spatial.poses import MAX_OFFSET_M, SAME, Frame, Offset, moved
 _UNIT = 1e-9
 # The name of its frame.
 TOOL = "tool"
+# More would let parts run through each other.
+MAX_OVERLAP_M = 0.02
 Sphere = tuple[Offset, Offset, Offset, Annotated[float, Field(gt=0.0, le=MAX_OFFSET_M)]]
 _Name = Annotated[str, Field(min_length=1)]
 
@@ -62,6 +64,8 @@ class Part:
         name: its own; that of the link of the description that it comes from.
         link: what it is fixed to: 0 for the base, k for what joint k moves.
         spheres_m: x, y, z in the link's frame and radius; together they cover the part.
+        overlap_m: what its spheres stick out on the way to another part: two parts touch where their spheres
+            overlap by more than the sum of both. If one of them has None, they touch as soon as spheres do.
 
     Raises:
         ScenarioError: it has no name or no spheres, or one of these is none.
@@ -70,6 +74,7 @@ class Part:
     name: _Name
     link: int
     spheres_m: Annotated[tuple[Sphere, ...], Field(min_length=1)]
+    overlap_m: Annotated[float | None, Field(ge=0.0, le=MAX_OVERLAP_M), LEFT_OUT] = None
 
 
 def _is_range(low: float, high: float) -> bool:
@@ -274,6 +279,22 @@ class SerialArm(Record):
     def spheres_m(self) -> NDArray[np.float64]:
         """Centre in its link's frame and radius of every sphere, (S, 4), in the order of the parts."""
         return np.concatenate([np.empty((0, 4)), *(np.asarray(part.spheres_m) for part in self.parts)])
+
+    def own_radii_m(self) -> NDArray[np.float64]:
+        """(S,) radii by which the arm's parts are held apart from each other.
+
+        Raises:
+            ScenarioError: some parts have an ``overlap_m`` and others none.
+        """
+        overlaps = [part.overlap_m for part in self.parts]
+        if len({one is None for one in overlaps}) > 1:
+            raise ScenarioError(
+                "the arm's parts do not fit",
+                expected="overlap_m for all of them or none",
+                got=str(overlaps)[:200],
+            )
+        radii = [np.asarray(part.spheres_m)[:, 3] - (part.overlap_m or 0.0) for part in self.parts]
+        return np.asarray(np.maximum(np.concatenate([np.empty(0), *radii]), 0.0))
 
     def sphere_centres_m(self, configurations: ArrayLike) -> NDArray[np.float64]:
         """Forward kinematics: (N, d) rad to the spheres' centres in the base's frame, (N, S, 3)."""

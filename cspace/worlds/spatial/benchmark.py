@@ -327,11 +327,12 @@ def in_hand(
 
 
 def is_benchmarked(arm: SerialArm) -> bool:
-    """Whether it is MotionBenchMaker's Panda, whatever it is called and whichever limits its joints have."""
+    """Whether it is MotionBenchMaker's Panda: its joints but for limits, its spheres and its tool."""
     if arm.dim != len(LIMITS_RAD):
         return False
-    mine, panda = (replace(one, name="", ready_rad=None) for one in (arm, shipped("panda")))
-    return mine.with_limits(LIMITS_RAD) == panda.with_limits(LIMITS_RAD)
+    mine, panda = (one.with_limits(LIMITS_RAD) for one in (arm, shipped("panda")))
+    spheres = [[(part.link, part.spheres_m) for part in one.parts] for one in (mine, panda)]
+    return (mine.joints, mine.tool) == (panda.joints, panda.tool) and spheres[0] == spheres[1]
 
 
 def with_benchmark_limits(world: SpatialWorld) -> SpatialWorld:

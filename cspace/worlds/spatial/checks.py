@@ -173,21 +173,21 @@ def _beyond(x, y, z, row, reach):  # type: ignore[no-untyped-def]
 def _hits_itself(arm, centres, bounds):  # type: ignore[no-untyped-def]
     for pair in range(arm.pairs.shape[0]):
         i, j = arm.pairs[pair, 0], arm.pairs[pair, 1]
-        if not _touch(bounds, arm.bound_radii, i, bounds, arm.bound_radii, j):
+        if not _touch(bounds, arm.bound_radii, i, bounds, arm.bound_radii, j, 0.0):
             continue
         for first in range(arm.ranges[i, 0], arm.ranges[i, 1]):
-            if not _touch(centres, arm.radii, first, bounds, arm.bound_radii, j):
+            if not _touch(centres, arm.radii, first, bounds, arm.bound_radii, j, 0.0):
                 continue
             for second in range(arm.ranges[j, 0], arm.ranges[j, 1]):
-                if _touch(centres, arm.radii, first, centres, arm.radii, second):
+                if _touch(centres, arm.radii, first, centres, arm.radii, second, arm.overlaps[pair]):
                     return True
     return False
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _touch(first, first_radii, i, second, second_radii, j):  # type: ignore[no-untyped-def]
+def _touch(first, first_radii, i, second, second_radii, j, overlap):  # type: ignore[no-untyped-def]
     x, y, z = first[i, 0] - second[j, 0], first[i, 1] - second[j, 1], first[i, 2] - second[j, 2]
-    reach = first_radii[i] + second_radii[j]
+    reach = max(first_radii[i] + second_radii[j] - overlap, 0.0)
     return x * x + y * y + z * z <= reach * reach
 
 

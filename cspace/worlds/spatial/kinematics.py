@@ -10,7 +10,7 @@ from cspace.errors import ScenarioError
 from cspace.kernel_cache import njit
 from cspace.planning.kernels import gap
 from cspace.space import JointSpace
-from cspace.worlds.spatial.arm import SerialArm
+from cspace.worlds.spatial.arm import Part, SerialArm
 
 
 class ArmArrays(NamedTuple):
@@ -27,6 +27,7 @@ class ArmArrays(NamedTuple):
         bound_centres: (P, 3) of a sphere round the part, in the link's frame, m.
         bound_radii: (P,) m.
         pairs: (K, 2) parts that can touch.
+        overlaps: (K,) m, by which the spheres of a pair may overlap.
     """
 
     origins: NDArray[np.float64]
@@ -39,6 +40,7 @@ class ArmArrays(NamedTuple):
     bound_centres: NDArray[np.float64]
     bound_radii: NDArray[np.float64]
     pairs: NDArray[np.int64]
+    overlaps: NDArray[np.float64]
 
 
 def arm_arrays(arm: SerialArm) -> ArmArrays:
@@ -60,7 +62,14 @@ def arm_arrays(arm: SerialArm) -> ArmArrays:
         bound_centres=np.asarray([centre for centre, _ in bounds]).reshape(-1, 3),
         bound_radii=np.asarray([radius for _, radius in bounds], dtype=np.float64),
         pairs=np.asarray(pairs, dtype=np.int64).reshape(-1, 2),
+        overlaps=np.asarray([_overlap_m(arm.parts[i], arm.parts[j]) for i, j in pairs], dtype=np.float64),
     )
+
+
+def _overlap_m(first: Part, second: Part) -> float:
+    if first.overlap_m is None or second.overlap_m is None:
+        return 0.0
+    return first.overlap_m + second.overlap_m
 
 
 def _bound(spheres: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
@@ -118,7 +127,8 @@ def self_distance(centres, bounds, arm):  # type: ignore[no-untyped-def]
             if _gap(centres, arm.radii, first, bounds, arm.bound_radii, j) >= least:
                 continue
             for second in range(arm.ranges[j, 0], arm.ranges[j, 1]):
-                least = min(least, _gap(centres, arm.radii, first, centres, arm.radii, second))
+                apart = _gap(centres, arm.radii, first, centres, arm.radii, second)
+                least = min(least, apart + arm.overlaps[pair])
     return least
 
 

@@ -25,7 +25,7 @@ class Description:
         urdf: the file; packages that its meshes are named in are looked for in the folders above it.
         locked: values of joints that do not move, rad or m.
         packages: more folders in which packages lie.
-        convex: take each mesh as its convex hull, which is quicker and closed.
+        convex: take meshes that are convex as solids, which is quicker; others are surfaces, hollow inside.
     """
 
     urdf: Path
@@ -120,7 +120,7 @@ class RobotMeshes:
         model, reduced = self._pin.buildReducedModel(
             whole, [geometry], [names.index(name) for name in description.locked], values
         )
-        if sorted(model.names)[:-1] != sorted(joint.name for joint in self.arm.joints):
+        if sorted(model.names[1:]) != sorted(joint.name for joint in self.arm.joints):
             raise _bad(description, f"joints that move {list(model.names)[1:]}")
         return model, reduced[0]
 
@@ -129,9 +129,12 @@ class RobotMeshes:
         return joint.idx_q, joint.nq
 
     def _make_convex(self, shape: Any) -> None:
-        if shape.geometry.getObjectType() == self._coal.OBJECT_TYPE.OT_BVH:
-            shape.geometry.buildConvexRepresentation(True)  # noqa: FBT003 # takes no names
-            shape.geometry = shape.geometry.convex
+        mesh = shape.geometry
+        if mesh.getObjectType() == self._coal.OBJECT_TYPE.OT_BVH:
+            mesh.buildConvexHull(True, "Qt")  # noqa: FBT003 # takes no names
+            # Another mesh has vertices inside its hull, and is looked at triangle by triangle.
+            if mesh.convex.num_points == mesh.num_vertices:
+                shape.geometry = mesh.convex
 
     def _shape(self, shape: Box | Cylinder) -> Any:
         if isinstance(shape, Box):

@@ -205,12 +205,12 @@ class Situation:
             part.name: slice(end - len(part.spheres_m), end)
             for part, end in zip(self.arm.parts, ends, strict=True)
         }
-        radii, best = self.arm.spheres_m()[:, 3], None
-        for one, other in self.arm.touching:
+        radii, overlaps, best = self.arm.spheres_m()[:, 3], arm_arrays(self.arm).overlaps, None
+        for (one, other), overlap in zip(self.arm.touching, overlaps, strict=True):
             first, second = own[one], own[other]
             gaps = np.linalg.norm(centres[first, None] - centres[None, second], axis=2)
             gaps -= radii[first, None] + radii[second]
-            deep = -float(gaps.min())
+            deep = -float(gaps.min() + overlap)
             if deep >= 0.0 and (best is None or deep > best.depth_m):
                 sphere = first.start + int(np.argmin(gaps) // gaps.shape[1])
                 best = Contact("self", one, other, _place(centres[sphere]), deep)

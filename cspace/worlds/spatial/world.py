@@ -250,6 +250,7 @@ class SpatialWorld:
             origins=np.stack([joint.origin.matrix() for joint in arm.joints]),
             axes=np.asarray([joint.axis for joint in arm.joints]),
             spheres_m=arm.spheres_m(),
+            own_radii_m=arm.own_radii_m(),
             links=arm.sphere_links(),
             touching=touching_sets(arm),
             group_spheres_m=found.spheres_m[moving],

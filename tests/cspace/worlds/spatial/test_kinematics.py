@@ -2,14 +2,18 @@ from dataclasses import replace
 from math import pi
 
 import numpy as np
+import pytest
 
+from cspace.errors import ScenarioError
 from cspace.worlds.spatial.arm import Joint, Part, SerialArm
+from cspace.worlds.spatial.checks import CollisionChecker
 from cspace.worlds.spatial.kinematics import (
     arm_arrays,
     link_frames_into,
     self_distance_batch,
     sphere_centres_batch,
 )
+from cspace.worlds.spatial.obstacles import Obstacles
 from cspace.worlds.spatial.poses import Frame
 from tests.cspace.worlds.spatial.test_robots import VAMP as PANDA
 
@@ -69,3 +73,24 @@ def test_a_folded_arm_runs_into_itself() -> None:
     )
     distances = self_distance_batch(np.array([[0.3, 0.0], [0.3, pi], [0.3, pi / 2]]), arm_arrays(arm))
     np.testing.assert_allclose(distances, [0.7, -0.3, np.sqrt(0.5) - 0.3], atol=1e-12)
+
+
+def test_spheres_of_two_parts_may_overlap_by_what_both_allow() -> None:
+    def arm(*overlaps_m: float | None) -> SerialArm:
+        sizes = zip(("upper", "lower"), (0.1, 0.2), overlaps_m, strict=True)
+        parts = [
+            Part(name, link, ((0.5, 0.0, 0.0, radius),), overlap)
+            for link, (name, radius, overlap) in enumerate(sizes, 1)
+        ]
+        joints = (Joint("base"), Joint("elbow", Frame((1.0, 0.0, 0.0))))
+        return SerialArm("folding", joints, tuple(parts), (("upper", "lower"),))
+
+    # Their centres are 0.295 and 0.285 m apart, their radii 0.3 m together.
+    q = np.array([[0.0, pi - 2.0 * np.arcsin(apart)] for apart in (0.295, 0.285)])
+    for overlaps, found in (((0.004, 0.006), [0.005, -0.005]), ((0.004, None), [-0.005, -0.015])):
+        allowed = arm(*overlaps)
+        np.testing.assert_allclose(self_distance_batch(q, arm_arrays(allowed)), found, atol=1e-9)
+        clear = CollisionChecker(allowed, Obstacles((), ())).valid_batch(q)
+        assert clear.tolist() == [one > 0.0 for one in found]
+    with pytest.raises(ScenarioError, match="overlap_m for all of them or none"):
+        arm(0.004, None).own_radii_m()

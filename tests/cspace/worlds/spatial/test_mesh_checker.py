@@ -1,4 +1,5 @@
 import sys
+from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, files
 from math import pi
 from pathlib import Path
@@ -10,10 +11,11 @@ from cspace.errors import ScenarioError
 from cspace.simulator import Split
 from cspace.worlds.spatial.arm import Joint, Part, SerialArm
 from cspace.worlds.spatial.benchmark import problems
+from cspace.worlds.spatial.checks import CollisionChecker
 from cspace.worlds.spatial.mesh_checker import Description, RobotMeshes
 from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles
 from cspace.worlds.spatial.poses import Frame, pose_of
-from tests.cspace.worlds.spatial.test_robots import PANDA
+from tests.cspace.worlds.spatial.test_robots import PANDA, UR5
 from tests.training.robots.descriptions import FINGER, TWO_LINKS, described, with_more
 
 # The one of TWO_LINKS; its spheres are not asked.
@@ -116,17 +118,39 @@ def test_without_the_libraries_the_extra_is_named(tmp_path: Path, monkeypatch: p
         RobotMeshes(TWO, Description(described(tmp_path)))
 
 
-@pytest.fixture(scope="module")
-def panda() -> RobotMeshes:
+def published(urdf: str) -> Path:
     pytest.importorskip("pinocchio", reason=REASON)
     try:
         listed = files("example-robot-data") or []
     except PackageNotFoundError:
         pytest.skip(REASON)
-    urdf = next(
-        Path(one.locate()) for one in listed if str(one).endswith("panda_description/urdf/panda.urdf")
-    )
-    return RobotMeshes(PANDA, Description(urdf, {f"panda_finger_joint{number}": 0.065 for number in (1, 2)}))
+    return next(Path(one.locate()) for one in listed if str(one).endswith(urdf))
+
+
+@pytest.fixture(scope="module")
+def panda() -> RobotMeshes:
+    fingers = {f"panda_finger_joint{number}": 0.065 for number in (1, 2)}
+    return RobotMeshes(PANDA, Description(published("panda_description/urdf/panda.urdf"), fingers))
+
+
+@pytest.fixture(scope="module")
+def ur5() -> RobotMeshes:
+    # A box of 1 cm at the flange: meshes are checked by their surfaces, which it does not touch inside them.
+    pairs = tuple(pair for pair in UR5.touching if "ee_link" not in pair)
+    urdf = published("ur_description/urdf/ur5_joint_limited_robot.urdf")
+    return RobotMeshes(replace(UR5, touching=pairs), Description(urdf))
+
+
+@pytest.mark.parametrize("robot", ["panda", "ur5"])
+def test_arms_touch_themselves_where_their_meshes_do(robot: str, request: pytest.FixtureRequest) -> None:
+    meshes: RobotMeshes = request.getfixturevalue(robot)
+    space = meshes.arm.space
+    rows = np.random.default_rng(0).uniform(space.lower, space.upper, (3000, space.dim))
+    free = meshes.among(Obstacles()).valid_batch(rows)
+    clear = CollisionChecker(meshes.arm, Obstacles()).valid_batch(rows)
+    assert 0.02 < np.mean(~free) < 0.5
+    assert np.mean(free & ~clear) <= 0.01
+    assert np.mean(~free & clear) <= 0.005
 
 
 def test_all_ends_of_the_pandas_problems_are_free_by_its_meshes(panda: RobotMeshes) -> None:

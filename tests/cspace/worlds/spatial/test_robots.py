@@ -36,12 +36,12 @@ def test_the_pandas_spheres_hold_those_of_a_model_that_lies_inside_it() -> None:
     assert np.where(same_link, gaps, np.inf).min(axis=1).max() < 0.0
 
 
-def test_the_panda_is_clear_of_itself_where_it_starts_and_holds_its_wrist_apart() -> None:
+def test_the_panda_is_clear_of_itself_where_it_starts_and_its_pairs_are_those_of_its_srdf() -> None:
     assert self_distance_batch(np.asarray(READY), arm_arrays(PANDA))[0] > 0.0
     pairs = {frozenset(pair) for pair in PANDA.touching}
-    assert {"panda_link5", "panda_hand"} in pairs
-    assert {"panda_link5", "panda_link7"} in pairs
-    assert not any({"panda_link4", "panda_link5"} == pair for pair in pairs)
+    assert {"panda_link5", "panda_leftfinger"} in pairs
+    for disabled in ("panda_hand", "panda_link7", "panda_link4"):
+        assert {"panda_link5", disabled} not in pairs
 
 
 def test_the_ur5_has_the_geometry_of_its_makers_table() -> None:
