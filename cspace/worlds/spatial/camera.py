@@ -314,67 +314,6 @@ def in_range(depth_mm: NDArray[np.uint16]) -> NDArray[np.bool_]:
     return np.asarray((depth_mm >= NEAREST_MM) & (depth_mm <= FARTHEST_MM))
 
 
-# Depths of neighbours that differ by less are of one surface; a share of the depth beyond 1 m.
-_APART_MM, _APART_SHARE = 20, 0.02
-# Times a pixel's width, for one more pixel of depth: a ray that meets a surface at 80 degrees.
-_GRAZING = 5.67
-# Pixels, in some ms.
-_AT_ONCE = 60_000
-_NEIGHBOURS = ((0, 1), (1, -1), (1, 0), (1, 1))
-
-
-def without_artefacts(
-    depth_mm: NDArray[np.uint16], camera: DepthCamera, check_cancelled: CheckCancelled = lambda: None
-) -> NDArray[np.uint16]:
-    """A depth picture (H, W) mm without what cameras make up between surfaces; that is no reading, 0.
-
-    Gone are mixed ("flying") pixels, which lie between a nearer neighbour and a farther one, across or down,
-    where a surface would be met at more than 80 degrees, and lone readings, of whose eight neighbours at most
-    one is as far away. A pixel beside one that reads nothing stays: readings that are missing take no others
-    with them. ``check_cancelled`` is called between parts of some ms; what it raises passes through.
-    """
-    found = depth_mm.copy()
-    rows = max(1, _AT_ONCE // depth_mm.shape[1])
-    for first in range(0, len(depth_mm), rows):
-        # With a row more on either side.
-        above = min(first, 1)
-        some = depth_mm[first - above : first + rows + 1]
-        found[first : first + rows][_are_artefacts(some, camera)[above : above + rows]] = 0
-        check_cancelled()
-    return found
-
-
-def _are_artefacts(depth_mm: NDArray[np.uint16], camera: DepthCamera) -> NDArray[np.bool_]:
-    """(H, W)."""
-    depth = depth_mm.astype(np.int32)
-    apart = np.maximum(_APART_MM, depth * _APART_SHARE)
-    gone = np.zeros(depth.shape, dtype=np.bool_)
-    for turned, steep, found in (
-        (depth, np.maximum(apart, depth * (_GRAZING / camera.fx)), gone),
-        (depth.T, np.maximum(apart, depth * (_GRAZING / camera.fy)).T, gone.T),
-    ):
-        before, here, after = turned[:, :-2], turned[:, 1:-1], turned[:, 2:]
-        least = steep[:, 1:-1]
-        rises = (here - before > least) & (after - here > least)
-        falls = (before - here > least) & (here - after > least)
-        found[:, 1:-1] |= (rises | falls) & (before > 0) & (after > 0)
-    if min(depth.shape) > 2:
-        gone[1:-1, 1:-1] |= _are_lone(depth, apart)
-    return gone
-
-
-def _are_lone(depth: NDArray[np.int32], apart: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """(H - 2, W - 2): of the pixels that are not at the border."""
-    high, wide = (side - 2 for side in depth.shape)
-    here, limit = depth[1:-1, 1:-1], apart[1:-1, 1:-1]
-    alike, read = np.zeros(here.shape, dtype=np.int8), here > 0
-    for down, across in (*_NEIGHBOURS, *((-down, -across) for down, across in _NEIGHBOURS)):
-        other = depth[1 + down : 1 + down + high, 1 + across : 1 + across + wide]
-        alike += np.abs(other - here) <= limit
-        read &= other > 0
-    return np.asarray(read & (alike <= 1))
-
-
 def resize_depth(depth: NDArray[np.generic], height: int, width: int) -> NDArray[np.generic]:
     """A depth picture (H, W) in another size, (height, width), of the same type.
 

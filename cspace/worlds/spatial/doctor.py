@@ -110,7 +110,7 @@ def diagnosed(
     moved = len(set(view.states)) > 1
     for number, (picture, camera, spheres) in enumerate(zip(view.pictures, view.cameras, each, strict=True)):
         check_cancelled()
-        smaller, own = reduced(np.where(in_range(picture), picture, np.uint16(0)), camera, check_cancelled)
+        smaller, own = reduced(np.where(in_range(picture), picture, np.uint16(0)), camera)
         shot = _Shot(number, _metres(smaller), own)
         notes.append(_described(shot, sensor))
         findings += _of_readings(shot)

@@ -9,14 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from cspace.errors import ImageError
 from cspace.view_file import MAX_PICTURES
 from cspace.world import CheckCancelled
-from cspace.worlds.spatial.camera import (
-    MIN_SIDE,
-    DepthCamera,
-    in_range,
-    resize_depth,
-    to_m,
-    without_artefacts,
-)
+from cspace.worlds.spatial.camera import MIN_SIDE, DepthCamera, in_range, resize_depth, to_m
 from cspace.worlds.spatial.distance_field import TRUNCATION_M, distance_codes, patches
 from cspace.worlds.spatial.sensor import (
     BEHIND_STEP_M,
@@ -366,7 +359,7 @@ def observe_one(
     """
     check_cancelled = check_cancelled or (lambda: None)
     check_picture(picture, camera)
-    smaller, camera = reduced(np.where(in_range(picture), picture, np.uint16(0)), camera, check_cancelled)
+    smaller, camera = reduced(np.where(in_range(picture), picture, np.uint16(0)), camera)
     check_cancelled()
     kept = self_filter(
         smaller, camera, np.empty((0, 4)) if spheres is None else spheres, check_cancelled=check_cancelled
@@ -480,17 +473,11 @@ def _cells(
     return (x * grid.counts[1] + y) * grid.counts[2] + z, inside, place
 
 
-def reduced(
-    picture: NDArray[np.uint16], camera: DepthCamera, check_cancelled: CheckCancelled = lambda: None
-) -> tuple[NDArray[np.uint16], DepthCamera]:
-    """A picture with no side above :data:`MAX_USED_SIDE`, and its camera; smaller ones as they are.
-
-    What a camera made up between surfaces goes first, for the nearest reading of a cell is kept.
-    """
+def reduced(picture: NDArray[np.uint16], camera: DepthCamera) -> tuple[NDArray[np.uint16], DepthCamera]:
+    """A picture with no side above :data:`MAX_USED_SIDE`, and its camera; smaller ones as they are."""
     share = MAX_USED_SIDE / max(picture.shape)
     if share >= 1.0:
         return picture, camera
-    picture = without_artefacts(picture, camera, check_cancelled)
     height, width = (min(side, max(MIN_SIDE, int(side * share))) for side in picture.shape)
     smaller = resize_depth(picture, height, width).astype(np.uint16)
     return smaller, camera.resized(width, height)
