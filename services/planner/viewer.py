@@ -47,7 +47,7 @@ CHECK_RAD, FRAMES, POINTS_AT_MOST = 0.005, 200, 8000
 SAMPLES_AT_MOST = 200
 SOURCE = "MotionBenchMaker"
 # By the shipped model: a collision-free plan, and a refused one.
-EXAMPLES = {"table-top": ("table", 4), "hard bin": ("bin", 9)}
+EXAMPLES = {"table-top": ("table", 4), "hard bin": ("bin", 17)}
 RECORDINGS = (".mcap", ".db3")
 IMPORT_S, LOAD_S = 120, 60.0
 # viser takes files by a button alone: what is dropped is given to the button's field.
