@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from cspace.errors import ScenarioError
-from cspace.worlds.spatial.arm import MAX_SPHERES, Part, SerialArm
+from cspace.worlds.spatial.arm import MAX_OVERLAP_M, MAX_SPHERES, Part, SerialArm
 from cspace.worlds.spatial.kinematics import arm_arrays, self_distance_batch
 from cspace.worlds.spatial.poses import moved
 from cspace.worlds.spatial.sensor import VOXEL_M, grid_of
@@ -107,7 +107,7 @@ def import_robot(request: Request, report: Callable[[str], None] = lambda _: Non
         if allowed.excess_m > request.allowances.excess_m:
             notes.append(f"{where} is large: spheres stick out by up to {1e3 * allowed.excess_m:.0f} mm")
         rows = np.round(np.column_stack([moved(frame, spheres[:, :3]), spheres[:, 3]]), _DIGITS).tolist()
-        overlap_m = round(_OVERLAP * fits[name].excess_m, _DIGITS)
+        overlap_m = min(round(_OVERLAP * fits[name].excess_m, _DIGITS), MAX_OVERLAP_M)
         parts.append(Part(name, number, tuple((x, y, z, radius) for x, y, z, radius in rows), overlap_m))
         surfaces[name] = moved(frame, union_surface(own, _PICTURE_POINTS, np.random.default_rng(_SEED)))
     if (count := sum(fit.spheres for fit in fits.values())) > MAX_SPHERES:

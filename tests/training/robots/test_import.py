@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cspace.worlds.spatial.arm import SerialArm
+from cspace.worlds.spatial.arm import MAX_OVERLAP_M, SerialArm
 from tests.training.robots.descriptions import FINGER, TWO_LINKS, described, with_more
 from training.robots import covering
 from training.robots.__main__ import main
 from training.robots.chain import read_chain
+from training.robots.covering import Allowances
 from training.robots.description import read_description
 from training.robots.importing import Request, import_robot
 
@@ -69,6 +70,17 @@ def test_spheres_cover_what_they_stand_for_and_stick_out_little(tmp_path: Path) 
     beyond = np.maximum(np.linalg.norm(spheres[:, :2], axis=1) - 0.05, np.abs(spheres[:, 2] - 0.25) - 0.15)
     assert (beyond + spheres[:, 3]).max() < 0.0101
     assert len(spheres) < 60
+    assert [part.overlap_m for part in arm.parts][1:3] == [
+        pytest.approx(0.005, abs=3e-4),
+        pytest.approx(0.0, abs=1e-4),
+    ]
+
+
+def test_coarse_spheres_may_overlap_by_no_more_than_a_robot_file_takes(tmp_path: Path) -> None:
+    coarse = Allowances(excess_m=0.08, relaxed=False)
+    arm = import_robot(Request(described(tmp_path, ROUND_LOWER), allowances=coarse)).arm
+    assert max(part.overlap_m or 0.0 for part in arm.parts) <= MAX_OVERLAP_M
+    assert SerialArm.from_dict(arm.to_dict()) == arm
 
 
 def test_pairs_that_can_touch_are_those_that_spheres_show(tmp_path: Path) -> None:
