@@ -22,7 +22,7 @@ Pairs = set[frozenset[str]]
 _SEED = 20261123
 # Of written places, m.
 _DIGITS = 5
-# Of what spheres stick out at most, what they may overlap those of others; measured with the shipped arms.
+# Share of what spheres stick out at most; chosen by the meshes of the shipped arms.
 _OVERLAP = 0.5
 # As MoveIt's setup assistant counts a pair that always collides.
 ALWAYS_SHARE = 0.95

@@ -16,7 +16,7 @@ from cspace.worlds.spatial.poses import MAX_OFFSET_M, SAME, Frame, Offset, moved
 _UNIT = 1e-9
 # The name of its frame.
 TOOL = "tool"
-# More would let parts run through each other.
+# With more, parts could run through each other.
 MAX_OVERLAP_M = 0.02
 Sphere = tuple[Offset, Offset, Offset, Annotated[float, Field(gt=0.0, le=MAX_OFFSET_M)]]
 _Name = Annotated[str, Field(min_length=1)]
@@ -64,8 +64,8 @@ class Part:
         name: its own; that of the link of the description that it comes from.
         link: what it is fixed to: 0 for the base, k for what joint k moves.
         spheres_m: x, y, z in the link's frame and radius; together they cover the part.
-        overlap_m: what its spheres stick out on the way to another part: two parts touch where their spheres
-            overlap by more than the sum of both. If one of them has None, they touch as soon as spheres do.
+        overlap_m: spheres stick out of what they cover, so two parts touch where spheres overlap by more
+            than the sum of both values. If one part has None, they touch as soon as spheres do.
 
     Raises:
         ScenarioError: it has no name or no spheres, or one of these is none.
