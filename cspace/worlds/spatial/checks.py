@@ -19,7 +19,7 @@ from cspace.worlds.spatial.distances import (
     distance_grid,
     grid_clearance,
     grid_hits,
-    set_clearance,
+    point_distance,
     sets_are_free,
 )
 from cspace.worlds.spatial.kinematics import (
@@ -93,7 +93,10 @@ def room_of(scene):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def state_is_free(q, scene, room):  # type: ignore[no-untyped-def]
-    """Whether one configuration (d,) is within its limits, clear of every obstacle and of itself."""
+    """Whether one configuration (d,) is within its limits, clear of every obstacle and of itself.
+
+    The base stands where it stands: on a table, it touches it.
+    """
     for joint in range(q.shape[0]):
         if not scene.periodic[joint] and not scene.lower[joint] <= q[joint] <= scene.upper[joint]:
             return False
@@ -118,7 +121,7 @@ def state_is_free(q, scene, room):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def state_clearance(q, scene, room):  # type: ignore[no-untyped-def]
-    """Least signed distance to an obstacle or between parts that can touch, m; inf without either."""
+    """Least signed distance of what moves to an obstacle, or between parts that can touch, m; inf without."""
     frames, centres, bounds = room
     arm = scene.arm
     link_frames_into(q, arm.origins, arm.axes, frames)
@@ -126,7 +129,12 @@ def state_clearance(q, scene, room):  # type: ignore[no-untyped-def]
     points_into(frames, arm.links, arm.centres, centres)
     least = min(grid_clearance(scene.grid, arm, centres), self_distance(centres, bounds, arm))
     least = min(least, bodies_clearance(scene.bodies, arm, centres))
-    return min(set_clearance(centres, arm.radii, scene.boxes, scene.cylinders), least)
+    for at in range(centres.shape[0]):
+        if arm.links[at] > 0:
+            x, y, z, radius = centres[at, 0], centres[at, 1], centres[at, 2], arm.radii[at]
+            away = point_distance(x, y, z, scene.boxes, scene.cylinders, least + radius)
+            least = min(least, away - radius)
+    return least
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -140,6 +148,8 @@ def _is_upright(row, frame):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True, error_model="numpy")
 def _box_hits(row, arm, centres, bounds):  # type: ignore[no-untyped-def]
     for part in range(bounds.shape[0]):
+        if arm.bound_links[part] == 0:
+            continue
         reach, x, y, z = arm.bound_radii[part], bounds[part, 0], bounds[part, 1], bounds[part, 2]
         if _beyond(x, y, z, row, reach) or box_distance(x, y, z, row) > reach:
             continue
@@ -152,6 +162,8 @@ def _box_hits(row, arm, centres, bounds):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True, error_model="numpy")
 def _cylinder_hits(row, arm, centres, bounds):  # type: ignore[no-untyped-def]
     for part in range(bounds.shape[0]):
+        if arm.bound_links[part] == 0:
+            continue
         reach, x, y, z = arm.bound_radii[part], bounds[part, 0], bounds[part, 1], bounds[part, 2]
         if _beyond(x, y, z, row, reach) or cylinder_distance(x, y, z, row) > reach:
             continue

@@ -84,9 +84,9 @@ class RobotMeshes:
         return np.stack([np.asarray(place.homogeneous) for place in found.oMg])
 
     def with_obstacles(self, obstacles: Obstacles) -> Any:
-        """A copy of the geometry in which every shape of the robot is held apart from each obstacle, too."""
+        """A copy of the geometry in which every shape that moves is held apart from each obstacle, too."""
         geometry = self.geometry.copy()
-        own = range(geometry.ngeoms)
+        own = [number for number, one in enumerate(geometry.geometryObjects) if one.parentJoint > 0]
         for pair in self.pairs:
             geometry.addCollisionPair(self._pin.CollisionPair(*pair))
         shapes: tuple[Box | Cylinder, ...] = (*obstacles.boxes, *obstacles.cylinders)

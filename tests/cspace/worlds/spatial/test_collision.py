@@ -33,7 +33,8 @@ def configurations():
 
 
 def test_clearance_is_the_least_of_obstacles_and_the_arm_itself(checker, configurations):
-    centres, radii = PANDA.sphere_centres_m(configurations), PANDA.spheres_m()[:, 3]
+    moving = PANDA.sphere_links() > 0
+    centres, radii = PANDA.sphere_centres_m(configurations)[:, moving], PANDA.spheres_m()[moving, 3]
     apart = clearance_m(checker.obstacles, centres, radii)
     itself = self_distance_batch(configurations, arm_arrays(PANDA))
     assert np.allclose(checker.clearance(configurations), np.minimum(apart, itself), atol=1e-12)
@@ -47,6 +48,16 @@ def test_free_is_where_clearance_is_above_zero(checker, configurations):
     assert 0.1 < free.mean() < 0.95
     test = checker.state_test()
     assert [test(q) for q in configurations[:50]] == free[:50].tolist()
+
+
+def test_the_base_stands_on_a_table_and_the_arm_does_not_touch_it():
+    table = CollisionChecker(
+        PANDA, Obstacles.of([Box(pose_of(make_pose(np.eye(3), (0.3, 0.0, -0.02))), (0.8, 0.8, 0.02))])
+    )
+    waits, below = READY[0], np.array([0.0, 1.7, 0.0, -0.4, 0.0, 2.0, 0.0])
+    assert table.valid_batch(np.stack([waits, below])).tolist() == [True, False]
+    clear, deep = table.clearance(np.stack([waits, below]))
+    assert clear > 0.0 > deep
 
 
 def test_outside_its_limits_nothing_is_free():

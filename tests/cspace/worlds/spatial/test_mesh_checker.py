@@ -51,12 +51,13 @@ def block(x: float, z: float, half: float) -> Box:
 
 
 def test_clearance_is_the_distance_of_the_shapes(meshes: RobotMeshes) -> None:
-    # Beside the upper arm of radius 0.05, and beside the lower one, whose 0.06 lie along x.
+    # Beside the upper arm of radius 0.05, and beside the lower one, whose 0.06 lie along x; the base, which the last
+    # one touches, does not count.
     for obstacle, expected in (
         (block(0.2, 0.35, 0.1), 0.05),
         (block(-0.1, 0.75, 0.05), 0.02),
         (block(0.1, 0.35, 0.1), -0.05),
-        (Cylinder(pose_of(np.diag([1.0, -1.0, -1.0, 1.0]) + np.eye(4, k=3) * 0.2), 0.1, 2.0), -0.02),
+        (Cylinder(pose_of(np.diag([1.0, -1.0, -1.0, 1.0]) + np.eye(4, k=3) * 0.2), 0.1, 2.0), 0.05),
     ):
         checker = meshes.among(Obstacles.of([obstacle]))
         assert checker.clearance_m([[0.0, 0.0]])[0] == pytest.approx(expected, abs=1e-4)
@@ -69,6 +70,11 @@ def test_a_turned_arm_meets_what_is_beside_it(meshes: RobotMeshes) -> None:
     assert checker.valid_batch([[0.0, 0.0], [pi / 2, 0.0], [pi / 2, pi / 2], [pi / 2, 2 * pi]]).tolist() == [
         *(True, False, True, False)
     ]
+
+
+def test_what_the_base_stands_in_is_no_collision(meshes: RobotMeshes) -> None:
+    stands = meshes.among(Obstacles.of([block(0.0, -0.3, 0.32)]))
+    assert stands.valid_batch([[0.0, 0.0], [2.0, 0.0]]).tolist() == [True, False]
 
 
 def test_pairs_that_can_touch_are_held_apart(tmp_path: Path, meshes: RobotMeshes) -> None:
