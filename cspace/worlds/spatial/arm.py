@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Annotated, Any
 
 import numpy as np
@@ -373,6 +374,8 @@ class Grouping:
         return np.stack([np.append(one, np.full(most - len(one), one[0])) for one in held])
 
 
+# Asked for again with every scene, and half a second for hundreds of spheres.
+@lru_cache(maxsize=16)
 def grouped(arm: SerialArm, count: int) -> Grouping:
     """The spheres of an arm in groups of one part each: the largest is halved until there are enough.
 

@@ -1,6 +1,7 @@
 """Forward kinematics, self-collision and inverse kinematics of a serial arm, compiled."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -286,13 +287,19 @@ def aligned(
 
 def _chain(arm: SerialArm, space: JointSpace, tool: NDArray[np.float64]) -> _Chain:
     return _Chain(
-        np.stack([joint.origin.matrix() for joint in arm.joints]),
-        np.asarray([joint.axis for joint in arm.joints]),
+        *_joints(arm),
         tool,
         np.asarray(space.lower, dtype=np.float64),
         np.asarray(space.upper, dtype=np.float64),
         np.asarray(space.periodic, dtype=np.bool_),
     )
+
+
+@lru_cache(maxsize=16)
+def _joints(arm: SerialArm) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Frames (d, 4, 4) and axes (d, 3) of an arm's joints."""
+    origins = np.stack([joint.origin.matrix() for joint in arm.joints])
+    return origins, np.asarray([joint.axis for joint in arm.joints])
 
 
 def _wanted(approach: ArrayLike | None, rotation: ArrayLike | None) -> tuple[NDArray[np.float64], int]:
