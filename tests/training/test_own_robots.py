@@ -51,6 +51,7 @@ def robot_files(draw: st.DrawFn) -> dict[str, object]:
 
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(values=robot_files(), seed=st.integers(0, 2**32 - 1))
+@pytest.mark.slow
 def test_any_robot_has_scenes_pictures_data_and_plans_or_a_reason(tmp_path, values, seed) -> None:
     path = tmp_path / "robot.json"
     path.write_text(json.dumps(values))

@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ENDED_WITHIN_S = 20.0
 
 PARENT = """
@@ -29,6 +31,7 @@ def pid_of(_: object) -> int:
     return os.getpid()
 
 
+@pytest.mark.slow
 def test_nothing_is_left_of_a_pool_whose_parent_was_killed(tmp_path: Path) -> None:
     script = tmp_path / "parent.py"
     script.write_text(PARENT)

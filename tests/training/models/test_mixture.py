@@ -95,7 +95,7 @@ def test_a_sample_costs_the_network_of_its_own_cluster_alone():
     np.testing.assert_array_equal(found, wanted)
 
 
-@pytest.mark.parametrize("lookups", [False, True])
+@pytest.mark.parametrize("lookups", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_the_mixtures_graph_answers_as_the_network(lookups):
     look = ArmLookups(PlanarWorld(TWO_LINK, Camera()), 3, 0.1) if lookups else None
     with seeded_initialisation(1):

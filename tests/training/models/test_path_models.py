@@ -110,9 +110,8 @@ def answer(model, fed, output="samples"):
     return session.run([output], fed)[0]
 
 
-@pytest.mark.parametrize(
-    ("name", "looks"), [("flow", True), pytest.param("wgan", False, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize(("name", "looks"), [("flow", True), ("wgan", False)])
+@pytest.mark.slow
 def test_a_graph_answers_as_the_network_does(name, looks):
     config = getattr(SMALL, name).model_copy(update={"lookups": FEW if looks else NO_LOOKUPS})
     module = make_path_module(name, SMALL.model_copy(update={name: config}), arrays(), 0).eval()

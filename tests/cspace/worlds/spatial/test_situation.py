@@ -184,6 +184,7 @@ def test_known_bodies_are_in_the_picture_once_and_ignored_volumes_are_free():
     assert WORLD.examine_picture(view_of({"scene": []})).images[0].tobytes() == plain.tobytes()
 
 
+@pytest.mark.slow
 def test_fine_meshes_are_looked_at_in_small_parts():
     calls = []
     some = {"name": "soup", "mesh": {"file": "a"}}

@@ -95,6 +95,7 @@ def test_a_request_holds_what_a_set_has_at_most(tmp_path):
     assert make_request(options(tmp_path, *given, "--problems", "40")).problems["motionbench_cage"] == 30
 
 
+@pytest.mark.slow
 def test_a_model_is_told_what_the_arm_holds(tmp_path, monkeypatch):
     bundle, asked = write_space_bundle(tmp_path / "bundle"), []
     given = ("--bundle", f"m={bundle}", "--held", "--pictures", "1", "--runs", "1", "--problems", "1")
