@@ -51,8 +51,8 @@ def block(x: float, z: float, half: float) -> Box:
 
 
 def test_clearance_is_the_distance_of_the_shapes(meshes: RobotMeshes) -> None:
-    # Beside the upper arm of radius 0.05, and beside the lower one, whose 0.06 lie along x; the base, which the last
-    # one touches, does not count.
+    # Beside the upper arm of radius 0.05, and beside the lower one, whose 0.06 lie along x.
+    # The last one touches the base, too, which does not count.
     for obstacle, expected in (
         (block(0.2, 0.35, 0.1), 0.05),
         (block(-0.1, 0.75, 0.05), 0.02),
