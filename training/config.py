@@ -154,6 +154,7 @@ class JobConfig(Section):
 # In a job's folder: centres of its cells, and the cluster of each.
 CLUSTERS_FILE = "clusters.npz"
 PRESET_FOLDER = Path(__file__).parent / "presets"
+SCENE_MODEL = Path(__file__).parent / "pretrained" / "scene_model.safetensors"
 
 
 class EncoderConfig(VaeConfig):
@@ -190,6 +191,12 @@ class CollisionBoundConfig(Section):
 class HeadConfig(ValidityConfig):
     """The validity head, and by what rules its bundle uses it."""
 
+    scene_model: Literal["shipped"] | AbsolutePath | None = Field(
+        None,
+        exclude_if=lambda part: part is None,
+        description="of arms in space: shipped, or the absolute path of what python -m training.scene_model "
+        "wrote, instead of training a head; none to train one",
+    )
     threshold: float | None = Field(
         None, gt=0, lt=1, description="the confidence that the bundle recommends; none to choose it"
     )
@@ -213,6 +220,11 @@ class HeadConfig(ValidityConfig):
     target_acceptance: float = Field(
         0.4, ge=0, le=1, description="of all proposals, that the chosen uniform share leaves at least"
     )
+
+    @property
+    def scene_model_file(self) -> Path | None:
+        """Of the scene model; None where a head is trained."""
+        return SCENE_MODEL if self.scene_model == "shipped" else self.scene_model
 
 
 class ResourceConfig(Section):
@@ -296,6 +308,8 @@ class TrainConfig(JobConfig):
             # The job tells when it opens or makes the data.
             return self
         grid = self.validity.grid
+        if self.validity.scene_model is not None and grid is None:
+            raise ValueError("validity.scene_model reads arrays of space; it needs validity.grid")
         if self.validity.steps and grid is None:
             world.levers(self.validity.points_per_link, self.validity.side_m)
         elif self.validity.steps and grid is not None:

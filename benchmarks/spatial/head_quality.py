@@ -1,6 +1,7 @@
 """What a head knows of configurations that depth pictures do not show whole, beside what the pictures say.
 
-    python -m benchmarks.spatial.head_quality GRAPHS [--cameras 2] [--split test --problems FOLDER | --own 20]
+    python -m benchmarks.spatial.head_quality GRAPHS [--cameras 2]
+        [--split test --problems FOLDER | --own 20 [--arm ur5]]
 
 GRAPHS is a folder with a head's map.onnx and validity.onnx, such as a bundle. On each problem of
 MotionBenchMaker, seen once with noise by cameras that are placed by chance as for training: half of the
@@ -37,7 +38,7 @@ from cspace.worlds.spatial.obstacles import Obstacles
 from cspace.worlds.spatial.problems import SpatialProblem, draw_problem
 from cspace.worlds.spatial.scenes import seen
 from cspace.worlds.spatial.visibility import lookup
-from cspace.worlds.spatial.world import SpatialWorld, usual
+from cspace.worlds.spatial.world import SpatialWorld, shipped, usual
 from services.evaluator.statistics import bootstrap_interval, mean_interval, ratio_of_sums_interval
 
 NEAR_M, SIGMA_RAD, BINS = 0.02, 0.3, 15
@@ -119,13 +120,13 @@ class Evaluated:
         about = world.space.bound(ends + rng.normal(0.0, SIGMA_RAD, ends.shape))
         rows = np.concatenate([world.space.sample_uniform(rng, count - len(about)), about])
         stored = world.space.to_float32(rows)
-        spheres, radii = arm.sphere_centres_m(stored), arm.spheres_m()[:, 3]
+        moving = arm.sphere_links() > 0
+        spheres, radii = arm.sphere_centres_m(stored)[:, moving], arm.spheres_m()[moving, 3]
         self.itself = CollisionChecker(arm, Obstacles()).clearance(stored) > 0.0
         away = clearance_m(problem.obstacles, spheres, radii)
         self.free, self.near = self.itself & (away > 0.0), self.itself & (np.abs(away) < NEAR_M)
         self.confidence, self.unseen = head.confidence(picture, stored)
-        moving = arm.sphere_links() > 0
-        margins = lookup(picture, world.sensor.grid, spheres[:, moving]).distance_m - radii[moving]
+        margins = lookup(picture, world.sensor.grid, spheres).distance_m - radii
         self.margin = margins.min(axis=1)
 
     def cloud(self, slack_m: float = 0.0) -> np.ndarray:
@@ -220,11 +221,14 @@ def main() -> int:
     parser.add_argument("--split", choices=("validation", "test"), default="validation")
     parser.add_argument("--problems", type=Path, help="the folder of the test problems")
     parser.add_argument("--own", type=int, default=0, help="problems of each of the project's own families")
+    parser.add_argument("--arm", choices=("panda", "ur5"), default="panda", help="of those problems")
     parser.add_argument("--cameras", type=int, default=1)
     parser.add_argument("--configurations", type=int, default=1000, help="in each problem")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    head = Head(options.graphs, usual(panda()))
+    if options.arm != "panda" and not options.own:
+        parser.error("MotionBenchMaker's problems are those of the Panda: name --own as well")
+    head = Head(options.graphs, usual(panda() if options.arm == "panda" else shipped(options.arm)))
     found: Sequence[BenchProblem | OwnProblem]
     if options.own:
         found = own_problems(head.world, Split(options.split), options.own, options.seed)

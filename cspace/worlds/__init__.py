@@ -98,15 +98,15 @@ def part_types(part: str) -> tuple[type[Any], ...]:
 
 
 def usual_world(robot: Body, **parts: Any) -> World:
-    """A robot that is seen as the first example of its type is, and stands in such scenes.
+    """A robot that is seen, and stands in scenes, as those of its type usually are.
 
     Args:
         robot: of any kind.
-        parts: ``sensor`` and ``scenes`` instead of the example's, where they are not None.
+        parts: ``sensor`` and ``scenes`` instead of the usual ones, where they are not None.
     """
     example: Any = next(world for world in examples().values() if type(world.body) is type(robot))
     own = {name: part for name, part in parts.items() if part is not None}
-    return cast("World", replace(example, body=robot, **own))
+    return cast("World", replace(_part(example.kind, "world").usual(robot), **own))
 
 
 def add_world_options(parser: ArgumentParser, *, sensor: bool) -> None:

@@ -14,7 +14,12 @@ pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(900)]
 SMALL = (
     *("data.scenario_count=6", "data.proposals_per_scenario=80", "data.shard_size=2"),
     *("vae.latent_dim=8", "vae.width=4", "vae.batch_size=4"),
-    *("validity.pictures_per_step=2", "validity.configurations_per_picture=8", "validity.hidden=8"),
+    *(
+        "validity.scene_model=null",
+        "validity.pictures_per_step=2",
+        "validity.configurations_per_picture=8",
+        "validity.hidden=8",
+    ),
     *(
         "validity.grid={width: 4, middle: 4, deep: 4}",
         "validity.threshold=0.05",

@@ -18,7 +18,12 @@ WORLD = examples()["panda"]
 SMALL = (
     *("data.scenario_count=6", "data.proposals_per_scenario=80", "data.shard_size=3"),
     *("vae.latent_dim=8", "vae.width=4", "vae.steps=4", "vae.batch_size=4"),
-    *("validity.steps=4", "validity.pictures_per_step=2", "validity.configurations_per_picture=8"),
+    *(
+        "validity.scene_model=null",
+        "validity.steps=4",
+        "validity.pictures_per_step=2",
+        "validity.configurations_per_picture=8",
+    ),
     *("validity.hidden=8", "validity.grid={width: 4, middle: 4, deep: 4}"),
     *("validity.threshold=0.05", "validity.uniform_share=0.2", "validity.promise={scenarios: 30}"),
     "validity.plan_problems=7",
@@ -94,7 +99,8 @@ def recordings(folder, count=5):
 def test_recordings_of_ones_own_train_a_version_that_promises_nothing(server, tmp_path):
     source, data = recordings(tmp_path / "own"), tmp_path / "data"
     assert datasets(["import", str(source), str(data), "--arm", "panda"]) == 0
-    kept = [part for part in SMALL if not part.startswith("data.")]
+    # With the shipped scene model no head is trained.
+    kept = [part for part in SMALL if not part.startswith(("data.", "validity.scene_model"))]
     settings = [part for setting in (*kept, f"data_folder={data}") for part in ("--set", setting)]
     result = submit(server, tmp_path / "jobs", "--preset", "panda_quick", *settings)
     bundle = bundle_of(server, result["model"], result["version"], tmp_path / "bundle")
@@ -102,3 +108,5 @@ def test_recordings_of_ones_own_train_a_version_that_promises_nothing(server, tm
     assert bundle.spec.world.scenes is None
     assert bundle.spec.provenance.metrics == {}
     assert bundle.reports_unseen
+    assert set(result["trials"]) == {"vae", "gate", "local-0", "local-1"}
+    assert bundle.spec.provenance.config["validity"]["scene_model"] == "shipped"

@@ -26,7 +26,7 @@ from training.config import HeadConfig, TrainConfig
 from training.jobs.environment import command_line, now, source_state
 from training.jobs.job import TAG_START
 from training.models.autoencoders import network_size
-from training.models.checkpoint import trained
+from training.models.checkpoint import load_scene_model, trained
 from training.models.export import (
     encoder_graph,
     generator_graph,
@@ -35,7 +35,7 @@ from training.models.export import (
     novelty_graph,
     validity_graph,
 )
-from training.models.grid_head import GridHead
+from training.models.grid_head import GridHead, counts_of
 from training.models.grid_training import grid_validity_graph, map_graph
 from training.models.lookups import make_lookups
 from training.models.mixture import LookupSampler
@@ -58,7 +58,7 @@ class TrainedParts:
         encoder: the VAE's, or the generator's own where the two were trained together.
         generators: one, or in a mixture that of every cluster.
         gate: None without one.
-        validity: None without a validity head.
+        validity: the file of a scene model, or of a trained head the folder; None without either.
         arrays: the data.
         start_run_id: of the job whose weights the trials started from; None where they started from nothing.
     """
@@ -122,7 +122,11 @@ def _head_graphs(config: HeadConfig, world: World, checkpoint: Path) -> dict[str
     if config.grid is None:
         flat = trained(lambda: make_head(config, world), checkpoint, "head")
         return {"validity": validity_graph(flat, world.sensor.pixels, world.dim)}
-    head = trained(lambda: GridHead.of(config, world), checkpoint, "head")
+    if config.scene_model is None:
+        head = trained(lambda: GridHead.of(config, world), checkpoint, "head")
+    else:
+        model = load_scene_model(checkpoint, world)
+        head = GridHead(model, world.grid_arm(model.config.groups), counts_of(world)).eval()
     return {"map": map_graph(head), "validity": grid_validity_graph(head, world.dim)}
 
 

@@ -121,8 +121,8 @@ def train_on_pictures(
 ) -> tuple[TrialOutcome | None, TrialOutcome | None]:
     """Stage 3: one VAE over all pictures, shared by every later trial; the validity head beside it.
 
-    Without configurations in collision, or with no steps for it, there is no head; with an encoder that is
-    there already, or that is trained with the generator, there is no VAE.
+    Without configurations in collision, with no steps for it, or with a scene model, no head is trained; with
+    an encoder that is there already, or that is trained with the generator, no VAE is.
     """
     config = job.config
     sensor = dataset.world.sensor
@@ -130,7 +130,8 @@ def train_on_pictures(
     if dataset.extra_images is not None:
         images = np.concatenate([images, shown(sensor, dataset.extra_images)])
     arrays = OccupancyArrays if config.validity.grid is None else GridOccupancy
-    occupancy = arrays.of(dataset) if config.validity.steps > 0 else None
+    wanted = config.validity.steps > 0 and config.validity.scene_model is None
+    occupancy = arrays.of(dataset) if wanted else None
     vae = not config.joint and config.vae.checkpoint is None
     names = [name for name, wanted in ((VAE, vae), (VALIDITY, occupancy is not None)) if wanted]
     if not names:
@@ -406,7 +407,8 @@ def _run(job: Job[TrainConfig]) -> TrainResult:
         _LOG.info("bundle: exporting")
         generators = tuple(outcome.checkpoint for outcome in final or local)
         encoder = generators[0] if job.config.joint else encoder_checkpoint(job, vae)
-        gate_at, head_at = _checkpoint(gate), _checkpoint(head)
+        gate_at = _checkpoint(gate)
+        head_at = job.config.validity.scene_model_file or _checkpoint(head)
         parts = TrainedParts(encoder, generators, gate_at, head_at, arrays, job.start_run_id)
         bundle = kept_bundle(job.folder / BUNDLE_FOLDER)
         if bundle is None:

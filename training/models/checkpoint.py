@@ -8,12 +8,17 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import torch
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
+from cspace.errors import ConfigError
 from cspace.files import discard, replacing
 from cspace.simulator import derived_seed
+from cspace.world import World
+from training.models.grid_head import SceneModel
 from training.models.modules import TrialModule
+from training.models.settings import GridConfig
 
 Network = TypeVar("Network", bound=nn.Module)
 
@@ -115,6 +120,42 @@ def trained(make: Callable[[], Network], folder: Path, part: str) -> Network:
         network = make()
     network.load_state_dict(load_weights(folder, part))
     return network.eval()
+
+
+def save_scene_model(path: Path, model: SceneModel) -> None:
+    """Write the weights of a scene model with its sizes as one file."""
+    sizes = {"grid": model.config.model_dump(), "hidden": model.hidden, "voxel_m": model.voxel_m}
+    with replacing(path, "the scene model") as beside:
+        save_file(_contiguous(model.state_dict()), beside, {"sizes": json.dumps(sizes)})
+
+
+def load_scene_model(path: Path, world: World) -> SceneModel:
+    """The scene model of a file, for pictures of a world.
+
+    Raises:
+        ConfigError: there is none, or it was trained with voxels of another size.
+    """
+    try:
+        with safe_open(path, "pt") as file:
+            sizes = json.loads(file.metadata()["sizes"])
+        grid = GridConfig.model_validate(sizes["grid"])
+        arm = world.grid_arm(grid.groups)
+        model = SceneModel(grid, int(sizes["hidden"]), arm)
+        model.load_state_dict(load_file(path))
+    except (OSError, SafetensorError, TypeError, KeyError, ValueError, RuntimeError) as error:
+        raise ConfigError(
+            "the scene model cannot be read",
+            expected="a file that python -m training.scene_model wrote",
+            got=f"{path}: {str(error)[:300]}",
+        ) from error
+    if sizes["voxel_m"] != arm.voxel_m:
+        raise ConfigError(
+            "the scene model does not fit the arm's pictures",
+            expected=f"voxels of {sizes['voxel_m']} m",
+            got=f"{arm.voxel_m} m",
+            remedy="train a head of its own with validity.scene_model=null",
+        )
+    return model.eval()
 
 
 def _contiguous(tensors: dict[str, Tensor]) -> dict[str, Tensor]:

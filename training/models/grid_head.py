@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
@@ -76,8 +77,6 @@ def _numbers(voxels: Tensor, counts: Counts, rows: Tensor | int) -> Tensor:
 
 # What a voxel of 5 cm says: nearest surface; seen free, no reading, out of view, hidden; how far behind.
 CHANNELS = 6
-# Voxels of the picture along a side of a voxel of features.
-STRIDE = 4
 _HALF = 0.5 / 255.0
 
 
@@ -93,16 +92,29 @@ class _Residual(nn.Module):
         return found
 
 
-class GridEncoder(nn.Module):
-    """Pictures (p, 2, X, Y, Z) in [0, 1] to features (p, C, X / 4, Y / 4, Z / 4), and pooled ones (p, L).
+# About the middle of where an arm works; with it, inputs are small.
+_MIDDLE_M = (0.0, 0.0, 0.333)
 
-    A U-net of three scales: each sees more of the scene than the one before.
+
+class GridEncoder(nn.Module):
+    """Pictures (p, 2, X, Y, Z) in [0, 1] to features (p, C, X / s, Y / s, Z / s) with :attr:`stride` s.
+
+    A U-net of three scales, or four: each sees more of the scene than the one before.
     """
 
-    def __init__(self, arm: GridArm, width: int, middle: int, deep: int) -> None:
+    def __init__(self, arm: GridArm, config: GridConfig) -> None:
         super().__init__()
+        finest, width, middle, deep = config.finest, config.width, config.middle, config.deep
         self.no_reading = arm.no_reading / 255.0
-        self.into = nn.Conv3d(CHANNELS, width, 2, stride=2)
+        self.stride, self.channels = (2, finest) if finest else (4, width)
+        # Of a voxel of the second scale.
+        self.cell_m = 4.0 * arm.voxel_m
+        self.has_finest = finest > 0
+        if finest:
+            self.enter = nn.Conv3d(CHANNELS, finest, 3, padding=1)
+            self.finest, self.finest_again = _Residual(finest), _Residual(finest)
+            self.leave = nn.Conv3d(width, finest, 1)
+        self.into = nn.Conv3d(finest or CHANNELS, width, 2, stride=2)
         self.where = nn.Conv3d(3, width, 1)
         self.fine, self.fine_again = _Residual(width), _Residual(width)
         self.down, self.up = nn.Conv3d(width, middle, 2, stride=2), nn.Conv3d(middle, width, 1)
@@ -110,17 +122,26 @@ class GridEncoder(nn.Module):
         self.deeper, self.out_of_deep = nn.Conv3d(middle, deep, 2, stride=2), nn.Conv3d(deep, middle, 1)
         self.deep = _Residual(deep)
 
-    def forward(self, pictures: Tensor) -> tuple[Tensor, Tensor]:
-        """Features, and what the deepest scale says on the whole."""
-        channels = self._channels(pictures)
-        axes = [torch.linspace(-1.0, 1.0, size // 2) for size in channels.shape[2:]]
-        places = torch.stack(torch.meshgrid(*axes, indexing="ij")).to(channels.device).unsqueeze(0)
-        fine = self.fine(self.into(channels) + self.where(places))
+    def forward(self, pictures: Tensor, low: Tensor) -> Tensor:
+        """Features; ``low`` (3,) m is the grid's lowest corner in the base frame."""
+        finest = self._channels(pictures)
+        if self.has_finest:
+            finest = self.finest(self.enter(finest))
+        # In the base frame, so that the grids of all arms say the same.
+        steps = [
+            self.cell_m * (torch.arange(size // 2, device=low.device) + 0.5) for size in finest.shape[2:]
+        ]
+        axes = [low[axis] - _MIDDLE_M[axis] + step for axis, step in enumerate(steps)]
+        places = torch.stack(torch.meshgrid(*axes, indexing="ij")).unsqueeze(0)
+        into = functional.relu(finest) if self.has_finest else finest
+        fine = self.fine(self.into(into) + self.where(places))
         middle = self.middle(self.down(functional.relu(fine)))
         deep = self.deep(self.deeper(functional.relu(middle)))
         middle = self.middle_again(middle + _doubled(self.out_of_deep(functional.relu(deep))))
-        fine = self.fine_again(fine + _doubled(self.up(functional.relu(middle))))
-        return functional.relu(fine), deep.mean(dim=(2, 3, 4))
+        fine = functional.relu(self.fine_again(fine + _doubled(self.up(functional.relu(middle)))))
+        if self.has_finest:
+            fine = functional.relu(self.finest_again(finest + _doubled(self.leave(fine))))
+        return fine
 
     def _channels(self, pictures: Tensor) -> Tensor:
         near, code = pictures[:, :1], pictures[:, 1:]
@@ -136,7 +157,6 @@ def _doubled(features: Tensor) -> Tensor:
     return doubled
 
 
-_NAMES = 8
 # Of a picture: distance to what is seen, and what is known.
 _CHANNELS = 2
 # Margins to what is seen that are told apart: about contact, and on the whole.
@@ -167,10 +187,41 @@ class HeadPrediction:
         return self.clear.exp() * self.itself
 
 
+# What a group of spheres is told by.
+_SHAPE = 6
+
+
+class SceneModel(nn.Module):
+    """All that a head learns: what a picture says of space, and what that means to groups of spheres.
+
+    It knows no arm, so that what it learned with some serves others (:meth:`GridHead.of`).
+    """
+
+    def __init__(self, config: GridConfig, hidden: int, arm: GridArm) -> None:
+        super().__init__()
+        self.config, self.hidden, self.voxel_m = config, hidden, arm.voxel_m
+        self.encoder = GridEncoder(arm, config)
+        # Features, place, place in the voxel, direction, three margins, five of sight, share unseen, shape.
+        inputs = self.encoder.channels + 3 + 3 + 3 + 3 + 5 + 1 + _SHAPE
+        self.group = nn.Sequential(mlp(inputs, hidden, 1, hidden), nn.ReLU())
+        self.hazard = nn.Linear(hidden, 1)
+        nn.init.constant_(self.hazard.bias, _RARE)
+        self.whole = mlp(2 * hidden + 3, hidden, 1, 1)
+        self.seen = mlp(4, 16, 1, 1)
+
+
 class GridHead(nn.Module):
-    """See the module; pictures are (p, 2, X, Y, Z) in [0, 1], configurations (p, c, d) rad."""
+    """See the module; pictures are (p, 2, X, Y, Z) in [0, 1], configurations (p, c, d) rad.
+
+    Args:
+        model: what is learned.
+        arm: whose configurations are asked about.
+        counts: X, Y, Z of its pictures.
+    """
 
     spheres: Tensor
+    shapes: Tensor
+    low: Tensor
     group_voxels: Tensor
     group_places: Tensor
     group_ways: Tensor
@@ -179,29 +230,26 @@ class GridHead(nn.Module):
     radii: Tensor
     volumes: Tensor
 
-    def __init__(self, config: GridConfig, hidden: int, arm: GridArm, counts: tuple[int, int, int]) -> None:
+    def __init__(self, model: SceneModel, arm: GridArm, counts: Counts) -> None:
         super().__init__()
-        self.counts, self.scale_m = counts, 255.0 * arm.distance_step_m
+        self.model, self.counts, self.scale_m = model, counts, 255.0 * arm.distance_step_m
+        self.stride = model.encoder.stride
         self.voxel_m, self.groups = arm.voxel_m, len(arm.group_links)
-        self.encoder = GridEncoder(arm, config.width, config.middle, config.deep)
         self.frames, self.gap = ArmFrames(arm), SelfGap(arm)
         moving = buffer(arm.links, torch.long) > 0
-        for name, rows in _rows(arm, moving).items():
-            self.register_buffer(name, rows)
-        # Of the base's origin, in voxels from the grid's lowest corner.
-        self.register_buffer("corner", -buffer(arm.low_m)[:, None, None] / arm.voxel_m)
+        radii = buffer(arm.spheres_m[:, 3])[moving][:, None]
         places = torch.cumsum(moving, dim=0) - 1
-        self.register_buffer("members", places[buffer(arm.members, torch.long)])
-        self.register_buffer("radii", buffer(arm.spheres_m[:, 3])[moving][:, None])
-        self.register_buffer("volumes", functional.normalize(self.radii**3, p=1.0, dim=0))
-        self.names = nn.Parameter(0.1 * torch.randn(self.groups, _NAMES))
-        # Features, place, place in the voxel, direction, three margins, five of sight, share unseen, name.
-        inputs = config.width + 3 + 3 + 3 + 3 + 5 + 1 + _NAMES
-        self.group = nn.Sequential(mlp(inputs, hidden, 1, hidden), nn.ReLU())
-        self.hazard = nn.Linear(hidden, 1)
-        nn.init.constant_(self.hazard.bias, _RARE)
-        self.whole = mlp(2 * hidden + 3, hidden, 1, 1)
-        self.seen = mlp(4, 16, 1, 1)
+        rows = _rows(arm, moving) | {
+            # Of the base's origin, in voxels from the grid's lowest corner.
+            "corner": -buffer(arm.low_m)[:, None, None] / arm.voxel_m,
+            "low": buffer(arm.low_m),
+            "members": places[buffer(arm.members, torch.long)],
+            "radii": radii,
+            "volumes": functional.normalize(radii**3, p=1.0, dim=0),
+            "shapes": _shapes(arm),
+        }
+        for name, row in rows.items():
+            self.register_buffer(name, row, persistent=False)
 
     @classmethod
     def of(cls, config: ValidityConfig, world: World) -> "GridHead":
@@ -215,12 +263,11 @@ class GridHead(nn.Module):
                 "a head of arrays of space needs its sizes", expected="validity.grid", got="none"
             )
         arm = world.grid_arm(config.grid.groups)
-        x, y, z, _ = world.sensor.picture_shape
-        return cls(config.grid, config.hidden, arm, (x, y, z))
+        return cls(SceneModel(config.grid, config.hidden, arm), arm, counts_of(world))
 
     def encode(self, pictures: Tensor) -> Tensor:
-        """Features of pictures, (p X Y Z / 64, C)."""
-        return table_of(self.encoder(pictures)[0])
+        """Features of pictures, (p X Y Z / s^3, C)."""
+        return table_of(self.model.encoder(pictures, self.low))
 
     def forward(self, pictures: Tensor, table: Tensor, configurations: Tensor) -> HeadPrediction:
         """Predicts validity, and what is hidden, of configurations."""
@@ -231,9 +278,9 @@ class GridHead(nn.Module):
         near, sight = margins[self.members].amin(dim=1), unseen[self.members].mean(dim=1)
         inputs = [*self._at_groups(pictures, frames, scene), *_margin_features(near), sight.unsqueeze(0)]
         features = self._features(table, frames, scene).T.reshape(-1, *near.shape)
-        named = self.names.T.unsqueeze(-1).expand(-1, -1, near.shape[1])
-        inner = self._inner(torch.cat([features, *inputs, named]))
-        hazards = _through(self.hazard, inner)[0]
+        shapes = self.shapes.T.unsqueeze(-1).expand(-1, -1, near.shape[1])
+        inner = self._inner(torch.cat([features, *inputs, shapes]))
+        hazards = _through(self.model.hazard, inner)[0]
         # The sum of all volumes may be above 1 by rounding.
         share = (unseen * self.volumes).sum(dim=0).clamp(max=1.0)
         clear = self._clear(inner, hazards, share) + self._past_the_seen(margins)
@@ -265,25 +312,25 @@ class GridHead(nn.Module):
 
     def _features(self, table: Tensor, frames: Tensor, scene: Tensor | None) -> Tensor:
         """What the map says at groups, (G n, C)."""
-        x, y, z = (count // STRIDE for count in self.counts)
-        coarse = (self.group_voxels @ frames + self.corner) / STRIDE
+        x, y, z = (count // self.stride for count in self.counts)
+        coarse = (self.group_voxels @ frames + self.corner) / self.stride
         return Corners(coarse, (x, y, z), 0 if scene is None else scene * (x * y * z)).of_rows(table)
 
     def _at_groups(self, pictures: Tensor, frames: Tensor, scene: Tensor | None) -> list[Tensor]:
         """Each (..., G, n): places, m, places in the voxel, directions, and what is known of the voxel."""
         places = self.group_voxels @ frames + self.corner
-        coarse = places / STRIDE
+        coarse = places / self.stride
         inside = coarse - coarse.floor() - 0.5
         code = nearest_value(pictures.reshape(-1), places, self.counts, self._begin(scene, 1)).unsqueeze(0)
         free, out = (code < 0.5 / 255.0).float(), (code > 254.5 / 255.0).float()
-        unread = ((code - self.encoder.no_reading).abs() < 0.5 / 255.0).float()
+        unread = ((code - self.model.encoder.no_reading).abs() < 0.5 / 255.0).float()
         hidden = 1.0 - free - out - unread
         directions = self.group_ways @ frames
         return [self.group_places @ frames, inside, directions, free, unread, out, hidden, hidden * code]
 
     def _inner(self, inputs: Tensor) -> Tensor:
         """What is made of all that is told of groups, (k, G, n) to (H, G, n)."""
-        first, bent, second = (self.group.get_submodule(f"0.{number}") for number in range(3))
+        first, bent, second = (self.model.group.get_submodule(f"0.{number}") for number in range(3))
         return functional.relu(_through(second, bent(_through(first, inputs))))
 
     def _clear(self, inner: Tensor, hazards: Tensor, unseen: Tensor) -> Tensor:
@@ -292,7 +339,7 @@ class GridHead(nn.Module):
         worst = hazards.amax(dim=0)
         sums = torch.stack([together / 4.0, worst / 4.0, unseen])
         features = torch.cat([inner.amax(dim=1), inner.mean(dim=1), sums])
-        return functional.logsigmoid(-together - self.whole(features.T).squeeze(-1))
+        return functional.logsigmoid(-together - self.model.whole(features.T).squeeze(-1))
 
     def _past_the_seen(self, margins: Tensor) -> Tensor:
         """Log probability that the surface seen is not touched: by the two least margins alone, (n,)."""
@@ -303,7 +350,7 @@ class GridHead(nn.Module):
             torch.tanh(first / _SHARP_M),
             torch.tanh(first / _NEAR_M),
         ]
-        return functional.logsigmoid(self.seen(torch.cat(features, dim=1)).squeeze(-1))
+        return functional.logsigmoid(self.model.seen(torch.cat(features, dim=1)).squeeze(-1))
 
 
 def _through(layer: nn.Module, inner: Tensor) -> Tensor:
@@ -335,6 +382,29 @@ def _rows(arm: GridArm, moving: Tensor) -> dict[str, Tensor]:
         "group_places": frame_rows(centres, groups, count),
         "group_ways": frame_rows((spheres[farthest] - centres) / _FAR_M, groups, count, 0.0),
     }
+
+
+def counts_of(world: World) -> Counts:
+    """X, Y, Z of a world's pictures."""
+    x, y, z, _ = world.sensor.picture_shape
+    return (x, y, z)
+
+
+def _shapes(arm: GridArm) -> Tensor:
+    """What each group of spheres is like, (G, 6), all in 10 cm.
+
+    The radius of what holds it; mean, least and largest of its spheres' radii; and how far their centres are
+    spread along the two longest axes.
+    """
+    found = []
+    for members, held in zip(arm.members, arm.group_spheres_m, strict=True):
+        spheres = arm.spheres_m[np.unique(members)]
+        centres = spheres[:, :3] - spheres[:, :3].mean(axis=0)
+        spread = np.zeros(3)
+        spread[: min(centres.shape)] = np.linalg.svd(centres, compute_uv=False) / np.sqrt(len(spheres))
+        radii = spheres[:, 3]
+        found.append([held[3], radii.mean(), radii.min(), radii.max(), *spread[:2]])
+    return buffer(np.asarray(found) / _FAR_M)
 
 
 def _farthest(arm: GridArm) -> Tensor:

@@ -12,7 +12,7 @@ from torch.nn import functional
 from cspace.world import GridArm, World
 from training.models.data import Held
 from training.models.export import exported
-from training.models.grid_head import GridHead, HeadPrediction
+from training.models.grid_head import GridHead, HeadPrediction, counts_of
 from training.models.modules import TrialModule
 from training.models.settings import GridConfig, ValidityConfig
 
@@ -25,23 +25,26 @@ class GridSamples(Held):
     """Pictures on disk, and labelled configurations in memory.
 
     Args:
-        images: (S, X, Y, Z, 2) uint8, memory-mapped.
+        images: (S, X, Y, Z, 2) uint8, memory-mapped; a tensor in a GPU's memory.
         configurations: (M, d) float32 rad, scenario after scenario.
         free: (M,) bool.
         hits: (M, G) bool, which groups of spheres touch an obstacle; (M, 0) where nobody knows.
         offsets: (S + 1,) int64; scenario i owns rows offsets[i] to offsets[i + 1].
     """
 
-    images: NDArray[np.uint8]
+    images: NDArray[np.uint8] | Tensor
     configurations: Tensor
     free: Tensor
     hits: Tensor
     offsets: Tensor
 
     def to(self, device: torch.device) -> Self:
-        """The same with its tensors on another device; pictures stay where they are."""
+        """The same with its tensors on another device; pictures stay where they are, unless that is a GPU."""
         names = ("configurations", "free", "hits", "offsets")
-        return replace(self, **{name: getattr(self, name).to(device) for name in names})
+        moved = {name: getattr(self, name).to(device) for name in names}
+        if device.type == "cuda":
+            moved["images"] = torch.as_tensor(self.images).to(device)
+        return replace(self, **moved)
 
     def draw(self, pictures: int, count: int, rng: torch.Generator) -> "GridBatch":
         """So many pictures with so many configurations each, with replacement."""
@@ -50,8 +53,11 @@ class GridSamples(Held):
         first, size = self.offsets[ids].unsqueeze(1), self.offsets[ids + 1].unsqueeze(1)
         shares = torch.rand(pictures, count, generator=rng, device=device)
         rows = torch.minimum(first + (shares * (size - first)).long(), size - 1)
-        shown = np.stack([self.images[index] for index in ids.tolist()])
-        images = torch.from_numpy(np.ascontiguousarray(np.moveaxis(shown, -1, 1))).to(device)
+        if isinstance(self.images, Tensor):
+            shown = self.images[ids]
+        else:
+            shown = torch.from_numpy(np.stack([self.images[index] for index in ids.tolist()]))
+        images = shown.movedim(-1, 1).contiguous().to(device)
         return GridBatch(images, self.configurations[rows], self.free[rows], self.hits[rows])
 
 
@@ -79,6 +85,23 @@ class GridBatch:
         return replace(self, images=images, configurations=configurations)
 
 
+@dataclass(frozen=True, slots=True)
+class ArmSamples(Held):
+    """What is learned with several arms.
+
+    Args:
+        worlds: one each.
+        samples: of each world.
+    """
+
+    worlds: tuple[World, ...]
+    samples: tuple[GridSamples, ...]
+
+    def to(self, device: torch.device) -> Self:
+        """The same with its tensors on another device."""
+        return replace(self, samples=tuple(one.to(device) for one in self.samples))
+
+
 class GridHeadModule(TrialModule):
     """Trains the head by cross entropy on free and colliding configurations, and on its groups' hazards.
 
@@ -87,29 +110,49 @@ class GridHeadModule(TrialModule):
 
     Args:
         config: sizes and budget.
-        samples: pictures and configurations.
-        world: arm and sensor.
+        samples: pictures and configurations, of one arm or more. A step takes those of one arm.
         seed: of initialisation and of every draw.
     """
 
-    samples: GridSamples
+    samples: ArmSamples
 
-    def __init__(self, config: ValidityConfig, samples: GridSamples, world: World, seed: int) -> None:
+    def __init__(self, config: ValidityConfig, samples: ArmSamples, seed: int) -> None:
         super().__init__(seed)
         self.config, self.samples = config, samples
-        self.head = GridHead.of(config, world)
+        self.head = GridHead.of(config, samples.worlds[0])
         self.grid = config.grid or GridConfig()
-        self.turns = 4 if _turns_upright(world.grid_arm(self.grid.groups), self.head.counts) else 1
+        arms = [world.grid_arm(self.grid.groups) for world in samples.worlds]
+        self.turns = [
+            4 if _turns_upright(arm, counts_of(world)) else 1
+            for arm, world in zip(arms, samples.worlds, strict=True)
+        ]
+        # Not registered, for they share all that is learned.
+        self.heads = (
+            self.head,
+            *(
+                GridHead(self.head.model, arm, counts_of(world))
+                for arm, world in zip(arms[1:], samples.worlds[1:], strict=True)
+            ),
+        )
+        self.shares = torch.tensor([float(len(one.images)) for one in samples.samples])
         self.one_cycle(self.parameters(), config.learning_rate, config.steps)
+
+    def on_fit_start(self) -> None:
+        """Keep data and arms where the model is."""
+        super().on_fit_start()
+        self.heads = tuple(head.to(self.device) for head in self.heads)
 
     def training_step(self, step: int, batch_index: int) -> None:
         """One step."""
         del step, batch_index
         config = self.config
-        batch = self.samples.draw(config.pictures_per_step, config.configurations_per_picture, self.rng)
-        batch = batch.turned(int(torch.randint(self.turns, (1,), generator=self.rng, device=self.device)))
+        arm = int(torch.multinomial(self.shares.to(self.device), 1, generator=self.rng))
+        held, head = self.samples.samples[arm], self.heads[arm]
+        batch = held.draw(config.pictures_per_step, config.configurations_per_picture, self.rng)
+        turns = torch.randint(self.turns[arm], (1,), generator=self.rng, device=self.device)
+        batch = batch.turned(int(turns))
         pictures = batch.images.float() / 255.0
-        prediction = self.head(pictures, self.head.encode(pictures), batch.configurations)
+        prediction = head(pictures, head.encode(pictures), batch.configurations)
         losses = head_losses(prediction, batch)
         loss = losses["validity_loss"] + self.grid.hazard_weight * losses.get("hazard_loss", 0.0)
         self.descend(loss, self.grid.gradient_clip)

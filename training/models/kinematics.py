@@ -36,8 +36,10 @@ class ArmFrames(nn.Module):
         # A turn by an angle is 1 + K^2 + sin K - cos K^2: its three parts behind the joint's own place.
         still = torch.eye(3) + square
         ahead = torch.cat([turns @ still, turns @ cross, -turns @ square, steps], dim=2)
-        self.register_buffer("ahead", ahead.transpose(1, 2).contiguous())
-        self.register_buffer("base", torch.cat([torch.eye(3), torch.zeros(3, 1)], dim=1).unsqueeze(-1))
+        self.register_buffer("ahead", ahead.transpose(1, 2).contiguous(), persistent=False)
+        self.register_buffer(
+            "base", torch.cat([torch.eye(3), torch.zeros(3, 1)], dim=1).unsqueeze(-1), persistent=False
+        )
 
     def forward(self, configurations: Tensor) -> Tensor:
         """Frames."""
@@ -79,7 +81,7 @@ class ArmPoints(nn.Module):
         self.frames, self.spheres = ArmFrames(arm), len(arm.links)
         points = torch.cat([buffer(arm.spheres_m[:, :3]), buffer(arm.group_spheres_m[:, :3])])
         links = torch.cat([buffer(arm.links, torch.long), buffer(arm.group_links, torch.long)])
-        self.register_buffer("rows", frame_rows(points, links, len(arm.axes) + 1))
+        self.register_buffer("rows", frame_rows(points, links, len(arm.axes) + 1), persistent=False)
 
     def forward(self, configurations: Tensor) -> tuple[Tensor, Tensor]:
         """Spheres and groups."""
@@ -129,8 +131,8 @@ class SelfGap(nn.Module):
     ) -> None:
         links = buffer(arm.links[spheres], torch.long)
         rows = frame_rows(buffer(arm.spheres_m[spheres, :3]), links, len(arm.axes) + 1)
-        self.register_buffer(f"{name}_rows", rows)
-        self.register_buffer(f"{name}_radii", buffer(radii_m)[:, None])
+        self.register_buffer(f"{name}_rows", rows, persistent=False)
+        self.register_buffer(f"{name}_radii", buffer(radii_m)[:, None], persistent=False)
 
     def _gaps(self, kind: str, frames: Tensor) -> Tensor:
         """Least difference of squares of two sets, (n,) m2."""

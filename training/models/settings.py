@@ -122,7 +122,13 @@ class GridConfig(Section):
     groups: int = Field(
         64, ge=1, description="of the arm's spheres, base included, whose hazards are predicted"
     )
-    width: int = Field(20, ge=4, multiple_of=4, description="channels of the finest features")
+    finest: int = Field(
+        0,
+        ge=0,
+        multiple_of=4,
+        description="channels of features in voxels of 5 cm; 0: those of 10 cm are read",
+    )
+    width: int = Field(20, ge=4, multiple_of=4, description="channels of features in voxels of 10 cm")
     middle: int = Field(40, ge=4, multiple_of=4)
     deep: int = Field(64, ge=4, multiple_of=4)
     hazard_weight: float = Field(1.0, ge=0, description="of the groups' cross entropy, where truth is known")

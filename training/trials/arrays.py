@@ -25,7 +25,7 @@ from training.models.autoencoders import (
 from training.models.cells import Base, CellBase, CellPoints
 from training.models.checkpoint import trained
 from training.models.data import ScenarioSamples
-from training.models.grid_training import GridHeadModule, GridSamples
+from training.models.grid_training import ArmSamples, GridHeadModule, GridSamples
 from training.models.lookups import Scenes
 from training.models.modules import TrialModule
 from training.models.networks import Encoder
@@ -234,7 +234,8 @@ class GridOccupancy:
         if config.grid is None:
             raise JobError("a head of arrays of space needs its sizes", expected="validity.grid", got="none")
         dataset = open_dataset(self.folder, verify=False)
-        return GridHeadModule(config, grid_samples(dataset, config.grid), dataset.world, seed)
+        held = ArmSamples((dataset.world,), (grid_samples(dataset, config.grid),))
+        return GridHeadModule(config, held, seed)
 
 
 def grid_samples(dataset: Dataset, config: GridConfig) -> GridSamples:

@@ -203,7 +203,14 @@ def _unpacked(data: bytes) -> tuple[bytes, bytes | None]:
 
 # The types of its parts.
 PARTS = {"body": (PlanarArm,), "sensor": (Camera,), "scenes": (DiscScenes, GivenScenes)}
+
+
 # By the names of their robots, the first where none is named.
+def usual(arm: PlanarArm) -> PlanarWorld:
+    """An arm that is seen and stands in scenes as most are."""
+    return PlanarWorld(arm)
+
+
 EXAMPLES = {"two-link": PlanarWorld(TWO_LINK), "three-link": PlanarWorld(THREE_LINK)}
 
 

@@ -420,6 +420,7 @@ class SpatialScenes(Record):
         strays: fewest and most of them.
         floor: share of scenes with a floor.
         wall: share of scenes with a wall behind the arm.
+        mounted: share of scenes in which the arm stands on a table or block that ends at its base's level.
         shoulder_m: height above the base from which reach is measured.
         reach_m: a region counts if it has a free place no farther than this from the shoulder.
         room_m: clearance of such a place.
@@ -448,6 +449,7 @@ class SpatialScenes(Record):
     strays: _Counts = (1, 8)
     floor: Share = 0.4
     wall: Share = 0.15
+    mounted: Annotated[Share, Field(exclude_if=lambda share: share == 0.0)] = 0.0
     shoulder_m: float = 0.333
     reach_m: float = 0.9
     room_m: Annotated[float, Field(ge=0.0)] = 0.04

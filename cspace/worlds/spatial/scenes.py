@@ -22,6 +22,7 @@ from cspace.worlds.spatial.furniture import (
     SpatialScenes,
     block,
     floating,
+    standing,
 )
 from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles
 from cspace.worlds.spatial.planning_scene import PlanningScene
@@ -144,7 +145,22 @@ def _surroundings(
         side = bearing + np.pi + np.radians(rng.uniform(-50.0, 50.0))
         away, turn = rng.uniform(0.3, 0.9), make_pose(turned(side), (0.0, 0.0, 0.0))
         found.append(block((away, away + 0.1), (-1.2, 1.2), (-0.8, 1.4), pose=turn))
-    return [one for one in found if _spares_base(Obstacles.of((one,)))]
+    found = [one for one in found if _spares_base(Obstacles.of((one,)))]
+    # No draw where it is not asked for: scenes of a seed stay what they were.
+    if scenes.mounted and rng.random() < scenes.mounted:
+        found += _mounting(rng)
+    return found
+
+
+def _mounting(rng: np.random.Generator) -> list[Box | Cylinder]:
+    """What the arm stands on, level with its base, and what stands there beside it."""
+    behind, ahead = rng.uniform(0.1, 0.8), rng.uniform(0.15, 1.2)
+    across = (-rng.uniform(0.15, 1.0), rng.uniform(0.15, 1.0))
+    thick = rng.uniform(0.02, 0.06) if rng.random() < 0.5 else rng.uniform(0.3, 0.9)
+    count = int(rng.integers(0, 6))
+    things = standing(rng, count, (-behind, ahead), across, 0.0, 0.3)
+    clear = [one for one in things if _spares_base(Obstacles.of((one,)))]
+    return [block((-behind, ahead), across, (-thick, 0.0)), *clear]
 
 
 def _is_reached(

@@ -53,6 +53,28 @@ def test_the_shares_of_the_families_are_as_set():
     assert 12 <= found.count("shelf") <= 42
 
 
+def test_an_arm_may_stand_on_something_that_ends_at_its_base():
+    mounted = replace(SCENES, mounted=1.0)
+    values = parse_json(json.dumps(mounted.to_dict()).encode())
+    assert read_object(SpatialScenes, values, "scenes", ScenarioError) == mounted
+    assert "mounted" not in SCENES.to_dict()
+    for index in range(8):
+        layout, plain = (draw_layout(one, Split.TRAIN, 0, index) for one in (mounted, SCENES))
+        # The rest of the scene is what it is without.
+        more = layout.obstacles.boxes[len(plain.obstacles.boxes) :]
+        tops = [
+            (box.pose[2][3] + box.half_m[2], box)
+            for box in more
+            if abs(box.pose[2][3] + box.half_m[2]) < 1e-9
+        ]
+        assert len(tops) == 1
+        table = tops[0][1]
+        assert abs(table.pose[0][3]) < table.half_m[0]
+        assert abs(table.pose[1][3]) < table.half_m[1]
+        standing = [box for box in more if box != table]
+        assert all(base_clearance_m(Obstacles((box,), ())) > 0.0 for box in standing)
+
+
 def test_the_column_of_the_base_is_as_high_as_the_shoulder_turns():
     for height in (0.0, 0.25, 0.5):
         rod = Cylinder(pose_of(make_pose(np.eye(3), (0.1, 0.0, height))), 0.01, 0.02)

@@ -5,7 +5,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from cspace.world import GridArm
-from training.models.grid_head import STRIDE, GridHead
+from training.models.grid_head import GridHead
 from training.models.joints import Points
 from training.models.kinematics import ArmPoints, buffer
 
@@ -21,19 +21,20 @@ def plain_answers(head: GridHead, arm: GridArm, picture: Tensor, rows: Tensor) -
     inputs = torch.cat(
         [at_groups(head, arm, picture, spheres, groups), scales(near), sight[..., None]], dim=2
     )
-    inner = head.group(torch.cat([inputs, head.names.expand(len(rows), -1, -1)], dim=2))
-    hazards = head.hazard(inner).squeeze(-1)
+    model = head.model
+    inner = model.group(torch.cat([inputs, head.shapes.expand(len(rows), -1, -1)], dim=2))
+    hazards = model.hazard(inner).squeeze(-1)
     volumes = functional.normalize(buffer(arm.spheres_m[:, 3])[moving] ** 3, p=1.0, dim=0)
     share = (unseen * volumes).sum(dim=1)
     together, worst = torch.logsumexp(hazards, dim=1), hazards.amax(dim=1)
     sums = torch.stack([together / 4.0, worst / 4.0, share], dim=1)
-    pooled = head.whole(torch.cat([inner.amax(dim=1), inner.mean(dim=1), sums], dim=1)).squeeze(-1)
+    pooled = model.whole(torch.cat([inner.amax(dim=1), inner.mean(dim=1), sums], dim=1)).squeeze(-1)
     least = -torch.topk(-margins, 2, dim=1).values
     first = least[:, :1]
     seen = torch.cat(
         [(least / 0.1).clamp(-1.0, 1.0), torch.tanh(first / 0.01), torch.tanh(first / 0.03)], dim=1
     )
-    past = functional.logsigmoid(head.seen(seen).squeeze(-1))
+    past = functional.logsigmoid(model.seen(seen).squeeze(-1))
     return (functional.logsigmoid(-together - pooled) + past).exp(), share
 
 
@@ -49,8 +50,8 @@ def at_spheres(head: GridHead, arm: GridArm, picture: Tensor, spheres: Tensor) -
 
 def at_groups(head: GridHead, arm: GridArm, picture: Tensor, spheres: Tensor, groups: Tensor) -> Tensor:
     """All but margins, sight and names, (n, G, k)."""
-    rows, x, y, z = len(groups), *(count // STRIDE for count in head.counts)
-    coarse = grid_points(arm, groups, (x, y, z), STRIDE * arm.voxel_m)
+    rows, x, y, z = len(groups), *(count // head.stride for count in head.counts)
+    coarse = grid_points(arm, groups, (x, y, z), head.stride * arm.voxel_m)
     features = coarse.interpolate(head.encode(picture)).reshape(rows, head.groups, -1)
     inside = (coarse.places - coarse.places.floor() - 0.5).reshape(3, rows, -1).permute(1, 2, 0)
     fine = grid_points(arm, groups, head.counts, arm.voxel_m, 2)

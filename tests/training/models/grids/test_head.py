@@ -17,6 +17,7 @@ from tests.training.models.grids.plain_head import plain_answers
 from training.models.checkpoint import seeded_initialisation
 from training.models.grid_head import GridHead
 from training.models.grid_training import (
+    ArmSamples,
     GridBatch,
     GridHeadModule,
     GridSamples,
@@ -207,6 +208,11 @@ def samples(picture, rows):
     return GridSamples(images, torch.from_numpy(rows), free, hits, torch.tensor([0, 15, len(rows)]))
 
 
+def with_arms(held, *worlds):
+    worlds = worlds or (WORLD,)
+    return ArmSamples(worlds, (held,) * len(worlds))
+
+
 def test_configurations_are_drawn_from_their_own_scenario(picture, rows):
     held = samples(picture, rows)
     found = held.draw(50, 4, torch.Generator().manual_seed(1))
@@ -219,7 +225,7 @@ def test_configurations_are_drawn_from_their_own_scenario(picture, rows):
 def test_training_lowers_the_loss(picture, rows):
     config = SMALL.model_copy(update={"steps": 30, "learning_rate": 0.02})
     with seeded_initialisation(1):
-        module = GridHeadModule(config, samples(picture, rows), WORLD, 0)
+        module = GridHeadModule(config, with_arms(samples(picture, rows)), 0)
     losses = []
     for step in range(30):
         module.training_step(step, 0)
@@ -238,5 +244,5 @@ def test_a_head_of_another_kind_of_picture_is_refused():
 def test_an_arm_that_stands_off_the_grids_middle_is_not_turned(picture, rows):
     aside = replace(GRID, low_m=(GRID.low_m[0] + 0.1, *GRID.low_m[1:]))
     world = replace(WORLD, sensor=replace(WORLD.sensor, grid=aside))
-    assert GridHeadModule(SMALL, samples(picture, rows), world, 0).turns == 1
-    assert GridHeadModule(SMALL, samples(picture, rows), WORLD, 0).turns == 4
+    assert GridHeadModule(SMALL, with_arms(samples(picture, rows), world), 0).turns == [1]
+    assert GridHeadModule(SMALL, with_arms(samples(picture, rows)), 0).turns == [4]

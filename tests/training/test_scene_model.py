@@ -1,0 +1,145 @@
+"""python -m training.scene_model: what it draws with several arms, trains with them, and any arm takes."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from cspace.errors import ConfigError
+from cspace.simulator import Split
+from cspace.worlds import examples
+from cspace.worlds.spatial.arm import ready_rad
+from cspace.worlds.spatial.checks import CollisionChecker
+from cspace.worlds.spatial.obstacles import Obstacles
+from training.config import SCENE_MODEL, load_config
+from training.models.checkpoint import load_scene_model, save_scene_model, seeded_initialisation
+from training.models.grid_head import GridHead, SceneModel, counts_of
+from training.models.grid_training import ArmSamples
+from training.models.settings import GridConfig, ValidityConfig
+from training.random_arms import random_arm
+from training.scene_model import (
+    SceneTask,
+    disturbed,
+    load_samples,
+    make_scenes,
+    measure,
+    named_arm,
+    scene_world,
+    train,
+)
+
+SMALL = GridConfig(finest=4, width=4, middle=4, deep=4)
+PANDA, UR5 = (examples()[name] for name in ("panda", "ur5"))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_random_arm_waits_free_of_itself_and_has_enough_spheres(seed: int) -> None:
+    arm = random_arm(seed)
+    world = scene_world(arm)
+    assert arm == random_arm(seed)
+    assert arm.dim in (6, 7)
+    assert 0.4 < arm.reach_m < 2.0
+    assert world.grid_arm(SMALL.groups).group_links.min() > 0
+    assert CollisionChecker(arm, Obstacles()).valid(ready_rad(arm))
+
+
+@pytest.fixture(scope="module")
+def tasks(tmp_path_factory: pytest.TempPathFactory) -> list[SceneTask]:
+    folder = tmp_path_factory.mktemp("scenes")
+    made = [SceneTask(folder, arm, Split.TRAIN, 3, 2, 2, 0) for arm in ("panda", "random0")]
+    for task in made:
+        make_scenes(task)
+    return made
+
+
+@pytest.mark.slow
+def test_scenes_are_the_same_again_and_labelled_by_what_is_hit(
+    tasks: list[SceneTask], tmp_path: Path
+) -> None:
+    again = make_scenes(replace(tasks[0], folder=tmp_path))
+    first, second = np.load(tasks[0].path), np.load(again)
+    for name in ("images", "configurations", "free", "hits"):
+        np.testing.assert_array_equal(first[name], second[name])
+    assert first["images"].shape == (2, 2, *PANDA.sensor.picture_shape)
+    # What hits something is not free; what is neither touches itself.
+    assert not (first["hits"].any(axis=2) & first["free"]).any()
+    assert 0.05 < first["free"].mean() < 0.95
+    samples = load_samples([tasks[0].path])
+    assert (len(samples.images), int(samples.offsets[-1])) == (4, len(samples.configurations))
+    np.testing.assert_array_equal(samples.configurations[:384], first["configurations"][0])
+    np.testing.assert_array_equal(samples.configurations[384:768], first["configurations"][0])
+    np.testing.assert_array_equal(samples.images[1], first["images"][0, 1])
+
+
+@pytest.mark.slow
+def test_one_model_learns_with_arms_of_other_sizes_and_serves_a_third(
+    tasks: list[SceneTask], tmp_path: Path
+) -> None:
+    config = ValidityConfig(
+        free_share=0.6, steps=12, pictures_per_step=2, configurations_per_picture=40, hidden=8, grid=SMALL
+    )
+    held = ArmSamples(
+        tuple(scene_world(named_arm(task.arm)) for task in tasks),
+        tuple(load_samples([task.path]) for task in tasks),
+    )
+    module = train(config, held, 0, tmp_path / "checkpoint")
+    # What is finished is not trained again.
+    again = train(config, held, 0, tmp_path / "checkpoint")
+    for one, other in zip(module.parameters(), again.parameters(), strict=True):
+        torch.testing.assert_close(one, other, rtol=0.0, atol=0.0)
+    for head, samples in zip(module.heads, held.samples, strict=True):
+        found = measure(head.eval(), samples)
+        assert all(0.0 <= found[name] <= 1.0 for name in ("accuracy", "mean", "free", "free_above_0.9"))
+        assert found["free"] == pytest.approx(float((~samples.hits.any(dim=1)).float().mean()))
+    path = tmp_path / "scene_model.safetensors"
+    save_scene_model(path, module.head.model)
+    head = GridHead(load_scene_model(path, UR5), UR5.grid_arm(SMALL.groups), counts_of(UR5))
+    picture = torch.rand(1, 2, *head.counts)
+    rows = torch.from_numpy(UR5.space.to_float32(UR5.space.sample_uniform(np.random.default_rng(0), 50)))
+    with torch.no_grad():
+        free = head(picture, head.encode(picture), rows[None]).free
+    assert free.shape == (1, 50)
+    assert bool(((free >= 0.0) & (free <= 1.0)).all())
+
+
+def test_pose_and_state_are_off_by_little_and_pictures_are_not_touched() -> None:
+    view = PANDA.view(PANDA.blank_picture())
+    moved = [disturbed(np.random.default_rng(seed), view) for seed in range(40)]
+    gaps = [np.linalg.norm(one.cameras[0].matrix[:3, 3] - view.cameras[0].matrix[:3, 3]) for one in moved]
+    assert 4 <= sum(gap > 0.0 for gap in gaps) <= 22
+    assert max(gaps) < 0.03
+    assert all(one.pictures is view.pictures for one in moved)
+
+
+def test_the_shipped_model_serves_both_arms_and_no_voxels_of_another_size(tmp_path: Path) -> None:
+    for world in (PANDA, UR5):
+        assert isinstance(load_scene_model(SCENE_MODEL, world), SceneModel)
+    coarse = replace(PANDA, sensor=replace(PANDA.sensor, grid=replace(PANDA.sensor.grid, voxel_m=0.05)))
+    with pytest.raises(ConfigError, match=r"voxels of 0.025 m; got 0.05 m; train a head"):
+        load_scene_model(SCENE_MODEL, coarse)
+    for content in (b"", b"no weights", SCENE_MODEL.read_bytes()[:-8]):
+        (tmp_path / "broken.safetensors").write_bytes(content)
+        with pytest.raises(ConfigError, match="the scene model cannot be read"):
+            load_scene_model(tmp_path / "broken.safetensors", PANDA)
+    with pytest.raises(ConfigError, match="the scene model cannot be read"):
+        load_scene_model(tmp_path / "nowhere", PANDA)
+
+
+def test_a_job_takes_the_shipped_model_its_own_or_trains_a_head() -> None:
+    assert load_config("panda_quick", []).validity.scene_model_file == SCENE_MODEL
+    assert load_config("panda_quick", ["validity.scene_model=/x/y"]).validity.scene_model_file == Path("/x/y")
+    assert load_config("panda_quick", ["validity.scene_model=null"]).validity.scene_model_file is None
+    with pytest.raises(ConfigError, match=r"needs validity\.grid"):
+        load_config("quickstart", ["validity.scene_model=shipped"])
+
+
+def test_weights_of_a_head_know_no_arm() -> None:
+    config = ValidityConfig(free_share=0.6, hidden=8, grid=SMALL)
+    with seeded_initialisation(0):
+        one = GridHead.of(config, PANDA)
+    with seeded_initialisation(0):
+        other = GridHead.of(config, UR5)
+    assert one.state_dict().keys() == other.state_dict().keys()
+    other.load_state_dict(one.state_dict())
