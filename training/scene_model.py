@@ -1,7 +1,7 @@
 """Trains the scene model, which serves any arm: ``python -m training.scene_model FOLDER``.
 
 Draws scenes with the Panda and with random arms, trains, and measures on scenes and arms that training does
-not see. Stopped, it goes on where it was. It takes 18 minutes with a GPU and 16 cores, and 26 GB of disk.
+not see. Stopped, it goes on where it was. It takes 20 minutes with a GPU and 16 cores, and 26 GB of disk.
 """
 
 import argparse

@@ -205,12 +205,12 @@ def _unpacked(data: bytes) -> tuple[bytes, bytes | None]:
 PARTS = {"body": (PlanarArm,), "sensor": (Camera,), "scenes": (DiscScenes, GivenScenes)}
 
 
-# By the names of their robots, the first where none is named.
 def usual(arm: PlanarArm) -> PlanarWorld:
     """An arm that is seen and stands in scenes as most are."""
     return PlanarWorld(arm)
 
 
+# By the names of their robots, the first where none is named.
 EXAMPLES = {"two-link": PlanarWorld(TWO_LINK), "three-link": PlanarWorld(THREE_LINK)}
 
 
