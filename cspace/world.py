@@ -427,7 +427,7 @@ class World(Protocol):
 
         Raises:
             ConfigError: pictures of this world are no arrays of space.
-            ScenarioError: no such number of groups is possible.
+            ScenarioError: no such number of groups is possible, or networks cannot halve the grid so often.
         """
 
     def check_scenes(self, arrays: Arrays, count: int) -> None:

@@ -9,7 +9,7 @@ import torch
 
 from cspace.errors import ConfigError
 from cspace.simulator import Split
-from cspace.worlds import examples
+from cspace.worlds import examples, usual_world
 from cspace.worlds.spatial.arm import ready_rad
 from cspace.worlds.spatial.checks import CollisionChecker
 from cspace.worlds.spatial.obstacles import Obstacles
@@ -113,9 +113,13 @@ def test_pose_and_state_are_off_by_little_and_pictures_are_not_touched() -> None
     assert all(one.pictures is view.pictures for one in moved)
 
 
-def test_the_shipped_model_serves_both_arms_and_no_voxels_of_another_size(tmp_path: Path) -> None:
-    for world in (PANDA, UR5):
-        assert isinstance(load_scene_model(SCENE_MODEL, world), SceneModel)
+def test_the_shipped_model_serves_arms_of_any_size_and_no_voxels_of_another_size(tmp_path: Path) -> None:
+    for arm in (PANDA.body, UR5.body, random_arm(3)):
+        world = usual_world(arm)
+        model = load_scene_model(SCENE_MODEL, world)
+        head = GridHead(model, world.grid_arm(model.config.groups), counts_of(world))
+        with torch.no_grad():
+            assert head.encode(torch.rand(1, 2, *head.counts)).isfinite().all()
     coarse = replace(PANDA, sensor=replace(PANDA.sensor, grid=replace(PANDA.sensor.grid, voxel_m=0.05)))
     with pytest.raises(ConfigError, match=r"voxels of 0.025 m; got 0.05 m; train a head"):
         load_scene_model(SCENE_MODEL, coarse)

@@ -60,10 +60,10 @@ MIN_VOXEL_M, MAX_VOXEL_M = 0.01, 0.2
 MAX_COUNT, MAX_VOXELS = 512, 2**23
 _Place = Annotated[float, Field(ge=-MAX_PLACE_M, le=MAX_PLACE_M)]
 _Count = Annotated[int, Field(ge=1, le=MAX_COUNT, strict=True)]
-# Networks halve a grid three times.
-_MULTIPLE = 8
+# Networks halve a grid four times.
+NETWORK_MULTIPLE = 16
 # The largest such count whose cube has no more voxels than a grid may have.
-_MOST_A_SIDE = 200
+_MOST_A_SIDE = 192
 
 
 @validated(ScenarioError)
@@ -103,8 +103,8 @@ class GridBox(Record):
 def grid_of(arm: SerialArm, voxel_m: float | None = None) -> GridBox:
     """The cube about an arm's shoulder that holds all that the arm can touch.
 
-    Its half side is :func:`shoulder_reach_m` and a little more, so that counts are multiples of eight. Voxels
-    have 2.5 cm where no size is given, or more where the arm is so large that there would be too many.
+    Its half side is :func:`shoulder_reach_m` and a little more, so that counts are multiples of sixteen.
+    Voxels have 2.5 cm where no size is given, or more where the arm is so large that there would be too many.
 
     Raises:
         ScenarioError: the voxels are too small or too large.
@@ -116,7 +116,7 @@ def grid_of(arm: SerialArm, voxel_m: float | None = None) -> GridBox:
         raise ScenarioError(
             "the grid does not fit", expected=f"voxels of {MIN_VOXEL_M} to {MAX_VOXEL_M} m", got=repr(voxel_m)
         )
-    count = _MULTIPLE * int(np.ceil(2.0 * reach_m / (_MULTIPLE * voxel_m)))
+    count = NETWORK_MULTIPLE * int(np.ceil(2.0 * reach_m / (NETWORK_MULTIPLE * voxel_m)))
     x, y, z = (float(place) - count * voxel_m / 2.0 for place in arm.joints[0].origin.xyz_m)
     return GridBox((x, y, z), voxel_m, (count, count, count))
 

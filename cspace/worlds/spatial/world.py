@@ -42,7 +42,14 @@ from cspace.worlds.spatial.doctor import diagnosed, nothing_in_reach
 from cspace.worlds.spatial.furniture import SpatialScenes
 from cspace.worlds.spatial.obstacles import BOX_VALUES, CYLINDER_VALUES
 from cspace.worlds.spatial.planning_scene import PlanningScene
-from cspace.worlds.spatial.sensor import DISTANCE_STEP_M, NO_READING, OUT_OF_VIEW, DepthSensor, grid_of
+from cspace.worlds.spatial.sensor import (
+    DISTANCE_STEP_M,
+    NETWORK_MULTIPLE,
+    NO_READING,
+    OUT_OF_VIEW,
+    DepthSensor,
+    grid_of,
+)
 from cspace.worlds.spatial.view import (
     DepthView,
     pixels_of,
@@ -245,6 +252,12 @@ class SpatialWorld:
     def grid_arm(self, groups: int) -> GridArm:
         """See :meth:`cspace.world.World.grid_arm`."""
         found, arm, grid = grouped(self.body, groups), self.body, self.sensor.grid
+        if any(count % NETWORK_MULTIPLE for count in grid.counts):
+            raise ScenarioError(
+                "networks cannot read arrays of this size",
+                expected=f"multiples of {NETWORK_MULTIPLE} voxels along each side of the sensor's grid",
+                got=str(grid.counts),
+            )
         moving = np.flatnonzero(found.links > 0)
         return GridArm(
             origins=np.stack([joint.origin.matrix() for joint in arm.joints]),
