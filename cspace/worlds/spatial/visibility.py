@@ -22,6 +22,10 @@ from cspace.worlds.spatial.sensor import (
 )
 
 SLACK_M = 0.02
+# Neighbours of a reading that share it, and how near they are to it: about what noise makes of one surface.
+_ALIKE, _SAME_M, _SAME_PER_M = 2, 0.03, 0.01
+# How many pixels from the arm's they may be.
+_BESIDE_PX = 3
 # Nearer than this a sphere's window is the whole picture.
 _NEAREST_SPHERE_M = 0.01
 # Rays that are intersected at once, in some ms.
@@ -70,6 +74,32 @@ def self_filter(
     begins = _begins_m(camera, np.asarray(spheres, dtype=np.float64).reshape(-1, 4), slack_m, check_cancelled)
     shown = (depth_mm > 0) & (depth_mm * np.float32(1e-3) >= begins)
     return WithoutRobot(np.where(shown, np.uint16(0), depth_mm), np.where(shown, begins, np.float32(np.inf)))
+
+
+def without_lone(surface_m: NDArray[np.float32], front_m: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Surfaces (H, W) m, 0 = none, without lone readings beside the arm's pixels.
+
+    At the arm's edges cameras read depths at which nothing is. A handful of such points near the base blocks
+    most of what the arm can reach. A reading is lone if fewer than two of its eight neighbours share it.
+
+    Args:
+        surface_m: without the arm.
+        front_m: as of :class:`WithoutRobot`, finite at the arm's pixels.
+    """
+    beside_arm = np.where(np.isfinite(front_m), np.float32(0.0), np.float32(np.inf))
+    for _ in range(_BESIDE_PX):
+        beside_arm = _widened(beside_arm)
+    wide = np.pad(surface_m, 1)
+    high, wide_of = surface_m.shape
+    near = np.float32(_SAME_M) + np.float32(_SAME_PER_M) * surface_m**2
+    alike = np.zeros(surface_m.shape, dtype=np.uint8)
+    for down in range(3):
+        for across in range(3):
+            if (down, across) != (1, 1):
+                beside = wide[down : down + high, across : across + wide_of]
+                alike += (beside > 0) & (np.abs(beside - surface_m) <= near)
+    lone = np.isfinite(beside_arm) & (alike < _ALIKE)
+    return np.where(lone, np.float32(0.0), surface_m)
 
 
 def check_picture(depth_mm: NDArray[np.uint16], camera: DepthCamera) -> None:
@@ -364,7 +394,7 @@ def observe_one(
     kept = self_filter(
         smaller, camera, np.empty((0, 4)) if spheres is None else spheres, check_cancelled=check_cancelled
     )
-    surface_m = to_m(kept.depth_mm)
+    surface_m = without_lone(to_m(kept.depth_mm), kept.front_m)
     shown = patches(_unexplained(surface_m, camera, is_explained, check_cancelled), camera, grid)
     check_cancelled()
     away = distance_codes(shown, grid, check_cancelled)

@@ -7,7 +7,8 @@ from cspace.worlds.spatial.camera import DepthCamera, looking, to_mm
 from cspace.worlds.spatial.obstacles import Box, Obstacles
 from cspace.worlds.spatial.poses import make_pose, pose_of
 from cspace.worlds.spatial.rendering import StructuredLight, render_depth
-from cspace.worlds.spatial.visibility import SLACK_M, self_filter
+from cspace.worlds.spatial.sensor import GridBox
+from cspace.worlds.spatial.visibility import SLACK_M, distances_m, observe, self_filter, without_lone
 
 CAMERA = DepthCamera.of_field(40, 32, 70.0, looking((1.0, 0.4, 0.8), (0.0, 0.0, 0.4), 0.2))
 WALL = Obstacles((Box(pose_of(make_pose(np.eye(3), (-0.7, 0, 0))), (0.1, 3.0, 3.0)),))
@@ -68,6 +69,35 @@ def test_few_readings_of_the_arm_remain_with_noise():
     gaps = (np.linalg.norm(points[:, None] - arm[:, :3], axis=-1) - arm[:, 3]).min(axis=1)
     assert gaps.min() > SLACK_M - 0.001
     assert (gaps < 0.2).sum() < 0.02 * view.robot.sum()
+
+
+def test_flying_pixels_at_the_arms_edge_are_no_obstacles_and_thin_things_beside_it_are():
+    camera = DepthCamera.of_field(64, 64, 60.0, looking((1.2, 0.0, 0.4), (0.0, 0.0, 0.4)))
+    arm = np.array([(0.0, 0.0, z, 0.06) for z in np.arange(0.1, 0.8, 0.05)])
+    # A rod of two centimetres, two pixels wide, before the wall.
+    rod = Obstacles((*WALL.boxes, Box(pose_of(make_pose(np.eye(3), (-0.2, 0.3, 0.4))), (0.01, 0.01, 0.6))))
+    exact = render_depth(rod, camera, arm)
+    edge = np.argwhere(np.diff(exact.robot[:, :32].astype(int), axis=1) == 1)[::7]
+    flying = exact.depth_m.copy()
+    flying[edge[:, 0], edge[:, 1]] = 0.95
+    lonely = (5, 5)
+    flying[lonely] = 0.5
+    grid = GridBox((-0.3, -0.4, 0.1), 0.025, (32, 32, 32))
+    centres = grid.centres_m()
+    found, plain = (
+        distances_m(observe([to_mm(depth)], [camera], grid, arm)) for depth in (flying, exact.depth_m)
+    )
+    assert len(edge) >= 4
+    at_arm = np.linalg.norm(centres[..., :2], axis=-1) < 0.05
+    assert plain[at_arm].min() > 0.1
+    np.testing.assert_array_equal(found[at_arm], plain[at_arm])
+    at_rod = np.linalg.norm(centres[..., :2] - (-0.2, 0.3), axis=-1) < 0.02
+    assert (found[at_rod & (centres[..., 2] > 0.2) & (centres[..., 2] < 0.6)] < 0.03).all()
+    # Elsewhere it may be a thin thing seen once.
+    kept = self_filter(to_mm(flying), camera, arm)
+    away = without_lone(kept.depth_mm * np.float32(1e-3), kept.front_m)
+    assert away[lonely] == pytest.approx(0.5)
+    assert not away[edge[:, 0], edge[:, 1]].any()
 
 
 def test_what_stands_before_the_arm_remains():
