@@ -11,7 +11,7 @@ import json
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -40,6 +40,16 @@ from services.planner.client import usual_api
 Floats = NDArray[np.float64]
 GREY, START, GOAL, ALONG = (150, 150, 155), (70, 120, 200), (60, 160, 90), (230, 150, 40)
 UNSEEN, KNOWN, CONTACT = (200, 190, 230), (90, 130, 190), (220, 30, 30)
+# From here on the novelty is shown as a warning.
+NOVEL, WARNING = 0.95, ' style="color:#c22"'
+# What the shares mean, shown where the pointer rests.
+MEANINGS = {
+    "confidence of the samples": "how likely the model takes a sample to be collision-free, on average",
+    "collision-free in the true scene": "share of the samples that are, by the scene's own obstacles",
+    "of the arm in unknown space": "how much of the arm lies where no camera saw anything, on average",
+    "novelty of the pictures": "share of the training pictures that are more usual than these; "
+    f"from {NOVEL:.0%} on, trust the answer less",
+}
 # Around this point further cameras are placed, m in the base frame.
 FOCUS_M = np.array([0.45, 0.0, 0.35])
 ASIDE_RAD = (0.0, 1.3, -1.3)
@@ -253,13 +263,29 @@ class SceneState:
             return found, f"**{found.plan.status}**: {found.reason}"
         if self.opened is not None:
             return found, f"Confidence {found.plan.confidence:.0%}. The true scene is unknown."
-        hits = int((~self.checker().edge_batch(path[:-1], path[1:], CHECK_RAD)).sum())
+        hits = int(self.blocked(path).sum())
         truth = "collision-free" if hits == 0 else f"**in collision** on {hits} of {len(path) - 1} edges"
         return found, f"Confidence {found.plan.confidence:.0%}. In the true scene the path is {truth}."
+
+    def blocked(self, path: Floats) -> NDArray[np.bool_]:
+        """Which edges (M - 1,) of a path (M, d) collide in the true scene; none where nobody knows it."""
+        if self.opened is not None:
+            return np.zeros(len(path) - 1, dtype=np.bool_)
+        return ~self.checker().edge_batch(path[:-1], path[1:], CHECK_RAD)
 
 
 def _body(box: Box) -> dict[str, Any]:
     return {"box": {"size_m": [2.0 * half for half in box.half_m]}, "pose": box.pose}
+
+
+def _table(shares: Mapping[str, float]) -> str:
+    """Shares with their meanings as HTML; a high novelty is red."""
+    rows = [
+        f'<tr title="{MEANINGS[name]}"><td>{name}</td>'
+        f"<td{WARNING if name.startswith('novelty') and value >= NOVEL else ''}>{value:.0%}</td></tr>"
+        for name, value in shares.items()
+    ]
+    return f'<table style="margin:0 0.5em;font-size:0.85em;border-spacing:0.5em 0">{"".join(rows)}</table>'
 
 
 def _pose(place_m: Floats) -> Any:
@@ -368,15 +394,11 @@ class Viewer:
             self.seed: Any = gui.add_number("seed", seed, min=0, step=1)
             self.cameras: Any = gui.add_slider("cameras", 1, len(ASIDE_RAD), 1, len(state.scene.cameras))
             self.count = gui.add_slider("samples", 1, SAMPLES_AT_MOST, 1, 60)
+            self.shares = gui.add_html("")
             self.message = gui.add_markdown("")
             gui.add_markdown("Click an obstacle or a camera to move it.")
             self.unseen: Any = gui.add_checkbox("show unknown space", initial_value=False)
-        with gui.add_folder("Your own pictures"):
-            gui.add_html(DROP_ZONE)
-            upload = gui.add_upload_button("Open a file")
-            self.base = gui.add_text("base frame", "base_link")
-            self.which: Any = gui.add_slider("view of the recording", 0, 1, 1, 0, visible=False)
-            self.doctor = gui.add_markdown("")
+        self._add_upload()
         with gui.add_folder("Plan"):
             self.least = gui.add_slider("min. confidence", 0.0, 1.0, 0.01, 0.5)
             plan = gui.add_button("Plan a path", color="green")
@@ -390,10 +412,19 @@ class Viewer:
         self.cameras.on_update(lambda _: self._guarded(self._use_cameras))
         self.count.on_update(lambda _: self._guarded(self.show_samples))
         self.unseen.on_update(lambda _: self._guarded(self._show_unseen))
-        upload.on_upload(lambda _: self._guarded(partial(self._open, upload)))
-        self.which.on_update(lambda _: self._guarded(self._show_opened))
         plan.on_click(lambda _: self._guarded(self.show_plan))
         self.along.on_update(lambda _: self._show_along())
+
+    def _add_upload(self) -> None:
+        gui = self.server.gui
+        with gui.add_folder("Your own pictures"):
+            gui.add_html(DROP_ZONE)
+            upload = gui.add_upload_button("Open a file")
+            self.base = gui.add_text("base frame", "base_link")
+            self.which: Any = gui.add_slider("view of the recording", 0, 1, 1, 0, visible=False)
+            self.doctor = gui.add_markdown("")
+        upload.on_upload(lambda _: self._guarded(partial(self._open, upload)))
+        self.which.on_update(lambda _: self._guarded(self._show_opened))
 
     def _add_known(self) -> None:
         gui = self.server.gui
@@ -482,8 +513,9 @@ class Viewer:
         self.state.open(self.views[int(self.which.value)])
         self.cameras.disabled = self.unseen.value = True
         self._show_ends()
-        self.doctor.content = self.state.findings()
+        # First what needs no answer of the API, for that may fail.
         self.show_scene()
+        self.doctor.content = self.state.findings()
 
     def _use_cameras(self) -> None:
         if self.cameras.value != len(self.state.scene.cameras):
@@ -578,6 +610,8 @@ class Viewer:
         cloud = self.state.points_m()
         scene.add_point_cloud("/scene/cloud", cloud, (40, 40, 40), point_size=0.004)
         self._show_unseen()
+        # An API that fails leaves no figures of another scene.
+        self.shares.content = ""
         found = self.state.sample(int(self.count.value))
         joints = self.state.arm.joint_positions_m(found.rows)
         segments = np.stack([joints[:, :-1], joints[:, 1:]], axis=2)
@@ -595,8 +629,8 @@ class Viewer:
             "of the arm in unknown space": found.unseen,
             "novelty of the pictures": found.novelty,
         }
-        rows = [f"| {name} | {value:.0%} |" for name, value in shares.items() if value is not None]
-        self.message.content = "\n".join(["| | |", "|---|---|", *rows])
+        self.shares.content = _table({name: value for name, value in shares.items() if value is not None})
+        self.message.content = ""
 
     def _show_unseen(self) -> None:
         points = self.state.unseen_m() if self.unseen.value else np.empty((0, 3))
@@ -613,8 +647,11 @@ class Viewer:
             return
         self.path = spread_points(found.plan.path, FRAMES + 1, self.space)
         hand = self.state.arm.joint_positions_m(self.path)[:, -1]
+        segments = np.stack([hand[:-1], hand[1:]], axis=1)
+        blocked = self.state.blocked(self.path)
+        colours = np.where(blocked[:, None, None], CONTACT, ALONG).astype(np.uint8)
         self.server.scene.add_line_segments(
-            "/path/hand", np.stack([hand[:-1], hand[1:]], axis=1), ALONG, thickness=0.008
+            "/path/hand", segments, np.broadcast_to(colours, segments.shape), thickness=0.008
         )
         self.along.disabled = False
         self._show_along()

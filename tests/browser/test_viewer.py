@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
@@ -53,6 +54,22 @@ def test_a_scene_is_sampled_planned_and_changed(page: Page, address: str) -> Non
     expect(table).not_to_have_text(before)
     # Another scene has another path.
     expect(page.get_by_text("In the true scene the path is")).to_have_count(0)
+
+
+def test_figures_say_what_they_mean_and_do_not_outlive_their_scene(page: Page, tmp_path: Path) -> None:
+    with ExitStack() as served:
+        address = served.enter_context(api_server(tmp_path, {}))
+        with viewer_at(address) as shown:
+            open_viewer(page, shown)
+            rows = page.locator("table tr")
+            titles = [row.get_attribute("title") or "" for row in rows.all()]
+            assert len(titles) == 4
+            assert min(map(len, titles)) > 20
+            # An API that has gone says nothing of the next scene.
+            served.close()
+            page.get_by_role("textbox", name="seed").fill("3")
+            expect(page.get_by_text("Error")).to_be_visible()
+            expect(rows).to_have_count(0)
 
 
 @pytest.mark.slow

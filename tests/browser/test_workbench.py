@@ -111,6 +111,19 @@ def test_a_broken_png_gets_a_useful_message_and_a_good_one_takes_it_away(page: P
     expect(page.locator("#disc-status")).to_have_text("no disc selected")
 
 
+def test_figures_say_what_they_mean_and_a_high_novelty_warns(page: Page, address: str) -> None:
+    open_bench(page, address, hash_of(SCENE))
+    novelty = page.locator("#numbers [data-name=novelty]")
+    usual = novelty.locator("dd").evaluate("(one) => getComputedStyle(one).color")
+    for name in ("accepted", "novelty", "shortfall"):
+        assert len(page.locator(f"#numbers [data-name={name}]").get_attribute("title") or "") > 20
+    noise = encode_png(np.random.default_rng(0).integers(0, 256, (48, 48)).astype(np.uint8))
+    with page.expect_response(is_page("sample")):
+        page.locator("#open").set_input_files({"name": "noise.png", "mimeType": "image/png", "buffer": noise})
+    expect(novelty).to_have_class("warning")
+    assert novelty.locator("dd").evaluate("(one) => getComputedStyle(one).color") != usual
+
+
 def test_an_api_that_is_away_is_told_and_what_was_changed_meanwhile_is_shown_when_it_is_back(
     page: Page, address: str
 ) -> None:

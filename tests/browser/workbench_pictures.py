@@ -9,9 +9,14 @@ import sys
 import tempfile
 from pathlib import Path
 
-from PIL import Image
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageOps
 from playwright.sync_api import Page, expect
 
+from cspace_client import SamplingClient
+from services.local.processes import free_ports
+from services.planner.viewer import FOCUS_M, Viewer
 from tests.browser.chromium import browser_page
 from tests.browser.viewer import open_viewer, plan_in_viewer, viewer_at
 from tests.browser.workbench import open_bench
@@ -25,6 +30,9 @@ PICTURES = {
     "workbench-trees": ("light", 1480, 940, "#search=RRT,shown,2000"),
 }
 COLOURS = 256
+# The animation's size and number of frames, the width of the viewer's controls, the depth picture's width.
+ANIMATED_PX, FRAMES, PANEL_PX, INSET_PX = (800, 520), 30, 340, 200
+FRAME_MS = 1500
 
 
 def main() -> int:
@@ -47,7 +55,57 @@ def main() -> int:
             plan_in_viewer(page)
             _write(page.screenshot(), options.out / "viewer.png")
         page.goto("about:blank")
+        with SamplingClient(address) as api:
+            _animate(page, Viewer(address, api, "pretrained-panda", "127.0.0.1", *free_ports(1)), options.out)
+        page.goto("about:blank")
     return 0
+
+
+def _animate(page: Page, viewer: Viewer, folder: Path) -> None:
+    """``plan.webp``: what one camera sees, the unknown space, and the arm along a planned path."""
+    viewer.state.use_cameras(1)
+    viewer.unseen.value = True
+    viewer.show_scene()
+    viewer.show_plan()
+    if len(viewer.path) == 0:
+        raise SystemExit(f"no path: {viewer.verdict.content}")
+    page.set_viewport_size({"width": ANIMATED_PX[0] + PANEL_PX, "height": ANIMATED_PX[1]})
+    page.goto(f"http://{viewer.server.get_host()}:{viewer.server.get_port()}/")
+    page.get_by_role("alert").get_by_role("button").click()
+    expect(page.get_by_text("confidence of the samples")).to_be_visible()
+    (client,) = viewer.server.get_clients().values()
+    (depth,) = viewer.state.view.pictures
+    frames = []
+    for at in range(FRAMES):
+        share = at / (FRAMES - 1)
+        turn = np.radians(-55.0 + 20.0 * share)
+        client.camera.position = FOCUS_M + 1.9 * np.array([np.cos(turn), np.sin(turn), 0.55])
+        client.camera.look_at = FOCUS_M - (0.0, 0.0, 0.15)
+        viewer.along.value = share
+        page.wait_for_timeout(FRAME_MS)
+        with Image.open(io.BytesIO(page.screenshot(animations="disabled"))) as taken:
+            frames.append(_with_depth(taken.convert("RGB").crop((0, 0, *ANIMATED_PX)), depth))
+    # The first and the last stand still for a moment.
+    frames = [*frames[:1] * 6, *frames, *frames[-1:] * 10]
+    frames[0].save(
+        folder / "plan.webp",
+        save_all=True,
+        append_images=frames[1:],
+        duration=100,
+        loop=0,
+        quality=60,
+        method=6,
+    )
+
+
+def _with_depth(frame: Image.Image, depth: NDArray[np.uint16]) -> Image.Image:
+    """A frame with the depth picture in its corner: near is light, no reading is dark."""
+    nearest, farthest = depth[depth > 0].min(), depth.max()
+    grey = np.where(depth > 0, 255 - 200 * ((depth - float(nearest)) / (farthest - nearest)), 0)
+    inset = Image.fromarray(grey.astype(np.uint8)).convert("RGB")
+    inset = inset.resize((INSET_PX, INSET_PX * inset.height // inset.width), Image.Resampling.NEAREST)
+    frame.paste(ImageOps.expand(inset, 2, "black"), (12, 12))
+    return frame
 
 
 def _taken(page: Page, address: str, name: str) -> bytes:

@@ -93,12 +93,18 @@ export function entry(name, text = "", kind = "") {
   return element;
 }
 
-/** @param {string} id  Of a list. @param {[string, string][]} figures */
-export function showFigures(id, figures) {
+/**
+ * @param {string} id  Of a list.
+ * @param {[string, string][]} figures
+ * @param {Record<string, string>} meanings  By name.
+ */
+export function showFigures(id, figures, meanings) {
   byId(id).replaceChildren(
     ...figures.map(([name, value]) => {
       const pair = entry("div");
       pair.append(entry("dt", name), entry("dd", value));
+      pair.title = meanings[name] ?? "";
+      pair.dataset.name = name;
       return pair;
     }),
   );

@@ -7,6 +7,16 @@ import { entry, offerNames, showFigures } from "./messages.js";
 import { searchedMs } from "./planner.js";
 import { byId, draw } from "./svg.js";
 
+/** What the figures mean, shown where the pointer rests. @type {Record<string, string>} */
+const MEANINGS = {
+  precision: "share of the samples that are collision-free by the true discs",
+  coverage: "share of the free space that has a sample nearby",
+  accepted: "share of the proposals whose confidence reaches the minimum",
+  novelty: "share of the training pictures that are more usual than this one; from 0.95 on, trust the answer less",
+  shortfall: "how many samples of those asked for are missing",
+};
+const NOVEL = 0.95;
+
 export class Readout {
   /** @param {Workbench} bench */
   constructor(bench) {
@@ -47,7 +57,9 @@ export class Readout {
   }
 
   showNumbers() {
-    showFigures("numbers", this.figures(this.bench.first));
+    showFigures("numbers", this.figures(this.bench.first), MEANINGS);
+    const novelty = this.bench.first.answer?.scenario.novelty ?? 0;
+    document.querySelector("#numbers [data-name=novelty]")?.classList.toggle("warning", novelty >= NOVEL);
   }
 
   /** Two models in a table: a column each, for that fits a phone. */
@@ -65,7 +77,9 @@ export class Readout {
     head.append(...sides.map((side) => header(side.title, "col")));
     const body = table.createTBody();
     rows[0].forEach(([name], at) => {
-      body.insertRow().append(header(name, "row"), ...rows.map((row) => entry("td", row[at][1])));
+      const head = header(name, "row");
+      head.title = MEANINGS[name] ?? "";
+      body.insertRow().append(head, ...rows.map((row) => entry("td", row[at][1])));
     });
   }
 

@@ -70,6 +70,12 @@ def test_a_path_through_an_obstacle_is_called_in_collision(api: FakeApi, state: 
     blocked = api.rows[~state.sample(20).free]
     api.path = np.stack([free[0], blocked[0]])
     assert "in collision** on 1 of 1 edges" in state.plan(0.5)[1]
+    # Where along it, by its parts.
+    parts = np.linspace(free[0], blocked[0], 50)
+    marked = state.blocked(parts)
+    collides = ~state.checker().valid_batch(parts)
+    assert marked[collides[:-1] | collides[1:]].all()
+    assert not marked.all()
     api.path = api.path[:0]
     assert state.plan(0.5)[1] == "**refused**: none is sure enough"
 
