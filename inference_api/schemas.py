@@ -53,6 +53,7 @@ from cspace.view_file import (
 from cspace.world import Contact, Finding
 from inference_api.models.served import ServedModel
 from inference_api.problem_types import FieldProblem, FieldsError, brief
+from services.names import SITE_PATTERN
 from services.registry.ports import ModelReference
 
 MAX_JOINTS, MAX_EPSILONS, MAX_VIEWS = 64, 1000, 64
@@ -71,6 +72,12 @@ class Expected:
     """What an error says that a field takes."""
 
     text: str
+
+
+Site = Annotated[
+    Annotated[str, Field(pattern=f"^{SITE_PATTERN}$")] | None,
+    Expected("1 to 64 letters, digits, dots, dashes and underscores"),
+]
 
 
 def _parse_seed(value: object) -> object:
@@ -570,6 +577,11 @@ class PlanRequest(SceneFields):
         description="Below it no path is returned, but the reason why. Absent, 0.2 where plans of the model "
         "are calibrated, else 0.",
     )
+    site: Site = Field(
+        None,
+        description="The place, as outcomes name it: confidence is by the calibration that was fitted to the "
+        "place's outcomes of this model version, if there is one.",
+    )
     time_limit_s: Annotated[float, Expected(f"a finite number from {LEAST_TIME_S:g} to {MAX_TIME_S:g}")] = (
         Field(
             1.0,
@@ -870,6 +882,11 @@ class PlanAnswer(SceneAnswer):
         "-log P(free) along it in rad and its largest value, and (a, b) the bundle's `plan_calibration`; "
         "exp(-D) "
         "without one. Of the best path where it is refused; 0 without one."
+    )
+    calibration: Annotated[str | None, LEFT_OUT] = Field(
+        None,
+        description="With `site`: the calibration, as `name/version`, that `confidence` is by, upon the "
+        "bundle's. Left out without one for this site and model version.",
     )
     edges: list[float] = Field(description="The lowest confidence on each edge of the path.")
     unseen: list[float] | None = Field(

@@ -15,6 +15,9 @@ PATH_MODEL_NAME = "path-sampler"
 EXPERIMENT = "cspace-sampler"
 # Of what users report of answers.
 OUTCOMES_EXPERIMENT = "cspace-outcomes"
+# Calibrations of plans for a site: their runs, and the name of a site's registered model before the site's.
+CALIBRATIONS_EXPERIMENT, CALIBRATION_PREFIX = "cspace-calibrations", "calibration-"
+SITE_PATTERN = r"[A-Za-z0-9._-]{1,64}"
 # The setting that names where artifacts lie that the tracking server does not hand out itself: ``s3://models``.
 ARTIFACT_STORE = "CSPACE_ARTIFACT_STORE"
 ALIAS_CHALLENGER = "challenger"

@@ -273,6 +273,7 @@ class Bundle:
         image: NDArray[np.uint8] | Picture,
         query: PlanQuery,
         check_cancelled: CheckCancelled | None = None,
+        calibration: tuple[float, float] | None = None,
     ) -> Plan:
         """The path from start to goal of lowest cost, of several that the picture leaves free.
 
@@ -280,6 +281,7 @@ class Bundle:
             image: uint8 (P, P, 3), or one that :meth:`prepare` made.
             query: the problem.
             check_cancelled: called now and then; may raise to stop, which passes through.
+            calibration: (a, b) in place of the bundle's ``plan_calibration``.
 
         Raises:
             InputError: the bundle has no validity head, start, goal or a constraint does not fit the robot,
@@ -290,7 +292,8 @@ class Bundle:
         head, picture = self._head(), self._prepared(image)
         ends = fitted_problem(self.spec, query)
         wanted = fitted_plan(self.spec, query)
-        return plan(head.seen(self.spec, picture, check_cancelled), ends, wanted, check_cancelled)
+        spec = self.spec if calibration is None else replace(self.spec, plan_calibration=calibration)
+        return plan(head.seen(spec, picture, check_cancelled), ends, wanted, check_cancelled)
 
     def golden_answer(self, image: NDArray[np.uint8], query: SampleQuery) -> SampleSet:
         """What a golden case holds: :meth:`answer`, or where samples are searched for uniform configurations.

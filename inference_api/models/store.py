@@ -35,11 +35,13 @@ from inference_api.models.served import ServedModel, ShippedModels
 from inference_api.models.worker import RegistryWorker
 from inference_api.problem_types import ModelNotReadyError
 from inference_api.telemetry import Observer, Refusal
-from services.names import ALIAS_CHAMPION, TAG_ROBOT
+from services.names import ALIAS_CHAMPION, CALIBRATION_PREFIX, TAG_ROBOT
+from services.registry.calibration import SiteCalibration, calibration_name
 from services.registry.failures import anonymous
 from services.registry.ports import PRETRAINED, ModelReader, ModelReference, ModelVersion, is_model_name
 
 _Answer = TypeVar("_Answer")
+_NOT_LOOKED_UP: Literal[""] = ""
 _LOG = logging.getLogger(__name__)
 LOAD_WAIT_S = 30.0
 # For how long after a request named it a reference is looked up in the background.
@@ -47,6 +49,8 @@ IN_USE_S = 60.0
 # References that are remembered, and as many that are known to name nothing.
 REMEMBERED = 1024
 LISTED_MODELS = 100
+# For how long a lookup of a site's calibration is trusted.
+CALIBRATION_S = 30.0
 
 
 @dataclass(slots=True)
@@ -105,6 +109,10 @@ class ModelStore:
         self._known: MutableMapping[ModelReference, _Known] = LRUCache(REMEMBERED)
         self._unknown: MutableMapping[ModelReference, bool] = TTLCache(REMEMBERED, lookup_s, clock)
         self._listed: MutableMapping[str, Sequence[ModelVersion]] = TTLCache(1, lookup_s, clock)
+        self._calibrations: MutableMapping[str, ModelVersion | None] = TTLCache(
+            REMEMBERED, CALIBRATION_S, clock
+        )
+        self._last_calibrations: MutableMapping[str, ModelVersion | None] = LRUCache(REMEMBERED)
         self._away_until: float | None = None
         self._champion: ServedModel | None = None
         # Of the last champion; None where it is not known.
@@ -230,6 +238,38 @@ class ModelStore:
             ) from error
         return self._found(bundle, version, reference)
 
+    def calibration(self, site: str, served: ServedModel) -> tuple[SiteCalibration, str] | None:
+        """The calibration of a model's plans for a site, and its version; None without one.
+
+        One that was fitted to another version's plans is none. While the registry is away the last known one
+        holds.
+        """
+        with self._lock:
+            known = self._calibrations.get(site, _NOT_LOOKED_UP)
+        if isinstance(known, str):
+            known = self._look_calibration_up(site)
+        if known is None:
+            return None
+        try:
+            found = SiteCalibration.of(known)
+        except RegistryError as error:
+            _LOG.warning("%s is not used: %s", known, error)
+            return None
+        return (found, str(known)) if found.model == f"{served.name}/{served.version}" else None
+
+    def _look_calibration_up(self, site: str) -> ModelVersion | None:
+        try:
+            self._leave_alone_while_away()
+            found: ModelVersion | None = self._find(ModelReference(calibration_name(site)))
+        except ModelNotFoundError:
+            found = None
+        except RegistryError:
+            with self._lock:
+                return self._last_calibrations.get(site)
+        with self._lock:
+            self._calibrations[site] = self._last_calibrations[site] = found
+        return found
+
     def versions(self, name: str) -> Sequence[ModelVersion]:
         """Versions of a model, newest first; those of the cache while the registry is away."""
         if self._registry is None:
@@ -262,7 +302,11 @@ class ModelStore:
             names = self._ask(self._registry.names)
         except RegistryError:
             names = tuple(self._cache.disk.names())
-        fitting = [name for name in names if is_model_name(name) and name != self.model_name]
+        fitting = [
+            name
+            for name in names
+            if is_model_name(name) and name != self.model_name and not name.startswith(CALIBRATION_PREFIX)
+        ]
         others = [version for name in fitting[:LISTED_MODELS] for version in self.versions(name)]
         found = [*self.versions(self.model_name), *(version for version in others if version.aliases)]
         with self._lock:

@@ -26,7 +26,7 @@ from inference_api.problem_types import (
 from inference_api.requests import Serving, load_object, problem_responses, read_body
 from inference_api.routes.sample import GUARD_PROBLEMS, REQUEST_ID_HEADER
 from inference_api.scheduler import Job, rows_of
-from inference_api.schemas import Confidence, Expected, RequestFields
+from inference_api.schemas import Confidence, Expected, RequestFields, Site
 from services.outcomes import Spool
 
 MAX_OUTCOMES = 1000
@@ -56,10 +56,7 @@ class _OutcomeFields(RequestFields):
     )
     confidence: Confidence = Field(None, description="That the answer stated; null where it stated none.")
     novelty: Confidence = Field(None, description="That the answer stated; null where it stated none.")
-    site: Annotated[
-        Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]{1,64}$")] | None,
-        Expected("1 to 64 letters, digits, dots, dashes and underscores"),
-    ] = Field(None, description="A short name of the place, such as a cell's.")
+    site: Site = Field(None, description="A short name of the place, such as a cell's.")
 
 
 class PlanOutcome(_OutcomeFields):
@@ -78,6 +75,10 @@ class PlanOutcome(_OutcomeFields):
         Expected("a share from 0 to 1 of the path's length where collided is true, else null"),
     ] = Field(None, description="Where it collides first: the share of the path's length from its start.")
     time_s: _Seconds = Field(None, description="From the request to this outcome.")
+    calibration: Annotated[
+        Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}/[0-9]{1,9}$")] | None,
+        Expected("name/version, as the answer has it, or null"),
+    ] = Field(None, description="That the answer's confidence was by, as the answer names it.")
 
     @field_validator("collided_at")
     @classmethod

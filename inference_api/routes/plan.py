@@ -73,7 +73,9 @@ def _answer(
         if given.min_confidence is None and any(one.code == LITTLE_IN_REACH for one in warnings):
             # The calibration of other scenes does not hold here, so that paths are refused by default.
             query = replace(query, min_confidence=1.0)
-        found = bundle.plan(prepared.picture, query, check_cancelled)
+        local = None if request.site is None else store.calibration(request.site, served)
+        calibration = None if local is None else local[0].after(spec.plan_calibration)
+        found = bundle.plan(prepared.picture, query, check_cancelled, calibration)
     name = f"{served.name}/{served.version}"
     store.observer.answered(Answered("plan", name, served.fallback, status=found.status, seed=query.seed))
     least, view = found.least, found.next_view
@@ -82,6 +84,7 @@ def _answer(
         reason=_reason(found, query, warnings),
         path=found.path.tolist(),
         confidence=found.confidence,
+        calibration=None if local is None else local[1],
         edges=found.edges.tolist(),
         unseen=None if found.unseen is None else found.unseen.tolist(),
         length_rad=found.length_rad,

@@ -1,7 +1,8 @@
 """Evaluate a registered version: ``python -m services.evaluator --model cspace-sampler@challenger``.
 
 ``python -m services.evaluator planning`` is the planning benchmark (:mod:`services.evaluator.benchmark`),
-``python -m services.evaluator compare A B`` sets versions side by side (:mod:`services.evaluator.compare`).
+``python -m services.evaluator compare A B`` sets versions side by side (:mod:`services.evaluator.compare`),
+``python -m services.evaluator recalibrate`` fits it to a site (:mod:`services.evaluator.recalibrate`).
 
 Exit codes: 0 evaluated, whether promoted or not; 1 the evaluation failed; 2 the request was wrong.
 """
@@ -12,9 +13,9 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from cspace.errors import ConfigError, CspaceError, InputError, ModelNotFoundError
+from cspace.errors import ConfigError, CspaceError, EvaluationError, InputError, ModelNotFoundError
 from services.command_errors import report_error
-from services.evaluator import compare
+from services.evaluator import compare, recalibrate
 from services.evaluator.benchmark.__main__ import main as planning_benchmark
 from services.evaluator.evaluation.job import Outcome, evaluate_version, executor
 from services.evaluator.evaluation.measured import flat_metrics
@@ -25,7 +26,7 @@ from services.registry.mlflow_registry import MlflowRegistry
 from services.registry.mlflow_tracking import MlflowTracking
 from services.results import report_result
 
-BENCHMARK, COMPARE = "planning", "compare"
+BENCHMARK, COMPARE, RECALIBRATE = "planning", "compare", "recalibrate"
 SHIPPED_FOLDER = Path(__file__).parents[2] / "inference_api" / "pretrained"
 
 
@@ -36,6 +37,8 @@ def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] 
         return planning_benchmark(given[1:], environment)
     if given[:1] == [COMPARE]:
         return _compare(given[1:], environment)
+    if given[:1] == [RECALIBRATE]:
+        return _recalibrate(given[1:], environment)
     options = _parser().parse_args(given)
     try:
         request = make_request(
@@ -68,6 +71,23 @@ def _compare(arguments: Sequence[str], environment: Mapping[str, str]) -> int:
             compare.write_comparison(found, options.out, everything=options.all)
     except CspaceError as error:
         return report_error(error, InputError, ModelNotFoundError)
+    return 0
+
+
+def _recalibrate(arguments: Sequence[str], environment: Mapping[str, str]) -> int:
+    options = recalibrate.make_parser().parse_args(arguments)
+    try:
+        uri = _tracking_uri(environment)
+        found = recalibrate.recalibrate(options.site, options.model, MlflowTracking(uri), MlflowRegistry(uri))
+    except CspaceError as error:
+        return report_error(error, ConfigError, InputError, EvaluationError)
+    version, fit = found.version, found.fit
+    print(
+        f"{version} of {version.tags['model']}, {found.plans} plans, {fit.collide:.1%} collide\n"
+        f"calibration error {fit.error_before:.3f} before, {fit.error:.3f} after; "
+        f"log loss {fit.loss_before:.3f} before, {fit.loss:.3f} after (each fifth by a fit to the rest)\n"
+        + ("in use for requests with this site" if fit.better else "not in use, for it predicts no better")
+    )
     return 0
 
 
@@ -104,7 +124,7 @@ def _parser() -> argparse.ArgumentParser:
         prog="python -m services.evaluator",
         description="Evaluate a version on scenarios it was never trained on; promote it if the gate holds.",
         epilog=f"`python -m services.evaluator {BENCHMARK} --help` describes the planning benchmark, "
-        f"`{COMPARE} --help` of evaluated versions side by side. "
+        f"`{COMPARE} --help` of versions side by side, `{RECALIBRATE} --help` of confidence by site. "
         "Exit codes: 0 evaluated (promoted or not), 1 evaluation failed, 2 wrong request.",
     )
     parser.add_argument("--model", default="cspace-sampler@challenger", help="name@alias or name/version")

@@ -92,6 +92,33 @@ class MlflowRegistry:
             self.set_alias(name, alias, number)
         return self.version(name, number)
 
+    def record(
+        self, name: str, run_id: str, tags: Mapping[str, str], *, alias: str | None = None
+    ) -> ModelVersion:
+        """Make a version of tags; see :meth:`services.registry.ports.ModelRegistry.record`."""
+        self._ready()
+        with mapped(f"recording {name} of run {run_id}"):
+            run = self._client.get_run(run_id)
+            _create_model(self._client, name)
+            source = str(run.info.artifact_uri)
+            if not self._runs_of(name, run_id):
+                self._client.create_model_version(
+                    name, source, run_id=run_id, tags=dict(tags), await_creation_for=0
+                )
+            # A call that was repeated may have made two.
+            first, *repeated = self._runs_of(name, run_id)
+            for number in repeated:
+                self._client.delete_model_version(name, str(number))
+        self.set_tags(name, first, tags)
+        if alias is not None:
+            self.set_alias(name, alias, first)
+        return self.version(name, first)
+
+    def _runs_of(self, name: str, run_id: str) -> list[int]:
+        """Versions that a run made, the first first."""
+        found = self._client.search_model_versions(f"name='{name}' AND run_id='{run_id}'")
+        return sorted(int(one.version) for one in found)
+
     def version(self, name: str, number: int) -> ModelVersion:
         """One version by its number; see :meth:`services.registry.ports.ModelRegistry.version`."""
         self._ready()
@@ -243,6 +270,14 @@ def _version(found: MlflowVersion) -> ModelVersion:
     )
 
 
+def _create_model(client: MlflowClient, name: str) -> None:
+    try:
+        client.create_registered_model(name)
+    except MlflowException as error:
+        if error.error_code != "RESOURCE_ALREADY_EXISTS":
+            raise
+
+
 def _create_version(
     client: MlflowClient,
     name: str,
@@ -265,11 +300,7 @@ def _create_version(
         else:
             client.delete_logged_model(one.model_id)
     model = whole[0] if whole else _log_model(client, name, bundle_folder, spec, run, tags)
-    try:
-        client.create_registered_model(name)
-    except MlflowException as error:
-        if error.error_code != "RESOURCE_ALREADY_EXISTS":
-            raise
+    _create_model(client, name)
     # The UI links a version to its logged model by the short form, which only a server can resolve.
     is_server = client.tracking_uri.startswith("http")
     client.create_model_version(

@@ -123,6 +123,16 @@ class MlflowTracking:
             found = all_pages(self.client.search_runs, [experiment_id], query, order_by=newest)
         return tuple(map(_found, found))
 
+    def finished(self, experiment: str) -> tuple[FoundRun, ...]:
+        """The runs of an experiment; see :meth:`services.registry.ports.Tracking.finished`."""
+        finished, newest = "attributes.status = 'FINISHED'", ["attributes.start_time DESC"]
+        with mapped(f"looking up the runs of {experiment}"):
+            one = self.client.get_experiment_by_name(experiment)
+            if one is None:
+                return ()
+            found = all_pages(self.client.search_runs, [one.experiment_id], finished, order_by=newest)
+        return tuple(map(_found, found))
+
     def file(self, run_id: str, path: str, folder: Path) -> Path | None:
         """A file of a run; see :meth:`services.registry.ports.Tracking.file`."""
         parent = Path(path).parent.as_posix()

@@ -130,6 +130,24 @@ class ModelRegistry(ModelReader, Protocol):
         """
         ...
 
+    def record(
+        self, name: str, run_id: str, tags: Mapping[str, str], *, alias: str | None = None
+    ) -> ModelVersion:
+        """Make what a run found the next version of a model without a bundle: its tags are all there is.
+
+        A run makes one version: a second call returns it, with the tags and the alias set again.
+
+        Args:
+            name: of the model, which is created when it is new.
+            run_id: the run.
+            tags: of the version.
+            alias: moved to this version.
+
+        Raises:
+            RegistryError: there is no such run.
+        """
+        ...
+
     def delete(self, name: str, number: int) -> None:
         """Delete a version for good; its number is not given again."""
         ...
@@ -396,6 +414,10 @@ class Tracking(Protocol):
 
     def children(self, run_id: str) -> tuple[FoundRun, ...]:
         """The runs that are shown under another, newest first."""
+        ...
+
+    def finished(self, experiment: str) -> tuple[FoundRun, ...]:
+        """The runs of an experiment that have finished, newest first; empty for an unknown one."""
         ...
 
     def file(self, run_id: str, path: str, folder: Path) -> Path | None:

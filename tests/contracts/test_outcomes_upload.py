@@ -3,16 +3,24 @@
 import json
 import shutil
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from cspace.errors import InputError
+from cspace.png import encode_png
+from cspace.simulator import Split
+from cspace.worlds import examples, simulator_of
+from cspace_client import OutcomeSender, PlanQuery, SamplingClient
 from services import outcomes
+from services.evaluator.__main__ import main as evaluator
 from services.outcomes import FILE, Spool, files_of, upload
 from tests.contracts.conftest import Backend
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
+from tests.inference_api.raw import until
+from tests.inference_api.server import api_server
 
 pytestmark = MLFLOW_WARNINGS
 
@@ -80,3 +88,34 @@ def test_the_command_uploads_what_the_setting_names_and_needs_a_folder(
     shutil.rmtree(folder)
     assert outcomes.main([], environment) == 2
     assert "CSPACE_OUTCOMES" in capsys.readouterr().err
+
+
+@pytest.mark.e2e
+def test_what_became_of_plans_at_a_site_changes_the_confidence_that_is_stated_there(
+    tmp_path: Path, server_uri: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    simulator = simulator_of(examples()["two-link"])
+    problem = simulator.problem("uniform", Split.VALIDATION, 0, 0)
+    picture = encode_png(simulator.render(problem.scenario))
+    query = PlanQuery(problem.start.tolist(), problem.goal.tolist(), min_confidence=0.0)
+    environment = {"MLFLOW_TRACKING_URI": server_uri, "CSPACE_OUTCOMES": str(tmp_path / "spool")}
+    with api_server(tmp_path, environment) as api, SamplingClient(api) as client:
+        before = client.plan(picture, query, "pretrained")
+        with OutcomeSender(api) as sender:
+            for seed in range(24):
+                found = client.plan(picture, replace(query, seed=seed), "pretrained")
+                # Something stands there that the camera does not see.
+                sender.plan(found, success=seed % 3 == 0, collided=seed % 3 != 0, site="cell-4")
+        assert sender.sent == 24
+        assert evaluator(["recalibrate", "--site", "cell-4"], environment) == 2
+        # They are written once a second.
+        until(lambda: sum(one.read_bytes().count(b"\n") for one in files_of(tmp_path / "spool")) == 24)
+        assert outcomes.main([], environment) == 0
+        assert evaluator(["recalibrate", "--site", "cell-4"], environment) == 0
+        printed = capsys.readouterr()
+        assert "at least 20" in printed.err
+        assert "calibration-cell-4/1 of pretrained/0, 24 plans, 66.7% collide" in printed.out
+        assert "in use for requests with this site" in printed.out
+        after = client.plan(picture, replace(query, site="cell-4"), "pretrained")
+    assert (before.calibration, after.calibration) == (None, "calibration-cell-4/1")
+    assert after.plan.confidence < 0.6 < before.plan.confidence

@@ -82,6 +82,21 @@ def test_another_run_or_another_bundle_is_the_next_version(
     assert [version.aliases for version in listed] == [(ALIAS_CHALLENGER,), (), ()]
 
 
+def test_what_a_run_found_is_recorded_once_as_tags_alone(
+    backend: Backend, model_name: str, tmp_path: Path
+) -> None:
+    registry, runs = backend.registry, [backend.tracking.start("contract", "fit").run_id for _ in range(2)]
+    made = registry.record(model_name, runs[0], {"offset": "0.5"}, alias=ALIAS_CHAMPION)
+    assert (made.number, made.run_id, made.digest) == (1, runs[0], "")
+    assert (made.tags, made.aliases) == ({"offset": "0.5"}, (ALIAS_CHAMPION,))
+    again = registry.record(model_name, runs[0], {"offset": "0.5", "slope": "1.0"})
+    assert (again.number, again.tags) == (1, {"offset": "0.5", "slope": "1.0"})
+    assert registry.record(model_name, runs[1], {}).number == 2
+    assert registry.by_alias(model_name, ALIAS_CHAMPION).number == 1
+    with pytest.raises(RegistryError):
+        registry.record(model_name, "0" * 32, {})
+
+
 def test_a_deleted_version_is_gone_and_its_number_is_not_given_again(
     backend: Backend, first: ModelVersion, bundle: Bundle, other: Bundle
 ) -> None:

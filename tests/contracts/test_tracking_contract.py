@@ -177,6 +177,17 @@ def test_a_run_that_has_ended_is_written_onto_and_stays_ended(backend: Backend, 
         backend.tracking.resume("f" * 32)
 
 
+def test_the_runs_of_an_experiment_that_have_finished_are_found_newest_first(backend: Backend) -> None:
+    experiment, made = f"finished-{time.time_ns()}", []
+    for name in ("first", "second"):
+        with backend.tracking.start(experiment, name) as run:
+            made.append(run.run_id)
+        time.sleep(0.005)
+    backend.tracking.start(experiment, "running")
+    assert [one.run_id for one in backend.tracking.finished(experiment)] == made[::-1]
+    assert backend.tracking.finished("no such experiment") == ()
+
+
 def test_runs_under_another_are_found_newest_first_with_what_they_keep(
     backend: Backend, tmp_path: Path
 ) -> None:

@@ -148,6 +148,11 @@ class FakeTracking:
         runs = reversed(self.runs.values())
         return tuple(self.run(run.run_id) for run in runs if run.parent_run_id == run_id)
 
+    def finished(self, experiment: str) -> tuple[FoundRun, ...]:
+        runs = reversed(self.runs.values())
+        ended = [run for run in runs if (run.experiment, run.status) == (experiment, "FINISHED")]
+        return tuple(self.run(run.run_id) for run in ended)
+
     def file(self, run_id: str, path: str, folder: Path) -> Path | None:
         kept = self.runs[run_id].artifacts.get(path)
         if kept is None:
@@ -208,6 +213,21 @@ class FakeRegistry:
             self.set_alias(name, alias, number)
         return self.version(name, number)
 
+    def record(
+        self, name: str, run_id: str, tags: Mapping[str, str], *, alias: str | None = None
+    ) -> ModelVersion:
+        self._check_there()
+        if self._runs is not None and run_id not in self._runs:
+            raise RegistryError(f"there is no run {run_id}")
+        known = self._versions.setdefault(name, [])
+        number = next((one.number for one in known if one and one.run_id == run_id), len(known) + 1)
+        if number > len(known):
+            known.append(ModelVersion(name, number, run_id, "", (), {}, time.time_ns() // 1_000_000))
+        self.set_tags(name, number, tags)
+        if alias is not None:
+            self.set_alias(name, alias, number)
+        return self.version(name, number)
+
     def version(self, name: str, number: int) -> ModelVersion:
         self._check_there()
         known = dict(enumerate(self._versions.get(name, []), 1)).get(number)
@@ -237,7 +257,7 @@ class FakeRegistry:
         version = self.version(name, number)
         self._versions[name][number - 1] = None
         self._aliases = {key: at for key, at in self._aliases.items() if (key[0], at) != (name, number)}
-        shutil.rmtree(self._place(name, version.number))
+        shutil.rmtree(self._place(name, version.number), ignore_errors=True)
 
     def set_alias(self, name: str, alias: str, number: int) -> None:
         self.version(name, number)

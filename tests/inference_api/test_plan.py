@@ -72,6 +72,24 @@ def test_all_ways_that_are_sure_enough_come_where_they_are_asked_for(api):
     assert ask(api, alternatives=True, min_confidence=min(1.0, sure[0] + 1e-3)).json()["alternatives"] == []
 
 
+def test_the_confidence_of_a_site_is_by_its_own_calibration(own_api, registry):
+    tags = {"model": "cspace-sampler/5", "offset": "1.0", "slope": "1.0"}
+    registry.record("calibration-lab-3", "fit", tags, alias="champion")
+    plain, elsewhere, here = (ask(own_api, site=site).json() for site in (None, "lab-4", "lab-3"))
+    assert "calibration" not in plain
+    assert "calibration" not in elsewhere
+    assert elsewhere["confidence"] == plain["confidence"]
+    assert here["calibration"] == "calibration-lab-3/1"
+    assert here["path"] == plain["path"]
+    # exp(-exp(1 + log D)) with exp(-D) the confidence without it.
+    assert here["confidence"] == pytest.approx(plain["confidence"] ** np.e, rel=1e-6)
+    least = (here["confidence"] + plain["confidence"]) / 2.0
+    refused = ask(own_api, site="lab-3", min_confidence=least).json()
+    assert (refused["status"], refused["calibration"]) == ("refused", "calibration-lab-3/1")
+    problem = assert_problem(ask(own_api, site="no site"), 422, "invalid-value")
+    assert "site" in problem["detail"]
+
+
 def test_a_way_that_is_not_sure_enough_is_refused_with_the_reason(api):
     sure = ask(api).json()["confidence"]
     answer = ask(api, min_confidence=min(1.0, sure + 1e-3)).json()

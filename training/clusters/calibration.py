@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 from torch import nn
 
 from cspace.bundle import Bundle, BundleSpec, graphs_of, write_bundle
@@ -18,6 +17,7 @@ from cspace.bundle.golden import GoldenCase
 from cspace.bundle.load import quantiles_of
 from cspace.dataset import Dataset
 from cspace.errors import BundleError
+from cspace.planning.calibration import fit_calibration
 from cspace.planning.cost import calibration_error, confidence_of_cost
 from cspace.planning.paths import spaced
 from cspace.query import PlanQuery
@@ -242,9 +242,6 @@ def _risks(scenes: Sequence[Scored], threshold: float) -> NDArray[np.float64]:
 SEED = 46
 # Paths are checked at half of the resolution of planners.
 _FINER = 0.5
-# How hard (a, b) is pulled to (0, 1), in plans.
-_PULL = 4.0
-_LEAST = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -324,16 +321,8 @@ def fit_plan_calibration(plans: Planned) -> PlanCalibration | None:
     fits = np.arange(len(plans.cost)) % 3 < 2
     if not fits.any() or fits.all():
         return None
-    cost, free = np.maximum(plans.cost, _LEAST), plans.free
-
-    def loss(parameters: NDArray[np.float64]) -> float:
-        confidence = confidence_of_cost(cost[fits], (parameters[0], parameters[1]))
-        confidence = np.clip(confidence, _LEAST, 1.0 - _LEAST)
-        pull = _PULL * (parameters[0] ** 2 + (parameters[1] - 1.0) ** 2)
-        return float(pull - np.where(free[fits], np.log(confidence), np.log1p(-confidence)).sum())
-
-    found = minimize(loss, np.array([0.0, 1.0]), method="L-BFGS-B", bounds=[(-10.0, 10.0), (0.05, 10.0)])
-    parameters = (float(found.x[0]), float(found.x[1]))
+    cost, free = plans.cost, plans.free
+    parameters = fit_calibration(cost[fits], free[fits])
     others, in_truth = cost[~fits], free[~fits]
     return PlanCalibration(
         parameters=parameters,

@@ -518,6 +518,7 @@ class PlanQuery:
         limits: for each joint low and high, rad, that the path keeps to, or None for the joint's own.
         upright: ``axis`` of the tool that the path keeps within ``max_rad`` of ``up`` in the base frame.
         unwrapped: whether circles go on beyond [-pi, pi) along the path, from the start as it is given.
+        site: name of the place, whose own calibration of the confidence is to be used.
     """
 
     start: Sequence[float]
@@ -534,6 +535,7 @@ class PlanQuery:
     limits: Sequence[Sequence[float] | None] | None = None
     upright: Mapping[str, Any] | None = None
     unwrapped: bool = False
+    site: str | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -653,6 +655,7 @@ class FoundPlan:
         model: that answered.
         round_trip_s: from the request to the checked answer, further attempts included.
         request_id: under which outcomes are told of it; None where an old server answered.
+        calibration: that the confidence is by, as ``name/version``; None where it is the model's own.
     """
 
     plan: Plan
@@ -661,3 +664,4 @@ class FoundPlan:
     model: ModelHead
     round_trip_s: float
     request_id: str | None = None
+    calibration: str | None = None

@@ -95,7 +95,13 @@ class OutcomeSender:
         """
         _require(collided_at is None or (collided and 0.0 <= collided_at <= 1.0), "collided_at", collided_at)
         _require(time_s is None or 0.0 <= time_s < math.inf, "time_s", time_s)
-        known = {"executed": executed, "collided": collided, "collided_at": collided_at, "time_s": time_s}
+        known = {
+            "executed": executed,
+            "collided": collided,
+            "collided_at": collided_at,
+            "time_s": time_s,
+            "calibration": found.calibration,
+        }
         self._put(
             found.request_id,
             found.model,

@@ -326,6 +326,8 @@ class PlanQuestion(Question[FoundPlan]):
             fields["ways"] = str(query.ways)
         if query.min_confidence is not None:
             fields["min_confidence"] = repr(float(query.min_confidence))
+        if (site := getattr(query, "site", None)) is not None:
+            fields["site"] = site
         if query.goal is not None:
             fields["goal"] = json.dumps(configuration("goal", query.goal))
         constraints = {"goal_pose": query.goal_pose, "limits": query.limits, "upright": query.upright}
@@ -373,7 +375,9 @@ class PlanReading:
         reason = printable(answer.text("reason")) if answer.has_required("reason") else None
         warnings = warnings_of(answer) if answer.has("warnings") else ()
         head = replace(head, space=space, novelty=novelty, warnings=warnings)
-        return FoundPlan(plan, reason, seed, head, round_trip_s, self.request_id)
+        named = answer.has("calibration") and answer.has_required("calibration")
+        calibration = printable(answer.text("calibration", _MAX_NAME)) if named else None
+        return FoundPlan(plan, reason, seed, head, round_trip_s, self.request_id, calibration)
 
 
 def _json(name: str, value: object) -> str:

@@ -1,0 +1,234 @@
+"""Fit the confidence of plans to the outcomes of one site: ``python -m services.evaluator recalibrate``.
+
+A calibration has two parameters (:mod:`cspace.planning.calibration`) upon those of the bundle, with a prior
+that leaves these as they are, so that a few dozen outcomes suffice. Each becomes a version of the model
+``calibration-SITE``; ``POST /plan`` with this ``site`` uses the champion. It becomes that if such fits
+predict better what they were not fitted to.
+"""
+
+import argparse
+import hashlib
+import json
+import tempfile
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from cspace.errors import EvaluationError, RegistryError
+from cspace.planning.calibration import fit_calibration
+from cspace.planning.cost import calibration_error, confidence_of_cost
+from services.names import ALIAS_CHAMPION, CALIBRATIONS_EXPERIMENT, OUTCOMES_EXPERIMENT, TAG_MODEL, TAG_STAGE
+from services.registry.calibration import SiteCalibration, calibration_name
+from services.registry.ports import ModelRegistry, ModelVersion, Tracking
+
+FILE = "outcomes.jsonl"
+LEAST_PLANS, FOLDS = 20, 5
+# Weaker than that of a bundle, for sites may be quite unlike training: 200 plans that were drawn with offset
+# 2 and slope 0.6 then leave an error of 0.03 instead of 0.06, those that fit already one of 0.014 for 0.010.
+PRIOR = 1.0
+_LEAST = 1e-6
+AS_IT_IS = (0.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plans:
+    """Executed or checked plans of one site and model version.
+
+    Args:
+        model: ``name/version``.
+        cost: (n,) -log of the model's own confidence in each.
+        free: (n,) whether each was free.
+        batches: digest of each uploaded batch by its run's id.
+    """
+
+    model: str
+    cost: NDArray[np.float64]
+    free: NDArray[np.bool_]
+    batches: Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """Quality of confidences that others were fitted for, and of those that were stated.
+
+    Args:
+        parameters: offset and slope, fitted to all plans.
+        collide: share of the plans that collide.
+        error: calibration error, ten bins, with each fifth predicted from the others.
+        error_before: that of the model's own confidence.
+        loss: mean of -log of what was predicted for what happened, predicted in the same way.
+        loss_before: that of the model's own confidence.
+    """
+
+    parameters: tuple[float, float]
+    collide: float
+    error: float
+    error_before: float
+    loss: float
+    loss_before: float
+
+    @property
+    def better(self) -> bool:
+        """Whether plans that had no part in a fit are predicted better by it."""
+        return self.loss < self.loss_before
+
+
+@dataclass(frozen=True, slots=True)
+class Recalibrated:
+    """What :func:`recalibrate` made.
+
+    Args:
+        version: of the site's calibrations.
+        plans: number of plans.
+        fit: what was fitted.
+    """
+
+    version: ModelVersion
+    plans: int
+    fit: Fit
+
+
+def recalibrate(site: str, model: str | None, tracking: Tracking, registry: ModelRegistry) -> Recalibrated:
+    """Fit to a site's outcomes, and register; the same outcomes make the same version.
+
+    Args:
+        site: as outcomes name it.
+        model: ``name/version``; None for that of most plans.
+        tracking: where outcomes were uploaded.
+        registry: where the calibration becomes a version.
+
+    Raises:
+        EvaluationError: there are fewer than 20 plans of which it is known whether they collide.
+        RegistryError: the tracking server is away, or holds something else.
+    """
+    plans = plans_of(site, model, tracking, registry)
+    fit = fitted(plans.cost, plans.free)
+    offset, slope = fit.parameters
+    calibration = SiteCalibration(plans.model, offset, slope)
+    key = hashlib.sha256(plans.cost.tobytes() + plans.free.tobytes() + plans.model.encode()).hexdigest()
+    tags = {TAG_STAGE: "calibration", TAG_MODEL: plans.model}
+    with tracking.start(
+        CALIBRATIONS_EXPERIMENT, f"{site}, {{id}}", tags=tags, key=f"{site}/{key[:32]}"
+    ) as run:
+        run.params({"site": site, "model": plans.model, "plans": len(plans.cost)})
+        run.metrics(
+            {
+                "offset": offset,
+                "slope": slope,
+                "collide": fit.collide,
+                "calibration_error": fit.error,
+                "calibration_error_before": fit.error_before,
+                "log_loss": fit.loss,
+                "log_loss_before": fit.loss_before,
+            },
+            0,
+        )
+        run.figure(reliability(plans, fit), "reliability")
+        for run_id, digest in plans.batches.items():
+            run.dataset("outcomes", digest, f"runs:/{run_id}/{FILE}", "calibration")
+    version = registry.record(
+        calibration_name(site), run.run_id, calibration.tags, alias=ALIAS_CHAMPION if fit.better else None
+    )
+    return Recalibrated(version, len(plans.cost), fit)
+
+
+def plans_of(site: str, model: str | None, tracking: Tracking, registry: ModelRegistry) -> Plans:
+    """The plans of a site in all uploaded batches; see :func:`recalibrate`."""
+    rows: dict[tuple[Any, Any], tuple[dict[str, Any], str]] = {}
+    digests = {}
+    with tempfile.TemporaryDirectory(prefix="cspace-outcomes-") as scratch:
+        # From the oldest on, so that what was reported last holds.
+        for run in reversed(tracking.finished(OUTCOMES_EXPERIMENT)):
+            path = tracking.file(run.run_id, FILE, Path(scratch) / run.run_id)
+            data = b"" if path is None else path.read_bytes()
+            digests[run.run_id] = hashlib.sha256(data).hexdigest()
+            for row in map(json.loads, data.splitlines()):
+                is_known = row.get("confidence") is not None and row.get("collided") is not None
+                if is_known and (row["kind"], row.get("site")) == ("plan", site):
+                    rows[row.get("client"), row["request_id"]] = row, run.run_id
+    models = Counter(row["model"] for row, _ in rows.values())
+    chosen = model or max(models, key=models.__getitem__, default="")
+    found = [(row, run_id) for row, run_id in rows.values() if row["model"] == chosen]
+    if len(found) < LEAST_PLANS:
+        others = ", ".join(f"{number} of {name}" for name, number in sorted(models.items()))
+        raise EvaluationError(
+            f"too few outcomes of plans at the site {site}",
+            expected=f"at least {LEAST_PLANS} of {chosen or 'a model'}, with collided and confidence",
+            got=f"{len(found)}; the site has {others or 'none'}",
+            remedy="send outcomes with this site, and upload them with python -m services.outcomes",
+        )
+    stated = np.array([row["confidence"] for row, _ in found])
+    cost = -np.log(np.clip(stated, _LEAST, 1.0 - _LEAST))
+    names = [row.get("calibration") for row, _ in found]
+    for name in sorted({one for one in names if one is not None}):
+        # What an earlier calibration has made of the model's own confidence is undone.
+        earlier = SiteCalibration.of(_version(registry, name))
+        at = np.array([one == name for one in names])
+        cost[at] = np.exp((np.log(cost[at]) - earlier.offset) / earlier.slope)
+    free = ~np.array([row["collided"] for row, _ in found], dtype=np.bool_)
+    used = {run_id for _, run_id in found}
+    return Plans(chosen, cost, free, {one: digest for one, digest in digests.items() if one in used})
+
+
+def fitted(cost: NDArray[np.float64], free: NDArray[np.bool_]) -> Fit:
+    """Fit to all plans (n,); each fifth is predicted from the others to see how good such a fit is."""
+    fold, predicted = np.arange(len(cost)) % FOLDS, np.empty(len(cost))
+    for number in range(FOLDS):
+        others = fold != number
+        predicted[~others] = confidence_of_cost(
+            cost[~others], fit_calibration(cost[others], free[others], PRIOR)
+        )
+    own = confidence_of_cost(cost, AS_IT_IS)
+    return Fit(
+        fit_calibration(cost, free, PRIOR),
+        float(1.0 - free.mean()),
+        calibration_error(predicted, free),
+        calibration_error(own, free),
+        _loss(predicted, free),
+        _loss(own, free),
+    )
+
+
+def reliability(plans: Plans, fit: Fit) -> Figure:
+    """Share of free plans over the stated confidence, before and after, in bins of equal number."""
+    figure = Figure((4.5, 4.0), layout="constrained")
+    axes = figure.subplots()
+    axes.plot((0, 1), (0, 1), color="0.7", linewidth=1)
+    for parameters, label in ((AS_IT_IS, "the model's own"), (fit.parameters, "recalibrated")):
+        confidence = confidence_of_cost(plans.cost, parameters)
+        bins = np.array_split(np.argsort(confidence), min(10, len(confidence) // 10))
+        stated, free = ([values[one].mean() for one in bins] for values in (confidence, plans.free))
+        axes.plot(stated, free, "o-", label=label)
+    axes.set(xlabel="stated confidence", ylabel="share that was free", xlim=(0, 1), ylim=(0, 1))
+    axes.legend()
+    return figure
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """Of the command's arguments."""
+    parser = argparse.ArgumentParser(
+        prog="python -m services.evaluator recalibrate",
+        description="Fit the confidence of plans to the uploaded outcomes of a site, and register that.",
+        epilog="Exit codes: 0 fitted, whether in use or not; 1 failed; 2 wrong request or too few outcomes.",
+    )
+    parser.add_argument("--site", required=True, help="as in POST /outcomes and POST /plan")
+    parser.add_argument("--model", metavar="NAME/VERSION", help="default: that of most of the site's plans")
+    return parser
+
+
+def _version(registry: ModelRegistry, text: str) -> ModelVersion:
+    name, _, number = text.partition("/")
+    if not number.isdecimal():
+        raise RegistryError("an outcome names no calibration", expected="name/version", got=repr(text)[:200])
+    return registry.version(name, int(number))
+
+
+def _loss(confidence: NDArray[np.float64], free: NDArray[np.bool_]) -> float:
+    sure = np.clip(confidence, _LEAST, 1.0 - _LEAST)
+    return float(-np.where(free, np.log(sure), np.log1p(-sure)).mean())
