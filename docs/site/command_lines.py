@@ -48,7 +48,9 @@ COMMANDS = (
     Command("python -m training.motionbench", "training.motionbench.__main__"),
     Command("python -m services.evaluator", "services.evaluator.__main__"),
     Command("python -m services.evaluator compare", "services.evaluator.__main__", leading=("compare",)),
-    Command("python -m services.evaluator recalibrate", "services.evaluator.__main__", leading=("recalibrate",)),
+    Command(
+        "python -m services.evaluator recalibrate", "services.evaluator.__main__", leading=("recalibrate",)
+    ),
     Command("python -m services.evaluator planning", "services.evaluator.__main__", leading=("planning",)),
     Command("python -m services.planner", "services.planner.__main__"),
     Command("python -m services.registry", "services.registry.__main__"),
