@@ -372,6 +372,7 @@ def _malformed(got: str) -> RequestError:
         expected=f"parts with headers between boundaries, as RFC 7578 has it: at most {MAX_FILES} files and "
         f"{MAX_FIELDS} fields of {MAX_FIELD_BYTES} bytes, in UTF-8",
         got=got[:200],
+        remedy="where configurations are many, send them as an .npy file or the request as JSON",
     )
 
 

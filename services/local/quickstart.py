@@ -368,7 +368,9 @@ def quickstart(settings: Settings, tour: Tour, say: Callable[[str], None]) -> No
     progress.stage("done")
     say(f"\n{summary(training, evaluation, quality, tour.scenarios, pictures, progress.elapsed_s)}")
     say(f"\n{addresses(settings)}\n\n{shell_help(settings)}\n\nThe services stay up; `make down` ends them.")
-    say(f"\nLook at what was trained: {settings.api_url}/")
+    flat = tour.world.sensor.extent_m is not None
+    viewer = f"python -m services.planner.viewer --api {settings.api_url} --model {training.model}"
+    say(f"\nLook at what was trained: {f'{settings.api_url}/' if flat else viewer}")
 
 
 def _run(jobs: Jobs, entrypoint: str, progress: Progress) -> str:

@@ -47,6 +47,7 @@ from services.local.settings import (
     temp_folder,
     token_headers,
 )
+from services.names import MLFLOW_TRAINING
 
 _UNDER_WAY = {"PENDING", "RUNNING"}
 
@@ -426,7 +427,7 @@ def addresses(settings: Settings) -> str:
     """Where to look."""
     return "\n".join(
         [
-            f"MLflow UI       {settings.mlflow_url}",
+            f"MLflow UI       {settings.mlflow_url}/#/experiments?{MLFLOW_TRAINING}",
             f"Ray dashboard   {settings.ray_url}  (asks for the token: `ray get-auth-token` prints it)",
             f"API             {settings.api_url}/docs",
             f"workbench       {settings.api_url}/",

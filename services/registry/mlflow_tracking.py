@@ -23,7 +23,16 @@ from mlflow.entities import Dataset, DatasetInput, Experiment, InputTag, Metric,
 from mlflow.exceptions import MlflowException
 
 from cspace.errors import RegistryError, RegistryUnavailableError
-from services.names import NOTE, OUTCOMES_EXPERIMENT, TAG_JOB, TAG_KEY, TAG_MODEL, TAG_PRESET, TAG_STAGE
+from services.names import (
+    MLFLOW_TRAINING,
+    NOTE,
+    OUTCOMES_EXPERIMENT,
+    TAG_JOB,
+    TAG_KEY,
+    TAG_MODEL,
+    TAG_PRESET,
+    TAG_STAGE,
+)
 from services.registry.mlflow_errors import all_pages, mapped, patiently
 from services.registry.ports import ID, ID_LENGTH, FoundRun, Picture, RunLog, RunStatus, flatten
 
@@ -466,8 +475,6 @@ def _found(run: Run) -> FoundRun:
     )
 
 
-# Without it the UI opens its pages for language models, whatever an experiment's kind.
-TRAINING = "workflowType=machine_learning"
 # What the UI keeps of a saved search when somebody presses Share: a tag of the experiment, opened by
 # ``viewStateShareKey`` in the address.
 VIEW = "mlflow.sharedViewState."
@@ -532,7 +539,7 @@ VIEWS = {
 
 def described(experiment_id: str) -> Mapping[str, str]:
     """The experiment's tags: kind, description, views."""
-    place = f"#/experiments/{experiment_id}/runs?{TRAINING}&viewStateShareKey="
+    place = f"#/experiments/{experiment_id}/runs?{MLFLOW_TRAINING}&viewStateShareKey="
     lines = "\n".join(
         f"- [{name}]({place}{name}): {view.words}; `{view.search}`" for name, view in VIEWS.items()
     )

@@ -7,7 +7,7 @@ from urllib.parse import quote
 from playwright.sync_api import Page
 from playwright.sync_api import expect as expect_that
 
-from services.registry.mlflow_tracking import TRAINING
+from services.names import MLFLOW_TRAINING
 
 
 def open_runs(page: Page, url: str, experiment_id: str, parent: str) -> None:
@@ -20,7 +20,7 @@ def open_runs(page: Page, url: str, experiment_id: str, parent: str) -> None:
 
 def open_view(page: Page, url: str, experiment_id: str, view: str, mode: str = "TABLE") -> None:
     """A saved view of an experiment's runs: ``TABLE``, ``CHART`` or ``ARTIFACT``."""
-    place = f"{url}/#/experiments/{experiment_id}/runs?{TRAINING}&viewStateShareKey={view}"
+    place = f"{url}/#/experiments/{experiment_id}/runs?{MLFLOW_TRAINING}&viewStateShareKey={view}"
     page.goto(f"{place}&compareRunsMode={mode}")
     expect_that(page.get_by_text("You're viewing a shared view.").first).to_be_visible()
 

@@ -7,7 +7,9 @@ import pytest
 from playwright.sync_api import Page
 from playwright.sync_api import expect as expect_that
 
-from services.names import MODEL_NAME
+from services.local.settings import Settings
+from services.local.stack import addresses
+from services.names import EXPERIMENT, MODEL_NAME
 from tests.browser import mlflow_pages
 from tests.browser.small_job import CHILDREN, DATA_DIGEST, SmallJob
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
@@ -15,6 +17,17 @@ from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
 pytestmark = [pytest.mark.browser, pytest.mark.slow, pytest.mark.timeout(300), *MLFLOW_WARNINGS]
 Shoot = Callable[[str], Path]
 SMALLEST_SCREENSHOT = 10_000
+
+
+def test_the_address_that_is_printed_lists_experiments_and_leads_to_their_runs(
+    page: Page, server: str, experiment_id: str, job: SmallJob
+) -> None:
+    settings = Settings.from_environment({"HOME": "/home/anna"}, Path("/checkout"))
+    printed = addresses(settings).split()[2]
+    assert printed.startswith(settings.mlflow_url)
+    page.goto(printed.replace(settings.mlflow_url, server))
+    page.get_by_role("link", name=EXPERIMENT, exact=True).click()
+    expect_that(page.get_by_role("gridcell").filter(has_text="cluster-train").first).to_be_visible()
 
 
 def test_a_job_is_shown_with_its_trials_below_it(

@@ -94,7 +94,8 @@ BOUNDS = {
 def test_a_bound_is_met_and_not_passed(api: ApiClient, name: str) -> None:
     # What is read is then refused by its fields.
     assert_problem(posted(api, BOUNDS[name](0) + END), 422, "invalid-value")
-    assert_problem(posted(api, BOUNDS[name](1) + END), 400, "malformed-body")
+    problem = assert_problem(posted(api, BOUNDS[name](1) + END), 400, "malformed-body")
+    assert "as an .npy file or the request as JSON" in problem["remedy"]
     assert_answers(api)
 
 

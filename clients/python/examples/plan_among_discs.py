@@ -1,11 +1,12 @@
 """Plan for an arm of two links among three discs, with learned samples and a collision checker of one's own.
 
-    python plan_among_discs.py http://127.0.0.1:8000 scenario.png
+    python plan_among_discs.py http://127.0.0.1:8000 discs.png
 
 The picture shows the same discs, drawn as the project's models know them: ``docs/method.md`` of the project
 tells how. Only ``numpy``, ``cspace-client`` and ``ompl`` are needed.
 """
 
+import argparse
 import math
 import sys
 from pathlib import Path
@@ -46,4 +47,8 @@ def main(url, picture):
 
 
 if __name__ == "__main__":
-    sys.exit(main(*sys.argv[1:]))
+    parser = argparse.ArgumentParser(description="Plan among three discs with samples of the API.")
+    parser.add_argument("url", help="of the API, such as http://127.0.0.1:8000")
+    parser.add_argument("picture", help="of the same discs: discs.png beside this script")
+    options = parser.parse_args()
+    sys.exit(main(options.url, options.picture))
