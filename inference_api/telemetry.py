@@ -26,6 +26,7 @@ from starlette.routing import BaseRoute, Mount, compile_path
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from cspace.query import Status
+from inference_api.drift import CollisionDrift
 from inference_api.limits import RAW_SECURITY_HEADERS
 from inference_api.logs import RequestRecord, begin, choose_request_id, current, end, log_request
 from inference_api.problem_types import PROBLEMS, SHUTTING_DOWN, failure_response, problem_response
@@ -141,6 +142,13 @@ class Metrics(Observer):
         self._reloads = counter(
             "cspace_model_reloads", "Champions put into service, or refused.", ("outcome", "reason")
         )
+        self._drift = CollisionDrift()
+        self._evidence = Gauge(
+            "cspace_collision_evidence",
+            "How clearly plans collide more often than stated, a power of ten; alarm from 6.",
+            registry=registry,
+            multiprocess_mode="livemax",
+        )
         self._outcomes = counter("cspace_outcomes", "Outcomes written to disk, or lost.", ("result",))
         # Else a rate over the first event of a kind would see no rise.
         for result in RESULTS:
@@ -182,6 +190,10 @@ class Metrics(Observer):
     def refused(self, reason: Refusal) -> None:
         """Counts a champion that was not."""
         self._reloads.labels("refused", reason).inc()
+
+    def plans_reported(self, site: str, plans: Sequence[tuple[float, bool]]) -> None:
+        """Weighs what became of plans, see :meth:`inference_api.drift.CollisionDrift.add`."""
+        self._evidence.set(self._drift.add(site, plans))
 
     def outcomes(self, result: str, count: int) -> None:
         """Counts outcomes that were written, or are lost."""

@@ -1,6 +1,7 @@
 """``POST /outcomes``: what became of earlier answers, kept until it is uploaded."""
 
 import time
+from collections.abc import Sequence
 from functools import partial
 from typing import Annotated, ClassVar, Literal
 
@@ -27,6 +28,7 @@ from inference_api.requests import Serving, load_object, problem_responses, read
 from inference_api.routes.sample import GUARD_PROBLEMS, REQUEST_ID_HEADER
 from inference_api.scheduler import Job, rows_of
 from inference_api.schemas import Confidence, Expected, RequestFields, Site
+from inference_api.telemetry import Metrics
 from services.outcomes import Spool
 
 MAX_OUTCOMES = 1000
@@ -180,14 +182,26 @@ async def outcomes(request: Request, service: Serving) -> Response:
         raise RequestError(
             UNSUPPORTED_MEDIA_TYPE, "outcomes come as JSON", expected="application/json", got="a form"
         )
-    return await service.scheduler.run(partial(_keep, service.spool, text), client_of(request.scope))
+    work = partial(_keep, service.spool, service.metrics, text)
+    return await service.scheduler.run(work, client_of(request.scope))
 
 
-def _keep(spool: Spool, text: bytes, job: Job) -> Response:
+def _keep(spool: Spool, metrics: Metrics, text: bytes, job: Job) -> Response:
     job.spend(rows_of(json_bytes=len(text)))
     found = OutcomesRequest.read(load_object(text)).outcomes
     record = current()
     received = {"client": record.client if record else None, "received_s": round(time.time(), 3)}
     taken = spool.add([one.model_dump(exclude_none=True) | received for one in found])
+    for site, plans in _checked(found).items():
+        metrics.plans_reported(site, plans)
     body = OutcomesAnswer(kept=len(found) if taken else 0)
     return Response(body.model_dump_json(), 202, media_type="application/json")
+
+
+def _checked(found: Sequence[PlanOutcome | SamplesOutcome]) -> dict[str, list[tuple[float, bool]]]:
+    """Confidence of plans, and whether they collided where that is known, by site."""
+    plans: dict[str, list[tuple[float, bool]]] = {}
+    for one in found:
+        if isinstance(one, PlanOutcome) and one.confidence is not None and one.collided is not None:
+            plans.setdefault(one.site or "", []).append((one.confidence, one.collided))
+    return plans
