@@ -47,7 +47,7 @@ from services.local.settings import (
     temp_folder,
     token_headers,
 )
-from services.names import MLFLOW_TRAINING
+from services.names import EXPERIMENT, MLFLOW_TRAINING
 
 _UNDER_WAY = {"PENDING", "RUNNING"}
 
@@ -423,11 +423,23 @@ def _log(settings: Settings, service: Service) -> Path:
     return settings.logs_folder / f"{service.name}.log"
 
 
+def experiment_address(mlflow_url: str) -> str:
+    """The page of the project's runs in MLflow, or its home as long as nothing was trained.
+
+    From its list of experiments MLflow leads to pages for language models, whatever an experiment's kind.
+    """
+    found = answer_of(f"{mlflow_url}/api/2.0/mlflow/experiments/get-by-name?experiment_name={EXPERIMENT}")
+    if found is None:
+        return mlflow_url
+    number = json.loads(found)["experiment"]["experiment_id"]
+    return f"{mlflow_url}/#/experiments/{number}/runs?{MLFLOW_TRAINING}"
+
+
 def addresses(settings: Settings) -> str:
     """Where to look."""
     return "\n".join(
         [
-            f"MLflow UI       {settings.mlflow_url}/#/experiments?{MLFLOW_TRAINING}",
+            f"MLflow UI       {experiment_address(settings.mlflow_url)}",
             f"Ray dashboard   {settings.ray_url}  (asks for the token: `ray get-auth-token` prints it)",
             f"API             {settings.api_url}/docs",
             f"workbench       {settings.api_url}/",
