@@ -86,7 +86,11 @@ def _recalibrate(arguments: Sequence[str], environment: Mapping[str, str]) -> in
         f"{version} of {version.tags['model']}, {found.plans} plans, {fit.collide:.1%} collide\n"
         f"calibration error {fit.error_before:.3f} before, {fit.error:.3f} after; "
         f"log loss {fit.loss_before:.3f} before, {fit.loss:.3f} after (each fifth by a fit to the rest)\n"
-        + ("in use for requests with this site" if fit.better else "not in use, for it predicts no better")
+        + (
+            "in use for requests with this site"
+            if fit.better
+            else "not put into use, for it predicts no better"
+        )
     )
     return 0
 

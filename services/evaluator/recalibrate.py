@@ -9,6 +9,7 @@ predict better what they were not fitted to.
 import argparse
 import hashlib
 import json
+import re
 import tempfile
 from collections import Counter
 from collections.abc import Mapping
@@ -20,10 +21,17 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from cspace.errors import EvaluationError, RegistryError
+from cspace.errors import EvaluationError, InputError, RegistryError
 from cspace.planning.calibration import fit_calibration
 from cspace.planning.cost import calibration_error, confidence_of_cost
-from services.names import ALIAS_CHAMPION, CALIBRATIONS_EXPERIMENT, OUTCOMES_EXPERIMENT, TAG_MODEL, TAG_STAGE
+from services.names import (
+    ALIAS_CHAMPION,
+    CALIBRATIONS_EXPERIMENT,
+    OUTCOMES_EXPERIMENT,
+    SITE_PATTERN,
+    TAG_MODEL,
+    TAG_STAGE,
+)
 from services.registry.calibration import SiteCalibration, calibration_name
 from services.registry.ports import ModelRegistry, ModelVersion, Tracking
 
@@ -104,17 +112,24 @@ def recalibrate(site: str, model: str | None, tracking: Tracking, registry: Mode
         registry: where the calibration becomes a version.
 
     Raises:
+        InputError: the site is no name that outcomes can have.
         EvaluationError: there are fewer than 20 plans of which it is known whether they collide.
         RegistryError: the tracking server is away, or holds something else.
     """
+    if re.fullmatch(SITE_PATTERN, site, re.ASCII) is None:
+        raise InputError(
+            "the site is no name",
+            expected="1 to 64 letters, digits, dots, dashes and underscores",
+            got=repr(site)[:200],
+        )
     plans = plans_of(site, model, tracking, registry)
     fit = fitted(plans.cost, plans.free)
     offset, slope = fit.parameters
     calibration = SiteCalibration(plans.model, offset, slope)
-    key = hashlib.sha256(plans.cost.tobytes() + plans.free.tobytes() + plans.model.encode()).hexdigest()
+    data = plans.cost.tobytes() + plans.free.tobytes() + f"{site} {plans.model}".encode()
     tags = {TAG_STAGE: "calibration", TAG_MODEL: plans.model}
     with tracking.start(
-        CALIBRATIONS_EXPERIMENT, f"{site}, {{id}}", tags=tags, key=f"{site}/{key[:32]}"
+        CALIBRATIONS_EXPERIMENT, f"{site}, {{id}}", tags=tags, key=hashlib.sha256(data).hexdigest()
     ) as run:
         run.params({"site": site, "model": plans.model, "plans": len(plans.cost)})
         run.metrics(

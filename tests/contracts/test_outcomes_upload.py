@@ -105,17 +105,17 @@ def test_what_became_of_plans_at_a_site_changes_the_confidence_that_is_stated_th
             for seed in range(24):
                 found = client.plan(picture, replace(query, seed=seed), "pretrained")
                 # Something stands there that the camera does not see.
-                sender.plan(found, success=seed % 3 == 0, collided=seed % 3 != 0, site="cell-4")
+                sender.plan(found, success=seed % 3 == 0, collided=seed % 3 != 0, site="cell.4")
         assert sender.sent == 24
-        assert evaluator(["recalibrate", "--site", "cell-4"], environment) == 2
+        assert evaluator(["recalibrate", "--site", "cell.4"], environment) == 2
         # They are written once a second.
         until(lambda: sum(one.read_bytes().count(b"\n") for one in files_of(tmp_path / "spool")) == 24)
         assert outcomes.main([], environment) == 0
-        assert evaluator(["recalibrate", "--site", "cell-4"], environment) == 0
+        assert evaluator(["recalibrate", "--site", "cell.4"], environment) == 0
         printed = capsys.readouterr()
         assert "at least 20" in printed.err
-        assert "calibration-cell-4/1 of pretrained/0, 24 plans, 66.7% collide" in printed.out
+        assert "calibration-cell.4/1 of pretrained/0, 24 plans, 66.7% collide" in printed.out
         assert "in use for requests with this site" in printed.out
-        after = client.plan(picture, replace(query, site="cell-4"), "pretrained")
-    assert (before.calibration, after.calibration) == (None, "calibration-cell-4/1")
+        after = client.plan(picture, replace(query, site="cell.4"), "pretrained")
+    assert (before.calibration, after.calibration) == (None, "calibration-cell.4/1")
     assert after.plan.confidence < 0.6 < before.plan.confidence

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cspace.errors import EvaluationError, RegistryError
+from cspace.errors import EvaluationError, InputError, RegistryError
 from cspace.planning.cost import calibration_error, confidence_of_cost
 from services.evaluator.recalibrate import Fit, fitted, recalibrate
 from services.names import ALIAS_CHAMPION, CALIBRATIONS_EXPERIMENT, OUTCOMES_EXPERIMENT
@@ -115,6 +115,8 @@ def test_other_sites_models_and_plans_that_nobody_checked_do_not_count(platform:
     samples = [{"kind": "samples", "model": MODEL, "site": SITE, "request_id": "s", "checked": 9, "free": 9}]
     platform.upload(rows[:31] + unknown + samples)
     assert SiteCalibration.of(platform.recalibrate().version).model == "panda-sampler/2"
+    with pytest.raises(InputError, match="the site is no name"):
+        recalibrate("lab 3'", None, platform.tracking, platform.registry)
     with pytest.raises(EvaluationError, match=r"at least 20 of panda-sampler/3.*got 1; the site has 30 of"):
         platform.recalibrate(MODEL)
 
