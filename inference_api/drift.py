@@ -8,7 +8,7 @@ from threading import Lock
 from cachetools import LRUCache
 
 ALARM = 6.0
-"""Evidence, a power of ten, from which there is an alarm: a false one in a million outcomes, or rarer."""
+"""Evidence, a power of ten, from which there is an alarm: by chance after a million outcomes on average."""
 # Of the odds of a collision, which the test bets on; each as much.
 _TIMES = (2.0, 4.0, 8.0)
 # Surer than that nobody is believed to be: one collision would settle it.

@@ -14,7 +14,7 @@ MODEL_NAME = "cspace-sampler"
 PATH_MODEL_NAME = "path-sampler"
 EXPERIMENT = "cspace-sampler"
 # Of what users report of answers.
-OUTCOMES_EXPERIMENT = "cspace-outcomes"
+OUTCOMES_EXPERIMENT, OUTCOMES_FILE = "cspace-outcomes", "outcomes.jsonl"
 # Calibrations of plans for a site: their runs, and the name of a site's registered model before the site's.
 CALIBRATIONS_EXPERIMENT, CALIBRATION_PREFIX = "cspace-calibrations", "calibration-"
 SITE_PATTERN = r"[A-Za-z0-9._-]{1,64}"

@@ -26,7 +26,7 @@ from typing import Any, Literal, get_args
 from cspace.errors import ConfigError, CspaceError, InputError, StorageBusyError, StorageError
 from cspace.files import HALF_PREFIX, HALF_SUFFIX, discard, holding, replacing
 from services.command_errors import report_error
-from services.names import OUTCOMES_EXPERIMENT, TAG_STAGE
+from services.names import OUTCOMES_EXPERIMENT, OUTCOMES_FILE, TAG_STAGE
 from services.registry.ports import Tracking
 
 FOLDER = "CSPACE_OUTCOMES"
@@ -35,7 +35,7 @@ FOLDER = "CSPACE_OUTCOMES"
 Result = Literal["kept", "busy", "storage", "space"]
 RESULTS: tuple[Result, ...] = get_args(Result)
 
-FILE, STAGE = "outcomes.jsonl", "outcomes"
+STAGE = "outcomes"
 # Of one file, and of one upload, which are in memory as a whole.
 MAX_FILE_BYTES, MAX_BATCH_BYTES = 16 * 2**20, 32 * 2**20
 # What a small file takes of a disk.
@@ -202,12 +202,12 @@ def _upload(files: Sequence[Path], tracking: Tracking) -> Upload:
         tempfile.TemporaryDirectory(prefix="cspace-outcomes-") as scratch,
         tracking.start(OUTCOMES_EXPERIMENT, "outcomes, {id}", tags=tags, key=key) as run,
     ):
-        copy = Path(scratch) / FILE
+        copy = Path(scratch) / OUTCOMES_FILE
         copy.write_bytes(data)
         run.params({"models": sorted(models)[:_SHOWN_MODELS]})
         run.metrics(counts, 0)
         run.artifact(copy)
-        run.dataset("outcomes", digest, f"runs:/{run.run_id}/{FILE}", "outcomes")
+        run.dataset("outcomes", digest, f"runs:/{run.run_id}/{OUTCOMES_FILE}", "outcomes")
     return Upload(run.run_id, digest, counts)
 
 

@@ -2,7 +2,7 @@
 
 ``python -m services.evaluator planning`` is the planning benchmark (:mod:`services.evaluator.benchmark`),
 ``python -m services.evaluator compare A B`` sets versions side by side (:mod:`services.evaluator.compare`),
-``python -m services.evaluator recalibrate`` fits it to a site (:mod:`services.evaluator.recalibrate`).
+``python -m services.evaluator recalibrate`` refits confidence (:mod:`services.evaluator.recalibrate`).
 
 Exit codes: 0 evaluated, whether promoted or not; 1 the evaluation failed; 2 the request was wrong.
 """

@@ -28,6 +28,7 @@ from services.names import (
     ALIAS_CHAMPION,
     CALIBRATIONS_EXPERIMENT,
     OUTCOMES_EXPERIMENT,
+    OUTCOMES_FILE,
     SITE_PATTERN,
     TAG_MODEL,
     TAG_STAGE,
@@ -35,7 +36,6 @@ from services.names import (
 from services.registry.calibration import SiteCalibration, calibration_name
 from services.registry.ports import ModelRegistry, ModelVersion, Tracking
 
-FILE = "outcomes.jsonl"
 LEAST_PLANS, FOLDS = 20, 5
 # Weaker than that of a bundle, for sites may be quite unlike training: 200 plans that were drawn with offset
 # 2 and slope 0.6 then leave an error of 0.03 instead of 0.06, those that fit already one of 0.014 for 0.010.
@@ -146,7 +146,7 @@ def recalibrate(site: str, model: str | None, tracking: Tracking, registry: Mode
         )
         run.figure(reliability(plans, fit), "reliability")
         for run_id, digest in plans.batches.items():
-            run.dataset("outcomes", digest, f"runs:/{run_id}/{FILE}", "calibration")
+            run.dataset("outcomes", digest, f"runs:/{run_id}/{OUTCOMES_FILE}", "calibration")
     version = registry.record(
         calibration_name(site), run.run_id, calibration.tags, alias=ALIAS_CHAMPION if fit.better else None
     )
@@ -160,7 +160,7 @@ def plans_of(site: str, model: str | None, tracking: Tracking, registry: ModelRe
     with tempfile.TemporaryDirectory(prefix="cspace-outcomes-") as scratch:
         # From the oldest on, so that what was reported last holds.
         for run in reversed(tracking.finished(OUTCOMES_EXPERIMENT)):
-            path = tracking.file(run.run_id, FILE, Path(scratch) / run.run_id)
+            path = tracking.file(run.run_id, OUTCOMES_FILE, Path(scratch) / run.run_id)
             data = b"" if path is None else path.read_bytes()
             digests[run.run_id] = hashlib.sha256(data).hexdigest()
             for row in map(json.loads, data.splitlines()):

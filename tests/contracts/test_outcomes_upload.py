@@ -16,7 +16,8 @@ from cspace.worlds import examples, simulator_of
 from cspace_client import OutcomeSender, PlanQuery, SamplingClient
 from services import outcomes
 from services.evaluator.__main__ import main as evaluator
-from services.outcomes import FILE, Spool, files_of, upload
+from services.names import OUTCOMES_FILE
+from services.outcomes import Spool, files_of, upload
 from tests.contracts.conftest import Backend
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
 from tests.inference_api.raw import until
@@ -57,9 +58,9 @@ def test_each_batch_is_one_data_set_although_its_upload_is_interrupted_before_it
     assert again == first
     assert (first.counts, other.counts) == ({"plan": 2, "samples": 1}, {"plan": 1})
     record = backend.read(first.run_id)
-    assert record.inputs == [("outcomes", first.digest, f"runs:/{first.run_id}/{FILE}", "outcomes")]
+    assert record.inputs == [("outcomes", first.digest, f"runs:/{first.run_id}/{OUTCOMES_FILE}", "outcomes")]
     assert (record.status, record.params["models"]) == ("FINISHED", '["m/3", "m/4"]')
-    path = backend.tracking.file(first.run_id, FILE, tmp_path)
+    path = backend.tracking.file(first.run_id, OUTCOMES_FILE, tmp_path)
     assert path is not None
     rows = [json.loads(line) for line in path.read_text().splitlines()]
     assert rows == [plan(1, mark), samples(1), plan(2, mark)]

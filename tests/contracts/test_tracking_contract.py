@@ -182,6 +182,7 @@ def test_the_runs_of_an_experiment_that_have_finished_are_found_newest_first(bac
     for name in ("first", "second"):
         with backend.tracking.start(experiment, name) as run:
             made.append(run.run_id)
+        # MLflow counts in milliseconds.
         time.sleep(0.005)
     backend.tracking.start(experiment, "running")
     assert [one.run_id for one in backend.tracking.finished(experiment)] == made[::-1]
