@@ -2,7 +2,8 @@
 
 ``python -m services.evaluator planning`` is the planning benchmark (:mod:`services.evaluator.benchmark`),
 ``python -m services.evaluator compare A B`` sets versions side by side (:mod:`services.evaluator.compare`),
-``python -m services.evaluator recalibrate`` refits confidence (:mod:`services.evaluator.recalibrate`).
+``python -m services.evaluator recalibrate`` refits confidence (:mod:`services.evaluator.recalibrate`),
+``python -m services.evaluator card MODEL`` prints a model card (:mod:`services.evaluator.model_card`).
 
 Exit codes: 0 evaluated, whether promoted or not; 1 the evaluation failed; 2 the request was wrong.
 """
@@ -15,7 +16,7 @@ from pathlib import Path
 
 from cspace.errors import ConfigError, CspaceError, EvaluationError, InputError, ModelNotFoundError
 from services.command_errors import report_error
-from services.evaluator import compare, recalibrate
+from services.evaluator import compare, model_card, recalibrate
 from services.evaluator.benchmark.__main__ import main as planning_benchmark
 from services.evaluator.evaluation.job import Outcome, evaluate_version, executor
 from services.evaluator.evaluation.measured import flat_metrics
@@ -24,9 +25,10 @@ from services.evaluator.evaluation.units import BUDGETS, make_request
 from services.evaluator.tables import aligned
 from services.registry.mlflow_registry import MlflowRegistry
 from services.registry.mlflow_tracking import MlflowTracking
+from services.registry.ports import ModelReference
 from services.results import report_result
 
-BENCHMARK, COMPARE, RECALIBRATE = "planning", "compare", "recalibrate"
+BENCHMARK, COMPARE, RECALIBRATE, CARD = "planning", "compare", "recalibrate", "card"
 SHIPPED_FOLDER = Path(__file__).parents[2] / "inference_api" / "pretrained"
 
 
@@ -39,6 +41,8 @@ def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] 
         return _compare(given[1:], environment)
     if given[:1] == [RECALIBRATE]:
         return _recalibrate(given[1:], environment)
+    if given[:1] == [CARD]:
+        return _card(given[1:], environment)
     options = _parser().parse_args(given)
     try:
         request = make_request(
@@ -95,6 +99,21 @@ def _recalibrate(arguments: Sequence[str], environment: Mapping[str, str]) -> in
     return 0
 
 
+def _card(arguments: Sequence[str], environment: Mapping[str, str]) -> int:
+    options = model_card.make_parser().parse_args(arguments)
+    try:
+        uri = _tracking_uri(environment)
+        model = ModelReference.parse(options.model)
+        card = model_card.make_card(model, MlflowRegistry(uri), MlflowTracking(uri))
+        if options.out is None:
+            print(card, end="")
+        else:
+            model_card.write_card(card, options.out)
+    except CspaceError as error:
+        return report_error(error, ConfigError, InputError, ModelNotFoundError)
+    return 0
+
+
 def result(outcome: Outcome) -> dict[str, object]:
     """What the file and the last line say, for programs."""
     version, verdict = outcome.version, outcome.verdict
@@ -128,7 +147,8 @@ def _parser() -> argparse.ArgumentParser:
         prog="python -m services.evaluator",
         description="Evaluate a version on scenarios it was never trained on; promote it if the gate holds.",
         epilog=f"`python -m services.evaluator {BENCHMARK} --help` describes the planning benchmark, "
-        f"`{COMPARE} --help` of versions side by side, `{RECALIBRATE} --help` of confidence by site. "
+        f"`{COMPARE} --help` of versions side by side, `{RECALIBRATE} --help` of confidence by site, "
+        f"`{CARD} --help` of model cards. "
         "Exit codes: 0 evaluated (promoted or not), 1 evaluation failed, 2 wrong request.",
     )
     parser.add_argument("--model", default="cspace-sampler@challenger", help="name@alias or name/version")

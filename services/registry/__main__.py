@@ -1,4 +1,4 @@
-"""Registered models: ``python -m services.registry models list|show|promote|rollback|delete|export|import``.
+"""Registered models: ``python -m services.registry models list|show|history|promote|rollback|...``.
 
 Exit codes: 0 done; 1 the registry or a bundle failed; 2 the request was wrong.
 """
@@ -57,6 +57,9 @@ def _parser() -> argparse.ArgumentParser:
 
     add("list", _list, "the models, or the versions of one", "").add_argument("name", nargs="?", default="")
     add("show", _show, "a version with its tags and the decisions about it")
+    add("history", _history, "which version was the champion when", "").add_argument(
+        "name", help="of the model"
+    )
     for one in (
         add("promote", _promote, "make a version the champion, whatever the gate says"),
         add("rollback", _roll_back, "make the champion before the present one champion again", ""),
@@ -101,6 +104,17 @@ def _show(registry: ModelRegistry, options: argparse.Namespace) -> None:
         print(f"  {_when(decision.created_ms)}  {'promoted' if decision.promoted else 'not promoted'}")
         for reason in decision.reasons:
             print(f"    - {reason}")
+
+
+def _history(registry: ModelRegistry, options: argparse.Namespace) -> None:
+    found = promotion.history(registry, options.name)
+    if not found:
+        print(
+            f"{registry.by_alias(options.name, ALIAS_CHAMPION)} is the champion, and no decision is recorded"
+        )
+    for period in found:
+        version, since, until, reason = period.cells
+        print(f"{options.name}/{version:<6} {since:<23}  to  {until:<23}  {reason}")
 
 
 def _promote(registry: ModelRegistry, options: argparse.Namespace) -> None:

@@ -179,6 +179,12 @@ class MlflowRegistry:
         with mapped(f"taking a tag off {name}/{number}", lookup=True):
             self._client.delete_model_version_tag(name, str(number), tag)
 
+    def describe(self, name: str, note: str) -> None:
+        """Show a note on a model's page; see :meth:`services.registry.ports.ModelRegistry.describe`."""
+        self._ready()
+        with mapped(f"describing {name}", lookup=True):
+            self._client.update_registered_model(name, note)
+
     def show(self, version: ModelVersion, shown: Shown) -> None:
         """Show figures and a note; see :meth:`services.registry.ports.ModelRegistry.show`."""
         self._ready()

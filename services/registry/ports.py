@@ -164,6 +164,10 @@ class ModelRegistry(ModelReader, Protocol):
         """Take a tag off a version; nothing happens where it has none of this name."""
         ...
 
+    def describe(self, name: str, note: str) -> None:
+        """Show a note in Markdown on a model's page, in place of the earlier one."""
+        ...
+
     def show(self, version: ModelVersion, shown: Shown) -> None:
         """Show figures and a note of a version, on its run and logged model too, in place of earlier ones."""
         ...

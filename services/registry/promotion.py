@@ -12,7 +12,8 @@ import secrets
 import tempfile
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -39,6 +40,8 @@ from services.names import (
 from services.registry.ports import ModelRegistry, ModelVersion, Tracking
 
 PREFIX = "decision."
+# MLflow keeps 5000 characters of a page.
+_PAGE_ROWS, _PAGE_REASON = 20, 120
 _KEY = re.compile(rf"{re.escape(PREFIX)}(\d+)(?:\.[0-9a-f]+)?", re.ASCII)
 
 
@@ -108,6 +111,9 @@ def record_decision(registry: ModelRegistry, decision: Decision) -> None:
         if TAG_ROLLED_BACK in version.tags:
             registry.remove_tag(decision.name, decision.version, TAG_ROLLED_BACK)
         registry.set_alias(decision.name, ALIAS_CHAMPION, decision.version)
+        with suppress(RegistryError):
+            # The page alone; the next promotion writes it again.
+            registry.describe(decision.name, _history_page(registry, decision.name))
 
 
 def decisions_of(version: ModelVersion) -> tuple[Decision, ...]:
@@ -128,6 +134,57 @@ def champions(registry: ModelRegistry, name: str) -> tuple[Decision, ...]:
     The gate compares with the best of all of them, so that many small steps down can not add up.
     """
     return tuple(decision for decision in decisions(registry, name) if decision.promoted)
+
+
+@dataclass(frozen=True, slots=True)
+class ChampionPeriod:
+    """A time during which one version was the champion.
+
+    Args:
+        version: its number.
+        since_ms: milliseconds since 1970-01-01 UTC; None where the version was deleted, and its log with it.
+        until_ms: likewise; None for the present champion as well.
+        reason: the first one of the decision; None where that was deleted.
+    """
+
+    version: int
+    since_ms: int | None
+    until_ms: int | None
+    reason: str | None
+
+    @property
+    def cells(self) -> tuple[str, str, str, str]:
+        """Version, begin, end and reason as text; servers follow within seconds."""
+        is_deleted = self.reason is None
+        since, until = ("" if moment is None else utc(moment) for moment in (self.since_ms, self.until_ms))
+        return str(self.version), since, until, "deleted since" if is_deleted else str(self.reason)
+
+
+def history(registry: ModelRegistry, name: str) -> tuple[ChampionPeriod, ...]:
+    """Which version of a model was the champion when, oldest first."""
+    periods: list[ChampionPeriod] = []
+    for decision in champions(registry, name):
+        before, now_ms = decision.against, decision.created_ms
+        if periods and periods[-1].version == before:
+            periods[-1] = replace(periods[-1], until_ms=now_ms)
+        elif before is not None:
+            periods.append(ChampionPeriod(before, None, now_ms, None))
+        periods.append(ChampionPeriod(decision.version, now_ms, None, decision.reasons[0]))
+    return tuple(periods)
+
+
+def _history_page(registry: ModelRegistry, name: str) -> str:
+    """The newest periods first, as a table in Markdown, for the model's page."""
+    rows = [period.cells for period in reversed(history(registry, name)[-_PAGE_ROWS:])]
+    # A line break or a bar would end the cell.
+    shown = [(*row[:3], " ".join(row[3].replace("|", "/").split())[:_PAGE_REASON]) for row in rows]
+    head = ("champion", "since", "until", "why"), ("---",) * 4
+    return "\n".join(f"| {' | '.join(row)} |" for row in (*head, *shown)) + "\n"
+
+
+def utc(moment_ms: int) -> str:
+    """A moment as people read it."""
+    return datetime.fromtimestamp(moment_ms / 1000, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
 
 
 def _entries(version: ModelVersion) -> list[tuple[int, str]]:

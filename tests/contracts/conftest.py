@@ -18,11 +18,12 @@ _numbers = itertools.count(1)
 
 @dataclass(frozen=True)
 class Backend:
-    """Tracking, registry, and a way to read runs back, all on one store."""
+    """Tracking, registry, and ways to read runs and models' pages back, all on one store."""
 
     tracking: Tracking
     registry: ModelRegistry
     read: Callable[[str], RunRecord]
+    page: Callable[[str], str]
 
 
 @pytest.fixture(scope="session")
@@ -45,7 +46,9 @@ def backend(request: pytest.FixtureRequest, tmp_path: Path) -> Backend:
     if request.param == "fake":
         tracking = FakeTracking()
         registry = FakeRegistry(tmp_path / "fake-registry", tracking.runs)
-        return Backend(tracking, registry, lambda run_id: read_fake(tracking, run_id))
+        return Backend(
+            tracking, registry, lambda run_id: read_fake(tracking, run_id), registry.described.__getitem__
+        )
     if request.param == "spooled":
         return mlflow_backend(request.getfixturevalue("database_uri"), tmp_path / "spool")[1]
     return mlflow_backend(request.getfixturevalue(f"{request.param}_uri"))[1]
@@ -76,4 +79,9 @@ def mlflow_backend(uri: str, spool_folder: Path | None = None) -> tuple[str, Bac
 
     client = MlflowClient(tracking_uri=uri, registry_uri=uri)
     tracking = MlflowTracking(uri, spool_folder=spool_folder)
-    return uri, Backend(tracking, MlflowRegistry(uri), lambda run_id: read_mlflow(client, run_id))
+    return uri, Backend(
+        tracking,
+        MlflowRegistry(uri),
+        lambda run_id: read_mlflow(client, run_id),
+        lambda name: client.get_registered_model(name).description,
+    )

@@ -146,6 +146,14 @@ def test_figures_of_a_version_are_shown_on_the_run_that_made_it_the_last_ones_ho
         backend.registry.show(replace(first, number=99), shown)
 
 
+def test_a_models_page_is_described_again(backend: Backend, first: ModelVersion) -> None:
+    for note in ("| one |", "| one |\n| two |"):
+        backend.registry.describe(first.name, note)
+        assert backend.page(first.name) == note
+    with pytest.raises(ModelNotFoundError):
+        backend.registry.describe("unknown", "note")
+
+
 def test_a_downloaded_bundle_is_the_registered_one_and_no_folder_is_overwritten(
     registry: ModelRegistry, first: ModelVersion, bundle: Bundle, tmp_path: Path
 ) -> None:

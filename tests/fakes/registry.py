@@ -180,6 +180,7 @@ class FakeRegistry:
         self._versions: dict[str, list[ModelVersion | None]] = {}
         self._aliases: dict[tuple[str, str], int] = {}
         self.shown: dict[tuple[str, int], Shown] = {}
+        self.described: dict[str, str] = {}
 
     def register(
         self,
@@ -266,6 +267,12 @@ class FakeRegistry:
     def set_tags(self, name: str, number: int, tags: Mapping[str, str]) -> None:
         version = self.version(name, number)
         self._versions[name][number - 1] = replace(version, aliases=(), tags={**version.tags, **tags})
+
+    def describe(self, name: str, note: str) -> None:
+        self._check_there()
+        if name not in self._versions:
+            raise ModelNotFoundError(f"there is no {name}")
+        self.described[name] = note
 
     def show(self, version: ModelVersion, shown: Shown) -> None:
         known = self.version(version.name, version.number)

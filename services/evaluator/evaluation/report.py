@@ -324,7 +324,8 @@ def comparison_note(evaluation: Evaluation, verdict: Verdict, title: str) -> str
         parts += [f"### Beside {one.rival}", markdown(comparison_table(one))]
     if verdict.bar.comparisons:
         parts.append(COMPARISON_NOTE)
-    return "\n\n".join([*parts, _sentence(evaluation.setting)]) + "\n"
+    card = f"Model card: `python -m services.evaluator card {title}`."
+    return "\n\n".join([*parts, _sentence(evaluation.setting), card]) + "\n"
 
 
 def shown_of(evaluation: Evaluation, note: str) -> Shown:

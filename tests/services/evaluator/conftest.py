@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from cspace.bundle import Bundle
+from services.evaluator import model_card
 from services.evaluator.evaluation import job, rivals
 from services.registry import promotion
 
@@ -14,7 +15,7 @@ def rng():
 @pytest.fixture
 def verified_here(monkeypatch):
     """Bundles are verified in this process: to start a worker takes longer than to evaluate a tiny model."""
-    for module in (job, rivals, promotion):
+    for module in (job, rivals, promotion, model_card):
         monkeypatch.setattr(
             module, "load_verified", lambda folder, digest=None: Bundle.load(folder, digest=digest)
         )

@@ -43,6 +43,10 @@ def test_a_model_lives_through_all_commands(uri: str, tmp_path: Path) -> None:
     shown = models(uri, "show", NAME)
     assert f"{NAME}/1  champion" in shown
     assert "by hand: rolled back from 2: worse in the field" in shown
+    history = models(uri, "history", NAME).splitlines()
+    assert [line.split()[0] for line in history] == [f"{NAME}/{number}" for number in (1, 2, 1)]
+    assert history[2].endswith("by hand: rolled back from 2: worse in the field")
+    assert "there is no" in models(uri, "history", "unknown", code=2)
     assert "is in use" in models(uri, "delete", f"{NAME}/1", "--yes", code=2)
     models(uri, "export", f"{NAME}/1", str(tmp_path / "out"))
     picture = np.full((48, 48, 3), 255, dtype=np.uint8)

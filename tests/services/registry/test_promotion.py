@@ -9,7 +9,15 @@ from cspace.bundle import Bundle
 from cspace.errors import ModelNotFoundError, RegistryError
 from services.names import ALIAS_CHAMPION
 from services.registry.ports import ModelVersion
-from services.registry.promotion import Decision, champions, decisions, decisions_of, record_decision
+from services.registry.promotion import (
+    ChampionPeriod,
+    Decision,
+    champions,
+    decisions,
+    decisions_of,
+    history,
+    record_decision,
+)
 from tests.bundles import write_tiny_bundle
 from tests.fakes.registry import FakeRegistry
 
@@ -120,3 +128,48 @@ def test_no_champion_is_made_when_the_log_can_not_be_written(registry: FakeRegis
         record_decision(FullDisk(registry), DECISION)
     with pytest.raises(ModelNotFoundError):
         registry.by_alias(NAME, ALIAS_CHAMPION)
+
+
+def test_the_history_tells_which_version_was_the_champion_when(registry: FakeRegistry) -> None:
+    for decision in (
+        DECISION,
+        replace(DECISION, version=3, promoted=False, against=1, created_ms=2),
+        replace(DECISION, version=2, against=1, created_ms=3, reasons=("better",)),
+        replace(DECISION, version=1, against=2, created_ms=4, reasons=("by hand: rolled | back",)),
+    ):
+        record_decision(registry, decision)
+    first = ChampionPeriod(1, 1, 3, DECISION.reasons[0])
+    last = ChampionPeriod(1, 4, None, "by hand: rolled | back")
+    assert history(registry, NAME) == (first, ChampionPeriod(2, 3, 4, "better"), last)
+    # The page, the newest first.
+    rows = registry.described[NAME].splitlines()
+    assert rows[2] == "| 1 | 1970-01-01 00:00:00 UTC |  | by hand: rolled / back |"
+    assert [row.split()[1] for row in rows[2:]] == ["1", "2", "1"]
+
+
+def test_the_history_names_a_champion_that_was_deleted(registry: FakeRegistry) -> None:
+    for version, before, now_ms in ((1, None, 1), (2, 1, 2), (3, 2, 3)):
+        record_decision(registry, replace(DECISION, version=version, against=before, created_ms=now_ms))
+    registry.delete(NAME, 2)
+    reason = DECISION.reasons[0]
+    assert history(registry, NAME) == (
+        ChampionPeriod(1, 1, None, reason),
+        ChampionPeriod(2, None, 3, None),
+        ChampionPeriod(3, 3, None, reason),
+    )
+    assert history(registry, "unknown") == ()
+
+
+class NoPages(FakeRegistry):
+    """A registry that describes no model."""
+
+    def __init__(self, inner: FakeRegistry) -> None:
+        self.__dict__.update(inner.__dict__)
+
+    def describe(self, name: str, note: str) -> None:
+        raise RegistryError(f"{name} cannot be described", got=note)
+
+
+def test_a_promotion_holds_where_the_page_cannot_be_written(registry: FakeRegistry) -> None:
+    record_decision(NoPages(registry), DECISION)
+    assert registry.by_alias(NAME, ALIAS_CHAMPION).number == 1
