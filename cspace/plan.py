@@ -230,6 +230,12 @@ def search_paths(
     return Searched(ranked, found.late, 1e3 * (searched - began), 1e3 * (time.monotonic() - searched))
 
 
+def path_confidence(seen: Seen, path: NDArray[np.float64]) -> float:
+    """How confident a model is that a path, (k, d) rad, is free, as :func:`plan` states it of its own."""
+    (scored,) = score([path], seen.world.space, STEP_RAD, seen.predict, seen.plan_calibration)
+    return scored.whole
+
+
 def planning_space(world: World, limits: Sequence[Sequence[float] | None] | None) -> JointSpace:
     """The joint space that a query's paths lie in.
 

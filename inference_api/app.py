@@ -26,6 +26,7 @@ from inference_api.routes.documentation import add_docs_page, add_guide
 from inference_api.scheduler import Lookups, Scheduler
 from inference_api.schemas import ModelInfo, Problem, model_info
 from inference_api.settings import ApiSettings
+from inference_api.shadow import Shadow
 from inference_api.telemetry import Metrics, Telemetry
 from inference_api.tensors import InferenceRequest
 from inference_api.tracing import TracedObserver, add_tracing, otlp_provider
@@ -58,10 +59,8 @@ def create_app(settings: ApiSettings | None = None, registry: ModelReader | None
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         # Before the first thread has an arena.
         few_arenas()
-        scheduler = Scheduler(settings.threads, metrics.waiting)
-        folder, most_bytes = settings.outcomes_folder, settings.outcomes_bytes
-        spool = None if folder is None else Spool(folder, most_bytes, metrics.outcomes)
-        app.state.store, app.state.service = store, Service(store, scheduler, Lookups(), metrics, spool)
+        app.state.store, app.state.service = store, _make_service(settings, store, metrics)
+        spool = app.state.service.spool
         flushed: AbstractAsyncContextManager[None] = nullcontext()
         if spool is not None:
             flushed = repeated(spool.flush, FLUSH_S, at_end=True)
@@ -152,6 +151,14 @@ def _make_store(settings: ApiSettings, registry: ModelReader | None) -> ModelSto
         settings.poll_s,
         pictures=PictureCache(settings.cached_pictures),
     )
+
+
+def _make_service(settings: ApiSettings, store: ModelStore, metrics: Metrics) -> Service:
+    scheduler, lookups = Scheduler(settings.threads, metrics.waiting), Lookups()
+    folder, most_bytes = settings.outcomes_folder, settings.outcomes_bytes
+    spool = None if folder is None else Spool(folder, most_bytes, metrics.outcomes)
+    shadow = Shadow(store, scheduler, lookups, spool, metrics.compared)
+    return Service(store, scheduler, lookups, metrics, shadow, spool)
 
 
 def _verify_here(folder: Path, digest: str) -> None:

@@ -34,6 +34,7 @@ from inference_api.problem_types import (
 )
 from inference_api.scheduler import Job, Lookups, Scheduler, rows_of
 from inference_api.schemas import ModelFields, RequestFields
+from inference_api.shadow import Shadow
 from inference_api.telemetry import Metrics
 from services.outcomes import Spool
 from services.registry.ports import ModelReference
@@ -72,6 +73,7 @@ class Service:
         scheduler: in whose turns requests are computed.
         lookups: where requests wait for models that have to be fetched.
         metrics: of the app.
+        shadow: compares plans with a challenger's predictions.
         spool: of outcomes; None keeps none.
     """
 
@@ -79,6 +81,7 @@ class Service:
     scheduler: Scheduler
     lookups: Lookups
     metrics: Metrics
+    shadow: Shadow
     spool: Spool | None = None
 
     async def respond(self, request: Request, parse: Parse) -> Response:

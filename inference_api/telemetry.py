@@ -150,9 +150,12 @@ class Metrics(Observer):
             multiprocess_mode="livemax",
         )
         self._outcomes = counter("cspace_outcomes", "Outcomes written to disk, or lost.", ("result",))
+        self._shadow = counter("cspace_shadow", "Plans compared with a shadow's predictions.", ("result",))
         # Else a rate over the first event of a kind would see no rise.
         for result in RESULTS:
             self._outcomes.labels(result)
+        for compared in ("compared", "dropped", "failed"):
+            self._shadow.labels(compared)
         for problem in PROBLEMS:
             self._failures.labels(problem.name)
         for status in get_args(Status):
@@ -198,6 +201,10 @@ class Metrics(Observer):
     def outcomes(self, result: str, count: int) -> None:
         """Counts outcomes that were written, or are lost."""
         self._outcomes.labels(result).inc(count)
+
+    def compared(self, result: str) -> None:
+        """Counts a plan that was compared with a shadow's prediction, or could not be."""
+        self._shadow.labels(result).inc()
 
     def finished(self, route: str, method: str, status: int, record: RequestRecord) -> None:
         """Counts a request."""

@@ -22,6 +22,9 @@ SITE_PATTERN = r"[A-Za-z0-9._-]{1,64}"
 ARTIFACT_STORE = "CSPACE_ARTIFACT_STORE"
 ALIAS_CHALLENGER = "challenger"
 ALIAS_CHAMPION = "champion"
+# Alias of the version that is compared with the champion on requests, and the tag with the share of these;
+# the first is also the kind of a comparison among the outcomes.
+SHADOW, TAG_SHADOW_SHARE = "shadow", "shadow_share"
 
 TAG_DIGEST = "digest"
 # On a run: what it is of, the job's name, its preset, the version made or evaluated, and MLflow's note.

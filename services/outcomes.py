@@ -171,6 +171,19 @@ def upload(folder: Path, tracking: Tracking) -> Iterator[Upload]:
         ) from error
 
 
+def uploaded(tracking: Tracking) -> Iterator[tuple[str, str, list[dict[str, Any]]]]:
+    """All batches that the tracking server holds, the oldest first: run id, SHA-256, and the outcomes.
+
+    Raises:
+        RegistryError: the tracking server is away or refuses.
+    """
+    with tempfile.TemporaryDirectory(prefix="cspace-outcomes-") as scratch:
+        for run in reversed(tracking.finished(OUTCOMES_EXPERIMENT)):
+            path = tracking.file(run.run_id, OUTCOMES_FILE, Path(scratch) / run.run_id)
+            data = b"" if path is None else path.read_bytes()
+            yield run.run_id, hashlib.sha256(data).hexdigest(), [*map(json.loads, data.splitlines())]
+
+
 def _claim(folder: Path) -> list[Path]:
     """The files of the next batch in the batch's folder; those of an interrupted one if there are any."""
     batch = folder / _BATCH

@@ -38,7 +38,7 @@ from cspace.bundle.sampling import Head, sampler_of
 from cspace.bundle.spec import WAYS, BundleSpec
 from cspace.errors import BundleIntegrityError, InputError, StorageError
 from cspace.files import replacing
-from cspace.plan import plan
+from cspace.plan import path_confidence, plan
 from cspace.query import Plan, PlanQuery, QueryOptions, SampleQuery
 from cspace.world import World
 from cspace.worlds import robot_digest
@@ -294,6 +294,21 @@ class Bundle:
         wanted = fitted_plan(self.spec, query)
         spec = self.spec if calibration is None else replace(self.spec, plan_calibration=calibration)
         return plan(head.seen(spec, picture, check_cancelled), ends, wanted, check_cancelled)
+
+    def path_confidence(
+        self,
+        image: NDArray[np.uint8] | Picture,
+        path: NDArray[np.float64],
+        check_cancelled: CheckCancelled | None = None,
+    ) -> float:
+        """How confident the model is that a whole path, (k, d) rad, is free; whoever planned it.
+
+        Raises:
+            InputError: the bundle has no validity head, or the picture does not fit.
+            BundleError: a graph fails.
+        """
+        head, picture = self._head(), self._prepared(image)
+        return path_confidence(head.seen(self.spec, picture, check_cancelled), path)
 
     def golden_answer(self, image: NDArray[np.uint8], query: SampleQuery) -> SampleSet:
         """What a golden case holds: :meth:`answer`, or where samples are searched for uniform configurations.

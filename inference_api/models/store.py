@@ -22,6 +22,7 @@ from cachetools import LRUCache, TTLCache
 from cspace.bundle import Bundle
 from cspace.errors import (
     BundleError,
+    CspaceError,
     GoldenMismatchError,
     ModelNotFoundError,
     RegistryError,
@@ -35,7 +36,7 @@ from inference_api.models.served import ServedModel, ShippedModels
 from inference_api.models.worker import RegistryWorker
 from inference_api.problem_types import ModelNotReadyError
 from inference_api.telemetry import Observer, Refusal
-from services.names import ALIAS_CHAMPION, CALIBRATION_PREFIX, TAG_ROBOT
+from services.names import ALIAS_CHAMPION, CALIBRATION_PREFIX, SHADOW, TAG_ROBOT, TAG_SHADOW_SHARE
 from services.registry.calibration import SiteCalibration, calibration_name
 from services.registry.failures import anonymous
 from services.registry.ports import PRETRAINED, ModelReader, ModelReference, ModelVersion, is_model_name
@@ -49,8 +50,8 @@ IN_USE_S = 60.0
 # References that are remembered, and as many that are known to name nothing.
 REMEMBERED = 1024
 LISTED_MODELS = 100
-# For how long a lookup of a site's calibration is trusted.
-CALIBRATION_S = 30.0
+# For how long a lookup of a site's calibration, or of a shadow, is trusted.
+SELDOM_S = 30.0
 
 
 @dataclass(slots=True)
@@ -109,10 +110,10 @@ class ModelStore:
         self._known: MutableMapping[ModelReference, _Known] = LRUCache(REMEMBERED)
         self._unknown: MutableMapping[ModelReference, bool] = TTLCache(REMEMBERED, lookup_s, clock)
         self._listed: MutableMapping[str, Sequence[ModelVersion]] = TTLCache(1, lookup_s, clock)
-        self._calibrations: MutableMapping[str, ModelVersion | None] = TTLCache(
-            REMEMBERED, CALIBRATION_S, clock
+        self._seldom: MutableMapping[ModelReference, ModelVersion | None] = TTLCache(
+            REMEMBERED, SELDOM_S, clock
         )
-        self._last_calibrations: MutableMapping[str, ModelVersion | None] = LRUCache(REMEMBERED)
+        self._last_seldom: MutableMapping[ModelReference, ModelVersion | None] = LRUCache(REMEMBERED)
         self._away_until: float | None = None
         self._champion: ServedModel | None = None
         # Of the last champion; None where it is not known.
@@ -244,10 +245,7 @@ class ModelStore:
         One that was fitted to another version's plans is none. While the registry is away the last known one
         holds.
         """
-        with self._lock:
-            known = self._calibrations.get(site, _NOT_LOOKED_UP)
-        if isinstance(known, str):
-            known = self._look_calibration_up(site)
+        known = self._look_up_seldom(ModelReference(calibration_name(site)))
         if known is None:
             return None
         try:
@@ -257,17 +255,44 @@ class ModelStore:
             return None
         return (found, str(known)) if found.model == f"{served.name}/{served.version}" else None
 
-    def _look_calibration_up(self, site: str) -> ModelVersion | None:
+    def shadow(self, champion: ServedModel) -> tuple[ServedModel, float] | None:
+        """What is compared with a champion, and on which share of its answers; may wait for its bundle.
+
+        None without a version of the alias ``shadow``, or where it is the champion itself, of another robot,
+        or cannot be loaded.
+        """
+        version = self._look_up_seldom(ModelReference(champion.name, SHADOW))
+        if version is None or version.number == champion.version:
+            return None
+        try:
+            share = float(version.tags.get(TAG_SHADOW_SHARE, ""))
+            bundle = self._cache.start(version).result(self._wait_s)
+        except ValueError:
+            _LOG.warning("the tag %s of %s is no share", TAG_SHADOW_SHARE, version)
+            return None
+        except (TimeoutError, CspaceError) as error:
+            _LOG.warning("%s cannot be compared with the champion: %s", version, anonymous(str(error)))
+            return None
+        if bundle.robot != champion.bundle.robot or not bundle.has_validity:
+            return None
+        return ServedModel.of(bundle, version, SHADOW), share
+
+    def _look_up_seldom(self, reference: ModelReference) -> ModelVersion | None:
+        """A version, looked up each :data:`SELDOM_S`; the last known one while the registry is away."""
+        with self._lock:
+            known = self._seldom.get(reference, _NOT_LOOKED_UP)
+        if not isinstance(known, str):
+            return known
         try:
             self._leave_alone_while_away()
-            found: ModelVersion | None = self._find(ModelReference(calibration_name(site)))
+            found: ModelVersion | None = self._find(reference)
         except ModelNotFoundError:
             found = None
         except RegistryError:
             with self._lock:
-                return self._last_calibrations.get(site)
+                return self._last_seldom.get(reference)
         with self._lock:
-            self._calibrations[site] = self._last_calibrations[site] = found
+            self._seldom[reference] = self._last_seldom[reference] = found
         return found
 
     def versions(self, name: str) -> Sequence[ModelVersion]:

@@ -5,14 +5,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
+import numpy as np
 from fastapi import APIRouter, Request
 from fastapi.responses import Response
 
 from cspace.bundle import BundleSpec
 from cspace.bundle.samples import fitted_plan, fitted_problem, require_robot
 from cspace.errors import InputError
+from cspace.planning.cost import confidence_of_cost
 from cspace.query import Plan, PlanQuery, random_seed
 from cspace.world import ARM_IN_PICTURE, LITTLE_IN_REACH, Finding
+from inference_api.logs import current
 from inference_api.models.pictures import Prepared
 from inference_api.models.served import ServedModel
 from inference_api.models.store import ModelStore
@@ -33,7 +36,9 @@ from inference_api.schemas import (
     model_info,
     warnings_of,
 )
+from inference_api.shadow import Offer
 from inference_api.telemetry import Answered
+from services.names import ALIAS_CHAMPION
 
 # Findings by which a plan is refused.
 _WHY = (ARM_IN_PICTURE, LITTLE_IN_REACH)
@@ -52,12 +57,22 @@ async def plan(request: Request, service: Serving) -> Response:
 
     The search treats unknown space as free; the model estimates how likely it is free.
     """
-    work = partial(_answer, service.store, began=time.perf_counter())
-    return await service.answer(request, PlanRequest, work)
+    offers: list[Offer] = []
+    work = partial(_answer, service.store, offers, began=time.perf_counter())
+    answer = await service.answer(request, PlanRequest, work)
+    for offer in offers:
+        service.shadow.take(offer)
+    return answer
 
 
 def _answer(
-    store: ModelStore, request: PlanRequest, served: ServedModel, job: Job, *, began: float
+    store: ModelStore,
+    offers: list[Offer],
+    request: PlanRequest,
+    served: ServedModel,
+    job: Job,
+    *,
+    began: float,
 ) -> Response:
     store.planner.require()
     bundle, spec, image = served.bundle, served.bundle.spec, request.picture()
@@ -78,6 +93,10 @@ def _answer(
         found = bundle.plan(prepared.picture, query, check_cancelled, calibration)
     name = f"{served.name}/{served.version}"
     store.observer.answered(Answered("plan", name, served.fallback, status=found.status, seed=query.seed))
+    record = current()
+    if record is not None and found.status == "solved" and served.alias == ALIAS_CHAMPION:
+        own = float(confidence_of_cost(np.array(found.cost), spec.plan_calibration or (0.0, 1.0)))
+        offers.append(Offer(record.request_id, record.client, served, image, found.path, own))
     least, view = found.least, found.next_view
     body = PlanAnswer.model_construct(
         status=found.status,

@@ -8,13 +8,10 @@ predict better what they were not fitted to.
 
 import argparse
 import hashlib
-import json
 import re
-import tempfile
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,12 +24,12 @@ from cspace.planning.cost import calibration_error, confidence_of_cost
 from services.names import (
     ALIAS_CHAMPION,
     CALIBRATIONS_EXPERIMENT,
-    OUTCOMES_EXPERIMENT,
     OUTCOMES_FILE,
     SITE_PATTERN,
     TAG_MODEL,
     TAG_STAGE,
 )
+from services.outcomes import uploaded
 from services.registry.calibration import SiteCalibration, calibration_name
 from services.registry.ports import ModelRegistry, ModelVersion, Tracking
 
@@ -157,16 +154,13 @@ def plans_of(site: str, model: str | None, tracking: Tracking, registry: ModelRe
     """The plans of a site in all uploaded batches; see :func:`recalibrate`."""
     rows: dict[tuple[Any, Any], tuple[dict[str, Any], str]] = {}
     digests = {}
-    with tempfile.TemporaryDirectory(prefix="cspace-outcomes-") as scratch:
-        # From the oldest on, so that what was reported last holds.
-        for run in reversed(tracking.finished(OUTCOMES_EXPERIMENT)):
-            path = tracking.file(run.run_id, OUTCOMES_FILE, Path(scratch) / run.run_id)
-            data = b"" if path is None else path.read_bytes()
-            digests[run.run_id] = hashlib.sha256(data).hexdigest()
-            for row in map(json.loads, data.splitlines()):
-                is_known = row.get("confidence") is not None and row.get("collided") is not None
-                if is_known and (row["kind"], row.get("site")) == ("plan", site):
-                    rows[row.get("client"), row["request_id"]] = row, run.run_id
+    # From the oldest on, so that what was reported last holds.
+    for run_id, digest, batch in uploaded(tracking):
+        digests[run_id] = digest
+        for row in batch:
+            is_known = row.get("confidence") is not None and row.get("collided") is not None
+            if is_known and (row["kind"], row.get("site")) == ("plan", site):
+                rows[row.get("client"), row["request_id"]] = row, run_id
     models = Counter(row["model"] for row, _ in rows.values())
     chosen = model or max(models, key=models.__getitem__, default="")
     found = [(row, run_id) for row, run_id in rows.values() if row["model"] == chosen]

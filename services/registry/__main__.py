@@ -66,6 +66,9 @@ def _parser() -> argparse.ArgumentParser:
     ):
         one.add_argument("--reason", required=True, help="kept with the decision")
     commands.choices["rollback"].add_argument("name", help="of the model")
+    add("shadow", _shadow, "compare plans of the champion with what a version predicts").add_argument(
+        "--share", type=float, default=0.1, help="of the plans; 0 ends it (default %(default)s)"
+    )
     add("delete", _delete, "delete a version that no alias names").add_argument(
         "--yes", action="store_true", help="do not ask"
     )
@@ -123,6 +126,13 @@ def _promote(registry: ModelRegistry, options: argparse.Namespace) -> None:
 
 def _roll_back(registry: ModelRegistry, options: argparse.Namespace) -> None:
     _print_decision(promotion.roll_back(registry, options.name, options.reason))
+
+
+def _shadow(registry: ModelRegistry, options: argparse.Namespace) -> None:
+    version = _version(registry, options)
+    promotion.shadow(registry, version, options.share)
+    what = f"{options.share:.0%} of the champion's plans" if options.share else "no plans any more"
+    print(f"{version} is compared with {what}; servers follow within half a minute")
 
 
 def _delete(registry: ModelRegistry, options: argparse.Namespace) -> None:

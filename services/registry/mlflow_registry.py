@@ -166,6 +166,12 @@ class MlflowRegistry:
         with mapped(f"pointing {name}@{alias} to {number}", lookup=True):
             self._client.set_registered_model_alias(name, alias, str(number))
 
+    def remove_alias(self, name: str, alias: str) -> None:
+        """Take an alias away; see :meth:`services.registry.ports.ModelRegistry.remove_alias`."""
+        self._ready()
+        with mapped(f"taking {name}@{alias} away", lookup=True):
+            self._client.delete_registered_model_alias(name, alias)
+
     def set_tags(self, name: str, number: int, tags: Mapping[str, str]) -> None:
         """Set tags on a version; see :meth:`services.registry.ports.ModelRegistry.set_tags`."""
         self._ready()

@@ -156,6 +156,10 @@ class ModelRegistry(ModelReader, Protocol):
         """Point an alias to a version, away from whichever had it."""
         ...
 
+    def remove_alias(self, name: str, alias: str) -> None:
+        """Take an alias away from whichever version has it; nothing happens where none has."""
+        ...
+
     def set_tags(self, name: str, number: int, tags: Mapping[str, str]) -> None:
         """Set tags on a version; others stay."""
         ...

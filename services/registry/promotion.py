@@ -29,9 +29,11 @@ from services.names import (
     ALIAS_CHALLENGER,
     ALIAS_CHAMPION,
     EXPERIMENT,
+    SHADOW,
     TAG_DIGEST,
     TAG_ROBOT,
     TAG_ROLLED_BACK,
+    TAG_SHADOW_SHARE,
     is_kept,
     is_own,
     model_name,
@@ -250,6 +252,27 @@ def roll_back(registry: ModelRegistry, name: str, reason: str) -> Decision:
     return decision
 
 
+def shadow(registry: ModelRegistry, version: ModelVersion, share: float) -> None:
+    """Have servers compare a share of the champion's plans with what a version predicts for them.
+
+    Args:
+        registry: holds it.
+        version: takes the alias ``shadow``.
+        share: of the plans, 0 to 1; 0 takes the alias away.
+
+    Raises:
+        ConfigError: the share is none.
+    """
+    if not 0.0 <= share <= 1.0:
+        raise ConfigError("--share does not fit", expected="a share from 0 to 1", got=f"{share:g}")
+    if share:
+        # Before the alias, by which servers find it.
+        registry.set_tags(version.name, version.number, {TAG_SHADOW_SHARE: f"{share:g}"})
+        registry.set_alias(version.name, SHADOW, version.number)
+    else:
+        registry.remove_alias(version.name, SHADOW)
+
+
 def delete(registry: ModelRegistry, version: ModelVersion) -> None:
     """Delete a version that no alias names.
 
@@ -331,7 +354,7 @@ def _tags(record: Path) -> Mapping[str, str]:
         tags = _Record.model_validate_json(read_bounded(record, _MAX_RECORD_BYTES, ConfigError)).tags
     except ValidationError as error:
         raise refused(error, ConfigError, str(record), "import what `export` wrote") from error
-    left_out = (TAG_DIGEST, TAG_ROLLED_BACK)
+    left_out = (TAG_DIGEST, TAG_ROLLED_BACK, TAG_SHADOW_SHARE)
     return {
         key: value for key, value in tags.items() if not key.startswith("decision.") and key not in left_out
     }

@@ -146,6 +146,14 @@ def test_figures_of_a_version_are_shown_on_the_run_that_made_it_the_last_ones_ho
         backend.registry.show(replace(first, number=99), shown)
 
 
+def test_an_alias_is_taken_away_and_once_more(registry: ModelRegistry, first: ModelVersion) -> None:
+    for _ in range(2):
+        registry.remove_alias(first.name, ALIAS_CHALLENGER)
+    assert registry.version(first.name, 1).aliases == ()
+    with pytest.raises(ModelNotFoundError):
+        registry.by_alias(first.name, ALIAS_CHALLENGER)
+
+
 def test_a_models_page_is_described_again(backend: Backend, first: ModelVersion) -> None:
     for note in ("| one |", "| one |\n| two |"):
         backend.registry.describe(first.name, note)

@@ -264,6 +264,12 @@ class FakeRegistry:
         self.version(name, number)
         self._aliases[name, alias] = number
 
+    def remove_alias(self, name: str, alias: str) -> None:
+        self._check_there()
+        if name not in self._versions:
+            raise ModelNotFoundError(f"there is no {name}")
+        self._aliases.pop((name, alias), None)
+
     def set_tags(self, name: str, number: int, tags: Mapping[str, str]) -> None:
         version = self.version(name, number)
         self._versions[name][number - 1] = replace(version, aliases=(), tags={**version.tags, **tags})

@@ -24,6 +24,7 @@ from services.evaluator.evaluation.report import (
     shown_of,
 )
 from services.evaluator.evaluation.rivals import Rival, find_rivals
+from services.evaluator.evaluation.shadow import shadow_evidence, with_evidence
 from services.evaluator.evaluation.units import (
     Evaluation,
     Request,
@@ -117,6 +118,8 @@ def evaluate_version(
             evaluation = assemble(results, setting)
             compared = tuple(_beside(rival, evaluation, execute, work, progress) for rival in field.rivals)
             verdict = decide(evaluation, Bar(compared, field.recorded, field.notes, field.against))
+            evidence = shadow_evidence(version, field.against, tracking, summary_rng(request.seed))
+            verdict = with_evidence(verdict, evidence)
             title = str(version)
             figures = log_evaluation(run, evaluation, verdict, bundle_sampler(bundle), title)
         if request.promote:

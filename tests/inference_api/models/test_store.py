@@ -19,7 +19,7 @@ from cspace.errors import (
 )
 from inference_api.models.cache import RETRY_S, BundleCache, DiskCache
 from inference_api.models.served import ShippedModels
-from inference_api.models.store import CALIBRATION_S, IN_USE_S, ModelStore
+from inference_api.models.store import IN_USE_S, SELDOM_S, ModelStore
 from inference_api.problem_types import ModelNotReadyError
 from services.registry.ports import PRETRAINED, ModelReference, ModelVersion
 from tests.inference_api.client import ApiClient
@@ -594,7 +594,7 @@ def test_a_sites_calibration_holds_for_the_version_that_it_was_fitted_to(
     assert store.calibration("lab-3", first) == found
     assert store.calibration("lab-4", first) is None
     assert registry.calls == calls
-    clock.now += CALIBRATION_S + 0.1
+    clock.now += SELDOM_S + 0.1
     registry.away = True
     assert store.calibration("lab-3", first) == found
     registry.away = False

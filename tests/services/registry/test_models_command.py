@@ -47,6 +47,11 @@ def test_a_model_lives_through_all_commands(uri: str, tmp_path: Path) -> None:
     assert [line.split()[0] for line in history] == [f"{NAME}/{number}" for number in (1, 2, 1)]
     assert history[2].endswith("by hand: rolled back from 2: worse in the field")
     assert "there is no" in models(uri, "history", "unknown", code=2)
+    assert "10% of the champion's plans" in models(uri, "shadow", f"{NAME}/2")
+    assert "shadow_share 0.1" in models(uri, "show", f"{NAME}@shadow")
+    assert "no plans any more" in models(uri, "shadow", f"{NAME}/2", "--share", "0")
+    assert "there is no" in models(uri, "show", f"{NAME}@shadow", code=2)
+    assert "--share does not fit" in models(uri, "shadow", f"{NAME}/2", "--share", "1.5", code=2)
     assert "is in use" in models(uri, "delete", f"{NAME}/1", "--yes", code=2)
     models(uri, "export", f"{NAME}/1", str(tmp_path / "out"))
     picture = np.full((48, 48, 3), 255, dtype=np.uint8)
