@@ -26,9 +26,9 @@ ALL := not compose and not gpu
 help: ## print this
 	@echo "make TARGET, with"
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
-	@echo "Settings (environment): CSPACE_HOME, CSPACE_API_PORT, CSPACE_RAY_PORT, CSPACE_MLFLOW_PORT, PYTHON,"
-	@echo "TORCH_INDEX_URL, and PYTEST_ADDOPTS for the tests. make ends with 2 whatever failed and prints the command's own code as"
-	@echo "\`Error N\`; \`$(LOCAL) --help\` tells what the codes mean."
+	@echo "Settings (environment): CSPACE_HOME, CSPACE_API_PORT, CSPACE_RAY_PORT, CSPACE_MLFLOW_PORT,"
+	@echo "CSPACE_VIEWER_PORT, PYTHON, TORCH_INDEX_URL, and PYTEST_ADDOPTS for the tests. make ends with 2 whatever failed"
+	@echo "and prints the command's own code as \`Error N\`; \`$(LOCAL) --help\` tells what the codes mean."
 
 venv: $(INSTALLED) ## make .venv with the pinned packages (2-5 minutes the first time)
 

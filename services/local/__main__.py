@@ -41,7 +41,7 @@ def _parser() -> argparse.ArgumentParser:
         prog="python -m services.local",
         description="MLflow, a Ray head and the inference API on loopback. "
         "Settings: CSPACE_HOME (state folder), CSPACE_API_PORT, CSPACE_RAY_PORT, CSPACE_MLFLOW_PORT, "
-        "CSPACE_RAY_CPUS.",
+        "CSPACE_VIEWER_PORT, CSPACE_RAY_CPUS.",
         epilog=EXIT_CODES,
     )
     parsers = parser.add_subparsers(dest="command", required=True, metavar="command")

@@ -3,6 +3,7 @@ import socket
 import pytest
 
 from cspace.errors import ConfigError, CspaceError, JobError, PortTakenError
+from services.local import settings
 from services.local.__main__ import exit_code, main
 from services.local.commands import COMMANDS
 from services.local.settings import Settings
@@ -26,6 +27,15 @@ def test_every_command_has_help_with_the_exit_codes(
         main([*command, "--help"])
     assert raised.value.code == 0
     assert "Exit codes: 0 done" in capsys.readouterr().out
+
+
+def test_the_help_names_the_settings_of_the_services(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    printed = capsys.readouterr().out
+    ports = [name for name in vars(settings) if name.endswith("_PORT")]
+    assert len(ports) == 4
+    assert all(getattr(settings, name) in printed for name in ("HOME", "RAY_CPUS", *ports))
 
 
 @pytest.mark.parametrize("arguments", [[], ["fly"], ["up", "--fast"]])
