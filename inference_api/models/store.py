@@ -273,7 +273,7 @@ class ModelStore:
         except (TimeoutError, CspaceError) as error:
             _LOG.warning("%s cannot be compared with the champion: %s", version, anonymous(str(error)))
             return None
-        if bundle.robot != champion.bundle.robot or not bundle.has_validity:
+        if not share > 0.0 or bundle.robot != champion.bundle.robot or not bundle.has_validity:
             return None
         return ServedModel.of(bundle, version, SHADOW), share
 

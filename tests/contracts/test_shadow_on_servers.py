@@ -24,7 +24,7 @@ from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
 from tests.inference_api.raw import until
 from tests.inference_api.server import api_server
 
-pytestmark = [pytest.mark.e2e, *MLFLOW_WARNINGS]
+pytestmark = [pytest.mark.e2e, pytest.mark.timeout(300), *MLFLOW_WARNINGS]
 NAME = "two-link-shadowed"
 PLANS = 24
 

@@ -118,9 +118,11 @@ def test_a_challenger_that_cannot_be_loaded_or_has_no_share_harms_no_answer(tmp_
         assert plan(api).json()["model"]["version"] == 1
         time.sleep(0.5)
         assert plan(api).json()["status"] == "solved"
-    versions.set_tags(MODEL, 2, {"shadow_share": "much"})
-    versions.set_alias(MODEL, "shadow", 2)
-    with api_beside(tmp_path / "much", bundles, versions) as api:
-        assert plan(api).json()["status"] == "solved"
-        time.sleep(0.3)
-    assert rows_in(tmp_path / "damaged") == rows_in(tmp_path / "much") == []
+    assert rows_in(tmp_path / "damaged") == []
+    for share in ("much", "nan"):
+        versions.set_tags(MODEL, 2, {"shadow_share": share})
+        versions.set_alias(MODEL, "shadow", 2)
+        with api_beside(tmp_path / share, bundles, versions) as api:
+            assert plan(api).json()["status"] == "solved"
+            time.sleep(0.3)
+        assert rows_in(tmp_path / share) == []
