@@ -9,7 +9,7 @@ from tests.chaos.checks import Left
 from tests.chaos.system import Kind, System, settings
 from tests.chaos.test_faults import same, survive, whole
 
-pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(900, func_only=True)]
 
 SMALL = (
     *("data.scenario_count=6", "data.proposals_per_scenario=80", "data.shard_size=2"),
