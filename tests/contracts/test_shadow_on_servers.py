@@ -56,7 +56,7 @@ def test_the_gate_hears_how_a_challenger_predicts_what_became_of_real_requests(
                 sender.plan(found, success=True, collided=False)
                 line = f'cspace_shadow_total{{result="compared"}} {seed + 1}.0'
                 until(partial(is_exported, api, line))
-        assert (found.model.name, found.model.version) == (NAME, 1)
+        assert (found.model.model_name, found.model.model_version) == (NAME, 1)
         until(lambda: sum(one.read_bytes().count(b"\n") for one in files_of(spool)) == 2 * PLANS)
         assert outcomes.main([], environment) == 0
     evidence = shadow_evidence(registry.version(NAME, 2), 1, tracking, np.random.default_rng(0))
