@@ -6,7 +6,6 @@ Exit codes: 0 done; 1 the registry or a bundle failed; 2 the request was wrong.
 import argparse
 import os
 import sys
-import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from services.registry import promotion
 from services.registry.mlflow_registry import MlflowRegistry
 from services.registry.mlflow_tracking import MlflowTracking
 from services.registry.ports import ModelReference, ModelRegistry, ModelVersion
-from services.registry.promotion import PREFIX, Decision, decisions_of
+from services.registry.promotion import PREFIX, Decision, decisions_of, utc
 
 _Run = Callable[[ModelRegistry, argparse.Namespace], None]
 
@@ -93,18 +92,18 @@ def _list(registry: ModelRegistry, options: argparse.Namespace) -> None:
             if decisions
             else ""
         )
-        print(f"{version!s:<30} {_when(version.created_ms)}  {', '.join(version.aliases):<22} {figures}")
+        print(f"{version!s:<30} {utc(version.created_ms)}  {', '.join(version.aliases):<22} {figures}")
 
 
 def _show(registry: ModelRegistry, options: argparse.Namespace) -> None:
     version = _version(registry, options)
     print(f"{version}  {', '.join(version.aliases)}")
-    print(f"  made      {_when(version.created_ms)} by run {version.run_id}")
+    print(f"  made      {utc(version.created_ms)} by run {version.run_id}")
     for key, value in sorted(version.tags.items()):
         if not key.startswith(PREFIX):
             print(f"  {key:<9} {value}")
     for decision in decisions_of(version):
-        print(f"  {_when(decision.created_ms)}  {'promoted' if decision.promoted else 'not promoted'}")
+        print(f"  {utc(decision.created_ms)}  {'promoted' if decision.promoted else 'not promoted'}")
         for reason in decision.reasons:
             print(f"    - {reason}")
 
@@ -165,10 +164,6 @@ def _version(registry: ModelRegistry, options: argparse.Namespace) -> ModelVersi
 def _print_decision(decision: Decision) -> None:
     before = "" if decision.against is None else f", version {decision.against} before"
     print(f"champion of {decision.name} is version {decision.version}{before}")
-
-
-def _when(moment_ms: int) -> str:
-    return time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(moment_ms / 1000))
 
 
 if __name__ == "__main__":
