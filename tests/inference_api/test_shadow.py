@@ -1,10 +1,9 @@
 """A challenger that is compared with the champion's plans, off the caller's path."""
 
-import json
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +12,14 @@ import pytest
 
 from cspace.bundle import Bundle, write_bundle
 from cspace.query import PlanQuery
-from services.outcomes import files_of
 from services.registry.promotion import shadow
 from tests.bundles import tiny_graphs, tiny_spec
 from tests.inference_api.client import ApiClient
 from tests.inference_api.conftest import api_over
 from tests.inference_api.fake_registry import MODEL, CountingRegistry
+from tests.inference_api.raw import until
 from tests.inference_api.test_metrics import scrape, value
+from tests.inference_api.test_outcomes import rows_in
 from tests.inference_api.test_plan import PNG, PROBLEM, WORLD, ask
 
 CHAMPION, CHALLENGER = f"{MODEL}/1", f"{MODEL}/2"
@@ -47,19 +47,6 @@ def api_beside(folder: Path, bundles: dict[str, Path], registry: CountingRegistr
         yield client
 
 
-def rows_in(folder: Path) -> list[dict[str, Any]]:
-    texts = [path.read_text() for path in files_of(folder / "outcomes")]
-    return [json.loads(line) for text in texts for line in text.splitlines()]
-
-
-def counted(api: ApiClient, result: str, number: int) -> None:
-    """Waits until so many plans have had a result."""
-    until = time.monotonic() + 60.0
-    while value(scrape(api), "cspace_shadow_total", result=result) != number:
-        assert time.monotonic() < until
-        time.sleep(0.05)
-
-
 def plan(api: ApiClient, **fields: Any) -> Any:
     answer = ask(api, model=None, min_confidence=0.0, **fields)
     assert answer.status_code == 200, answer.text
@@ -70,7 +57,7 @@ def test_the_champions_plan_is_scored_by_the_challenger_as_well(tmp_path, bundle
     shadow(versions, versions.version(MODEL, 2), 1.0)
     with api_beside(tmp_path, bundles, versions) as api:
         answer = plan(api)
-        counted(api, "compared", 1)
+        until(partial(has_compared_one, api))
         assert answer.json()["model"]["version"] == 1
     (row,) = rows_in(tmp_path)
     assert (row["kind"], row["model"], row["beside"]) == ("shadow", CHALLENGER, CHAMPION)
@@ -90,39 +77,49 @@ def test_a_bundle_states_of_its_own_plan_what_the_plan_states(bundles):
     assert bundle.path_confidence(image, found.path) == pytest.approx(found.confidence, abs=1e-9)
 
 
-def test_without_the_alias_or_with_a_share_of_none_nothing_is_compared(tmp_path, bundles, versions):
-    challenger = versions.version(MODEL, 2)
-    shadow(versions, challenger, 0.5)
-    shadow(versions, challenger, 0.0)
-    with api_beside(tmp_path, bundles, versions) as api:
-        for _ in range(3):
-            plan(api)
-        time.sleep(0.3)
-        assert value(scrape(api), "cspace_shadow_total", result="compared") == 0
-    assert rows_in(tmp_path) == []
-
-
 def test_other_models_than_the_champion_are_not_compared(tmp_path, bundles, versions):
     shadow(versions, versions.version(MODEL, 2), 1.0)
+    versions.add(bundles["scored"], "other")
     with api_beside(tmp_path, bundles, versions) as api:
-        for model in (CHALLENGER, f"{MODEL}@challenger"):
+        for model in (f"{MODEL}/3", f"{MODEL}@other"):
             assert ask(api, model=model, min_confidence=0.0).status_code == 200
-        time.sleep(0.3)
-    assert rows_in(tmp_path) == []
+        answer = plan(api)
+        until(partial(has_compared_one, api))
+    assert [row["request_id"] for row in rows_in(tmp_path)] == [answer.headers["X-Request-ID"]]
 
 
-def test_a_challenger_that_cannot_be_loaded_or_has_no_share_harms_no_answer(tmp_path, bundles, versions):
+def test_there_is_nothing_to_compare_without_the_alias_or_with_the_champion_itself(
+    tmp_path, bundles, versions
+):
+    shadow(versions, versions.version(MODEL, 2), 0.5)
+    assert compared_with(tmp_path / "one", bundles, versions) == (2, 0.5)
+    shadow(versions, versions.version(MODEL, 2), 0.0)
+    assert compared_with(tmp_path / "none", bundles, versions) is None
+    shadow(versions, versions.version(MODEL, 1), 0.5)
+    assert compared_with(tmp_path / "itself", bundles, versions) is None
+
+
+@pytest.mark.parametrize("share", ["much", "nan", "0", "-1"])
+def test_a_share_that_is_none_compares_nothing(share, tmp_path, bundles, versions):
+    shadow(versions, versions.version(MODEL, 2), 0.5)
+    versions.set_tags(MODEL, 2, {"shadow_share": share})
+    assert compared_with(tmp_path, bundles, versions) is None
+
+
+def test_a_challenger_that_cannot_be_loaded_harms_no_answer(tmp_path, bundles, versions):
     versions.add(bundles["other"], "shadow", digest="0" * 64)
     versions.set_tags(MODEL, 3, {"shadow_share": "1"})
-    with api_beside(tmp_path / "damaged", bundles, versions) as api:
+    assert compared_with(tmp_path, bundles, versions) is None
+
+
+def compared_with(folder: Path, bundles: dict[str, Path], registry: CountingRegistry) -> Any:
+    """With which version and share the champion is compared, after it has answered; None for none."""
+    with api_beside(folder, bundles, registry) as api:
         assert plan(api).json()["model"]["version"] == 1
-        time.sleep(0.5)
-        assert plan(api).json()["status"] == "solved"
-    assert rows_in(tmp_path / "damaged") == []
-    for share in ("much", "nan"):
-        versions.set_tags(MODEL, 2, {"shadow_share": share})
-        versions.set_alias(MODEL, "shadow", 2)
-        with api_beside(tmp_path / share, bundles, versions) as api:
-            assert plan(api).json()["status"] == "solved"
-            time.sleep(0.3)
-        assert rows_in(tmp_path / share) == []
+        store = api.app.state.store
+        found = store.shadow(store.default)
+    return found and (found[0].version, found[1])
+
+
+def has_compared_one(api: ApiClient) -> bool:
+    return value(scrape(api), "cspace_shadow_total", result="compared") == 1
