@@ -577,6 +577,10 @@ class PlanRequest(SceneFields):
         description="Below it no path is returned, but the reason why. Absent, 0.2 where plans of the model "
         "are calibrated, else 0.",
     )
+    max_risk: Confidence = Field(
+        None,
+        description="In place of `min_confidence`: the greatest probability that the path collides.",
+    )
     site: Site = Field(
         None,
         description="The place, as outcomes name it: confidence is by the calibration that was fitted to the "

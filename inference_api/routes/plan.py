@@ -141,12 +141,21 @@ def _answer(
 
 
 def query_of(request: PlanRequest) -> PlanQuery:
-    """The planner's query of a request."""
+    """The planner's query of a request.
+
+    Raises:
+        InputError: it has both ``min_confidence`` and ``max_risk``.
+    """
+    least = request.min_confidence
+    if request.max_risk is not None:
+        if least is not None:
+            raise InputError("max_risk comes with min_confidence", expected="one of them", got="both")
+        least = 1.0 - request.max_risk
     return PlanQuery(
         request.start,
         request.goal,
         random_seed(request.seed),
-        request.min_confidence,
+        least,
         request.time_limit_s,
         request.ways,
         request.next_view or bool(request.view),

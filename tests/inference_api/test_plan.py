@@ -72,6 +72,15 @@ def test_all_ways_that_are_sure_enough_come_where_they_are_asked_for(api):
     assert ask(api, alternatives=True, min_confidence=min(1.0, sure[0] + 1e-3)).json()["alternatives"] == []
 
 
+def test_a_risk_is_what_a_confidence_leaves(api):
+    sure = ask(api).json()["confidence"]
+    assert ask(api, max_risk=1.0 - sure + 1e-3).json()["status"] == "solved"
+    refused = ask(api, max_risk=max(0.0, 1.0 - sure - 1e-3)).json()
+    assert (refused["status"], refused["confidence"]) == ("refused", sure)
+    problem = assert_problem(ask(api, max_risk=0.1, min_confidence=0.5), 422, "invalid-value")
+    assert "max_risk" in problem["detail"]
+
+
 def test_the_confidence_of_a_site_is_by_its_own_calibration(own_api, registry):
     tags = {"model": "cspace-sampler/5", "offset": "1.0", "slope": "1.0"}
     registry.record("calibration-lab-3", "fit", tags, alias="champion")
