@@ -457,6 +457,9 @@ class Simulator(Protocol):
     def draw_robot(self, axes: Any, configuration: ArrayLike, colour: str, order: int) -> None:
         """The robot at a configuration (d,) rad."""
 
+    def drawn_joints_m(self, configurations: ArrayLike) -> NDArray[np.float64]:
+        """Where base, joints and tip are drawn at configurations (N, d) rad, (N, k, 2)."""
+
 
 class Taken(StrEnum):
     """What a planner takes the space to be that no picture shows; what is seen stays as it is seen."""

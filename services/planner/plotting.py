@@ -183,20 +183,18 @@ def plot_workspace(axes: Any, problem: Problem, path: NDArray[np.float64]) -> No
         path: (k, d) rad; (0, d) for none.
     """
     simulator = simulator_of(problem.scenario.world)
-    body = simulator.world.body
     simulator.draw_scene(axes, problem.scenario, OBSTACLE)
     if len(path) > 1:
         shares = np.linspace(0.0, 1.0, POSES + 2)[1:-1]
         poses = poses_along(problem.space, path, POSES + 2)[1:-1]
         for share, configuration in zip(shares, poses, strict=True):
             simulator.draw_robot(axes, configuration, blend(share, 0.72), 2)
-        tips = body.joint_positions_m(poses_along(problem.space, path, _TRACE_POINTS))[:, -1]
+        tips = simulator.drawn_joints_m(poses_along(problem.space, path, _TRACE_POINTS))[:, -1]
         axes.plot(*tips.T, color=PATH, linewidth=1.8, zorder=3)
     for configuration, colour in ((problem.start, START), (problem.goal, GOAL)):
         simulator.draw_robot(axes, configuration, colour, 4)
-        axes.plot(
-            *body.joint_positions_m(configuration)[0][1:-1].T, "o", markersize=3, color="white", zorder=5
-        )
+        joints = simulator.drawn_joints_m(configuration)[0][1:-1]
+        axes.plot(*joints.T, "o", markersize=3, color="white", zorder=5)
     axes.plot(0.0, 0.0, "o", markersize=7, color=INK, zorder=6)
     axes.set_title("workspace")
 

@@ -164,6 +164,10 @@ class PlanarSimulator:
         """Links as capsules."""
         draw_arm(axes, self.world.body, configuration, colour, order)
 
+    def drawn_joints_m(self, configurations: ArrayLike) -> NDArray[np.float64]:
+        """In the arm's plane."""
+        return self.world.body.joint_positions_m(configurations)
+
     @property
     def _scenes(self) -> Scenes:
         if self.world.scenes is None:

@@ -232,6 +232,10 @@ class SpatialSimulator:
         """Spheres, from the side."""
         draw_arm(axes, self.world.body, configuration, colour, order)
 
+    def drawn_joints_m(self, configurations: ArrayLike) -> NDArray[np.float64]:
+        """From the side."""
+        return self.world.body.joint_positions_m(np.atleast_2d(configurations))[..., SIDE]
+
 
 def open_simulator(world: World) -> SpatialSimulator:
     """The simulator of a world of this kind."""

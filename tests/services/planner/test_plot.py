@@ -3,20 +3,27 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib import rcParams
+from matplotlib.figure import Figure
 from PIL import Image
 
 from cspace.errors import ConfigError, StorageError
+from cspace.simulator import Split
+from cspace.worlds import examples, simulator_of
 from cspace.worlds.planar.arm import THREE_LINK
 from cspace.worlds.planar.render import capsule_outline
 from services.planner.ompl_planner import solve
 from services.planner.plotting import (
+    PATH,
     check_figure_path,
     collision_share,
     outcome_title,
     plot_plan,
+    plot_workspace,
     save_figure,
 )
 from services.planner.settings import PlannerSettings
+
+WORLD = examples()["panda"]
 
 
 @pytest.fixture
@@ -39,6 +46,17 @@ def test_a_solved_problem_shows_all_its_parts(blocked, samples, tmp_path):
     with Image.open(target) as picture:
         assert min(picture.size) > 500
         assert len(picture.convert("RGB").getcolors(10**6) or []) > 50
+
+
+def test_an_arm_in_space_is_drawn_from_the_side_with_the_way_of_its_tool():
+    problem = simulator_of(WORLD).problem("table", Split.DEMO, 7)
+    axes = Figure().subplots()
+    plot_workspace(axes, problem, np.stack([problem.start, problem.goal]))
+    ends = WORLD.body.joint_positions_m(np.stack([problem.start, problem.goal]))[:, -1]
+    (way,) = [line.get_xydata() for line in axes.get_lines() if line.get_color() == PATH]
+    np.testing.assert_allclose(way[[0, -1]], ends[:, [0, 2]], atol=1e-9)
+    shown = np.concatenate([line.get_xydata() for line in axes.get_lines()])
+    assert np.abs(shown).max() < WORLD.body.reach_m
 
 
 def test_an_unsolved_problem_shows_no_path_and_says_why(disconnected):
