@@ -40,7 +40,8 @@ DESCRIPTION = (
     "CSPACE_API_TRUSTED_PROXIES (addresses or networks whose X-Forwarded-For is believed), CSPACE_API_GUIDE "
     "(folder of the built documentation site, for /guide), CSPACE_API_WORKBENCH (1 is as --workbench), "
     "CSPACE_API_MLFLOW_PAGES (where browsers find MLflow), CSPACE_OUTCOMES (folder that keeps what POST "
-    "/outcomes is told; none keeps nothing), CSPACE_OUTCOMES_MIB (of that folder)."
+    "/outcomes is told; none keeps nothing), CSPACE_OUTCOMES_MIB (of that folder), CSPACE_TRUSTED_KEY (PEM "
+    "file of a public key that registered models have to be signed by)."
 )
 
 

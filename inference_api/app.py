@@ -145,7 +145,7 @@ def _make_store(settings: ApiSettings, registry: ModelReader | None) -> ModelSto
     disk = DiskCache(settings.cache_folder, settings.stored_bundles)
     return ModelStore(
         source,
-        BundleCache(disk, source, verify, settings.loaded_bundles),
+        BundleCache(disk, source, verify, settings.loaded_bundles, trusted_key=settings.trusted_key),
         ShippedModels({PRETRAINED: settings.pretrained_folder, **settings.further_folders}),
         settings.model_name,
         settings.poll_s,

@@ -6,6 +6,7 @@ import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 
 from cspace.errors import ConfigError
@@ -104,6 +105,7 @@ class ApiSettings:
         load_planner: whether the search of plans is loaded before the server is ready.
         outcomes_folder: where outcomes wait for their upload; None keeps none.
         outcomes_bytes: of that folder, at least 16 MiB.
+        trusted_key: of whose owner registered bundles have to be signed, PEM file; None for any.
     """
 
     registry_uri: str | None
@@ -127,6 +129,7 @@ class ApiSettings:
     load_planner: bool = True
     outcomes_folder: Path | None = None
     outcomes_bytes: int = 256 * MIB
+    trusted_key: Path | None = None
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str] | None = None) -> "ApiSettings":
@@ -164,6 +167,7 @@ class ApiSettings:
             load_planner=_switch(values, "CSPACE_API_LOAD_PLANNER", "1"),
             outcomes_folder=Path(values[FOLDER]) if values.get(FOLDER) else None,
             outcomes_bytes=int(MIB * _number(values, "CSPACE_OUTCOMES_MIB", 256, 16)),
+            trusted_key=_trusted_key(values.get("CSPACE_TRUSTED_KEY", "")),
         )
 
 
@@ -171,6 +175,18 @@ def further_folders() -> dict[str, Path]:
     """Shipped bundles beside the default robot's, by name; those whose folders are there."""
     beside = {name: PRETRAINED_FOLDER.with_name(folder) for name, folder in SHIPPED.items()}
     return {name: folder for name, folder in beside.items() if name != PRETRAINED and folder.is_dir()}
+
+
+def _trusted_key(text: str) -> Path | None:
+    if not text:
+        return None
+    if not Path(text).is_file() or find_spec("model_signing") is None:
+        raise ConfigError(
+            "the setting CSPACE_TRUSTED_KEY is wrong",
+            expected="a PEM file with a public key, and the extra signing installed",
+            got=repr(text)[:200],
+        )
+    return Path(text)
 
 
 def _served_name(text: str) -> str:

@@ -34,6 +34,8 @@ NOTE = "mlflow.note.content"
 MLFLOW_TRAINING = "workflowType=machine_learning"
 # On a run: what :meth:`services.registry.ports.Tracking.start` finds it by.
 TAG_KEY = "cspace.key"
+# On a version: the signature of its bundle, see :mod:`services.registry.signing`.
+TAG_SIGNATURE = "signature"
 # On a version: when it was the champion and was rolled back from, ISO 8601 in UTC.
 TAG_ROLLED_BACK = "rolled_back"
 # On a version: SHA-256 of its robot, and its world as JSON where that is no longer than this.

@@ -35,7 +35,9 @@ from cspace.errors import (
 from cspace.files import HALF_PREFIX, holding, read_bounded, replacing
 from inference_api.models.worker import DOWNLOAD_S
 from inference_api.problem_types import ModelNotReadyError
+from services.names import TAG_SIGNATURE
 from services.registry.ports import ModelReader, ModelVersion, is_model_name
+from services.registry.signing import require_signature
 
 # Longer than any description; what is longer is somebody else's file.
 MAX_DESCRIPTION_BYTES = 2**20
@@ -218,6 +220,7 @@ class BundleCache:
             ServiceError where nobody could look at it.
         capacity: bundles kept in memory, the least recently used dropped first.
         clock: seconds, monotonic.
+        trusted_key: of whose owner bundles have to be signed, PEM file; None for any.
     """
 
     def __init__(
@@ -227,8 +230,9 @@ class BundleCache:
         verify: Callable[[Path, str], object],
         capacity: int,
         clock: Callable[[], float] = time.monotonic,
+        trusted_key: Path | None = None,
     ) -> None:
-        self.disk = disk
+        self.disk, self._trusted_key = disk, trusted_key
         self._registry, self._verify, self._capacity, self._clock = registry, verify, capacity, clock
         self._open: OrderedDict[Key, Bundle] = OrderedDict()
         self._pending: dict[Key, Future[Bundle]] = {}
@@ -340,14 +344,17 @@ class BundleCache:
         return self._registry.download(version, folder)
 
     def _checked(self, version: ModelVersion) -> Bundle:
-        if version.digest not in self._verified:
-            try:
-                self._verify(self.disk.bundle(version), version.digest)
-            except ServiceError as error:
-                raise NotVerifiedError(
-                    f"{version} cannot be verified", got=error.got, remedy="ask again in some seconds"
-                ) from None
-        bundle = Bundle.load(self.disk.bundle(version), digest=version.digest, check=False)
+        folder = self.disk.bundle(version)
+        try:
+            if version.digest not in self._verified:
+                self._verify(folder, version.digest)
+            if self._trusted_key is not None:
+                require_signature(folder, version.tags.get(TAG_SIGNATURE), self._trusted_key)
+        except ServiceError as error:
+            raise NotVerifiedError(
+                f"{version} cannot be verified", got=error.got, remedy="ask again in some seconds"
+            ) from None
+        bundle = Bundle.load(folder, digest=version.digest, check=False)
         with self._lock:
             self._verified[version.digest] = True
         self.disk.touch(version)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from cspace.errors import ConfigError, CspaceError, InputError, ModelNotFoundError
 from services.command_errors import report_error
-from services.names import ALIAS_CHAMPION
+from services.names import ALIAS_CHAMPION, TAG_SIGNATURE
 from services.registry import promotion
 from services.registry.mlflow_registry import MlflowRegistry
 from services.registry.mlflow_tracking import MlflowTracking
@@ -72,6 +72,9 @@ def _parser() -> argparse.ArgumentParser:
         "--yes", action="store_true", help="do not ask"
     )
     add("export", _export, "write a version's bundle and record").add_argument("folder", type=Path)
+    add("sign", _sign, "sign a version's bundle, for servers that want it").add_argument(
+        "--key", type=Path, required=True, help="PEM file of an elliptic curve's private key"
+    )
     imported = add("import", _import, "register an exported folder or a bundle as the challenger", "")
     imported.add_argument("folder", type=Path)
     imported.add_argument("name", help="of the model, which is created when it is new")
@@ -101,7 +104,7 @@ def _show(registry: ModelRegistry, options: argparse.Namespace) -> None:
     print(f"  made      {utc(version.created_ms)} by run {version.run_id}")
     for key, value in sorted(version.tags.items()):
         if not key.startswith(PREFIX):
-            print(f"  {key:<9} {value}")
+            print(f"  {key:<9} {'by a key' if key == TAG_SIGNATURE else value}")
     for decision in decisions_of(version):
         print(f"  {utc(decision.created_ms)}  {'promoted' if decision.promoted else 'not promoted'}")
         for reason in decision.reasons:
@@ -149,6 +152,12 @@ def _delete(registry: ModelRegistry, options: argparse.Namespace) -> None:
 def _export(registry: ModelRegistry, options: argparse.Namespace) -> None:
     version = _version(registry, options)
     print(f"{version} is in {promotion.export_version(registry, version, options.folder)}")
+
+
+def _sign(registry: ModelRegistry, options: argparse.Namespace) -> None:
+    version = _version(registry, options)
+    promotion.sign(registry, version, options.key)
+    print(f"{version} is signed; servers that ask for this key serve it")
 
 
 def _import(registry: ModelRegistry, options: argparse.Namespace) -> None:

@@ -19,9 +19,10 @@ from pathlib import Path
 
 from pydantic import BaseModel, ValidationError
 
+from cspace.bundle.files import read_files
 from cspace.bundle.spec import BundleSpec
 from cspace.bundle.verification import load_verified
-from cspace.errors import ConfigError, ModelNotFoundError, RegistryError
+from cspace.errors import BundleIntegrityError, ConfigError, ModelNotFoundError, RegistryError
 from cspace.files import read_bounded, replacing, write_json
 from cspace.strict_json import refused
 from cspace.worlds import robot_digest
@@ -34,11 +35,13 @@ from services.names import (
     TAG_ROBOT,
     TAG_ROLLED_BACK,
     TAG_SHADOW_SHARE,
+    TAG_SIGNATURE,
     is_kept,
     is_own,
     model_name,
     names_beside,
 )
+from services.registry import signing
 from services.registry.ports import ModelRegistry, ModelVersion, Tracking
 
 PREFIX = "decision."
@@ -305,6 +308,23 @@ def export_version(registry: ModelRegistry, version: ModelVersion, folder: Path)
         record = {key: value for key, value in vars(version).items() if key != "aliases"}
         write_json(beside / RECORD, {**record, "tags": dict(version.tags)}, indent=2)
     return folder
+
+
+def sign(registry: ModelRegistry, version: ModelVersion, private_key: Path) -> None:
+    """Sign a version's bundle, as it is in the registry; see :mod:`services.registry.signing`.
+
+    Raises:
+        BundleError: the bundle is damaged, or not the one that was registered.
+        ConfigError: there is no such key.
+    """
+    with tempfile.TemporaryDirectory(prefix="cspace-sign-") as temporary:
+        folder = registry.download(version, Path(temporary) / BUNDLE_FOLDER)
+        digest = read_files(folder).digest
+        if digest != version.digest:
+            raise BundleIntegrityError(
+                "the bundle is another one", expected=f"the digest {version.digest}", got=digest
+            )
+        registry.set_tags(version.name, version.number, {TAG_SIGNATURE: signing.sign(folder, private_key)})
 
 
 def import_version(registry: ModelRegistry, tracking: Tracking, folder: Path, name: str) -> ModelVersion:

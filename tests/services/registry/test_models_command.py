@@ -13,6 +13,7 @@ from cspace.bundle import Bundle
 from services.planner.samples import LocalSampler
 from tests.bundles import write_tiny_bundle
 from tests.contracts.mlflow_server import mlflow_server
+from tests.services.registry.test_signing import key
 
 pytestmark = [pytest.mark.e2e, pytest.mark.slow]
 
@@ -53,10 +54,16 @@ def test_a_model_lives_through_all_commands(uri: str, tmp_path: Path) -> None:
     assert "there is no" in models(uri, "show", f"{NAME}@shadow", code=2)
     assert "--share does not fit" in models(uri, "shadow", f"{NAME}/2", "--share", "1.5", code=2)
     assert "is in use" in models(uri, "delete", f"{NAME}/1", "--yes", code=2)
+    private, public = key(tmp_path, "lab")
+    assert "is signed" in models(uri, "sign", f"{NAME}/1", "--key", str(private))
+    assert "signature by a key" in models(uri, "show", f"{NAME}/1")
+    assert "private key" in models(uri, "sign", f"{NAME}/1", "--key", str(public), code=2)
     models(uri, "export", f"{NAME}/1", str(tmp_path / "out"))
     picture = np.full((48, 48, 3), 255, dtype=np.uint8)
     exported = LocalSampler(tmp_path / "out" / "bundle").sample(picture, 30, seed=7)
     assert (exported.digest, exported.samples.shape) == (Bundle.load(tmp_path / "bundle-1").digest, (30, 2))
     assert "elsewhere/1 is" in models(uri, "import", str(tmp_path / "out"), "elsewhere")
+    # A signature is of the files, wherever they are registered.
+    assert "signature by a key" in models(uri, "show", "elsewhere/1")
     models(uri, "promote", f"{NAME}@challenger", "--reason", "mended")
     assert "there is none" in models(uri, "rollback", "elsewhere", "--reason", "none", code=2)

@@ -1,0 +1,94 @@
+"""Signed bundles, by the real package: what was signed is served, and nothing else."""
+
+from pathlib import Path
+
+import pytest
+from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+
+from cspace.bundle import Bundle
+from cspace.errors import BundleIntegrityError, ConfigError, ServiceError
+from inference_api.models.cache import BundleCache, DiskCache
+from inference_api.settings import ApiSettings
+from services.registry import promotion, signing
+from services.registry.ports import ModelVersion
+from services.registry.signing import require_signature
+from tests.bundles import write_tiny_bundle
+from tests.fakes.registry import FakeRegistry
+
+
+def key(folder: Path, name: str) -> tuple[Path, Path]:
+    """Files of a new private key and its public one."""
+    made = ec.generate_private_key(ec.SECP256R1())
+    private, public = folder / f"{name}.pem", folder / f"{name}.pub"
+    plain = serialization.NoEncryption()
+    private.write_bytes(
+        made.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, plain)
+    )
+    public.write_bytes(
+        made.public_key().public_bytes(
+            serialization.Encoding.PEM, serialization.PublicFormat.SubjectPublicKeyInfo
+        )
+    )
+    return private, public
+
+
+@pytest.fixture
+def signed(tmp_path: Path) -> tuple[FakeRegistry, ModelVersion, Path]:
+    """A registry with one signed version, and the public key."""
+    private, public = key(tmp_path, "lab")
+    registry = FakeRegistry(tmp_path / "registry")
+    folder = write_tiny_bundle(tmp_path / "bundle")
+    version = registry.register("arm-sampler", folder, "run", Bundle.load(folder).digest, {})
+    promotion.sign(registry, version, private)
+    return registry, registry.version("arm-sampler", 1), public
+
+
+def test_what_was_signed_is_served_and_nothing_else(
+    signed: tuple[FakeRegistry, ModelVersion, Path], tmp_path: Path
+) -> None:
+    registry, version, public = signed
+    other = key(tmp_path, "other")[1]
+
+    def load(trusted: Path, wanted: ModelVersion) -> Bundle:
+        disk = DiskCache(tmp_path / f"cache-{trusted.stem}-{len(wanted.tags)}")
+        cache = BundleCache(disk, registry, lambda path, _: Bundle.load(path), 2, trusted_key=trusted)
+        return cache.start(wanted).result(60.0)
+
+    assert load(public, version).digest == version.digest
+    with pytest.raises(BundleIntegrityError, match=r"does not hold.*other\.pub.*Key mismatch"):
+        load(other, version)
+    unsigned = ModelVersion(version.name, 1, version.run_id, version.digest, (), {}, 0)
+    with pytest.raises(BundleIntegrityError, match=r"not signed.*models sign"):
+        load(public, unsigned)
+
+
+def test_a_changed_byte_is_told_with_its_file(
+    signed: tuple[FakeRegistry, ModelVersion, Path], tmp_path: Path
+) -> None:
+    registry, version, public = signed
+    folder = registry.download(version, tmp_path / "changed")
+    signature = version.tags["signature"]
+    require_signature(folder, signature, public)
+    data = bytearray((folder / "golden.npz").read_bytes())
+    data[100] ^= 1
+    (folder / "golden.npz").write_bytes(data)
+    with pytest.raises(BundleIntegrityError, match=r"golden\.npz"):
+        require_signature(folder, signature, public)
+    with pytest.raises(BundleIntegrityError, match="does not hold"):
+        require_signature(folder, "{}", public)
+
+
+def test_a_file_that_is_no_key_is_refused(
+    signed: tuple[FakeRegistry, ModelVersion, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    registry, version, public = signed
+    with pytest.raises(ConfigError, match="private key"):
+        promotion.sign(registry, version, public)
+    assert registry.version("arm-sampler", 1).tags == version.tags
+    with pytest.raises(ConfigError, match="CSPACE_TRUSTED_KEY"):
+        ApiSettings.from_environment({"CSPACE_TRUSTED_KEY": str(tmp_path / "none.pub")})
+    assert ApiSettings.from_environment({"CSPACE_TRUSTED_KEY": str(public)}).trusted_key == public
+    monkeypatch.setattr(signing, "find_spec", lambda _: None)
+    with pytest.raises(ServiceError, match="no model-signing"):
+        require_signature(tmp_path, version.tags["signature"], public)
