@@ -529,5 +529,10 @@ class PartlySeen(Protocol):
     def unseen(self, image: Image, configurations: ArrayLike) -> NDArray[np.float64]:
         """Share of the robot that a picture does not show to be free, at (N, d) rad, (N,)."""
 
-    def mesh_checker(self, problem: Problem) -> ValidityChecker | None:
-        """The mesh checker of a problem; None where meshes or checker are not installed."""
+    def mesh_checker(self, problem: Problem, folder: Path | None = None) -> ValidityChecker | None:
+        """The mesh checker of a problem; None where meshes or checker are not installed.
+
+        Args:
+            problem: whose obstacles.
+            folder: of problems that do not ship, where some robots' meshes are.
+        """

@@ -1,1 +1,1 @@
-"""MotionBenchMaker's problems of the Panda, out of the source archive of a package that carries them."""
+"""MotionBenchMaker's problems, out of the source archive of a package that carries them."""

@@ -1,4 +1,4 @@
-"""Problems of an arm that depth cameras see in part: MotionBenchMaker's of the Panda, and the world's own."""
+"""Problems of an arm that depth cameras see in part: MotionBenchMaker's, and the world's own."""
 
 import gzip
 import json
@@ -55,13 +55,15 @@ LIMITS_RAD = (
     (-0.0873, 3.8223),
     (-2.9671, 2.9671),
 )
+UR5, _UR5_JOINTS = "ur5-robotiq", 6
+"""Name of the UR5 with its gripper, whose problems and description come with the fetched archive."""
 # Half the size of the region that a goal stands for, m.
 _GOAL_HALF_M = 0.01
 
 
 @validated(ScenarioError)
 class BenchProblem(Record):
-    """A problem of the Panda.
+    """A problem of an arm.
 
     Args:
         family: one of ``BENCH_FAMILIES``.
@@ -216,9 +218,9 @@ class SpatialPartlySeen:
 
     @property
     def sources(self) -> dict[str, tuple[str, ...]]:
-        """MotionBenchMaker's sets, of the Panda alone, and the world's own families."""
+        """MotionBenchMaker's sets, of the Panda and a UR5 with a gripper, and the world's own families."""
         bench = {"MotionBenchMaker": tuple(PREFIX + family for family in BENCH_FAMILIES)}
-        return (bench if is_benchmarked(self.world.body) else {}) | {"own families": FAMILIES}
+        return (bench if has_problems(self.world.body) else {}) | {"own families": FAMILIES}
 
     @property
     def hard(self) -> tuple[str, ...]:
@@ -228,7 +230,7 @@ class SpatialPartlySeen:
     @property
     def grasping(self) -> tuple[str, ...]:
         """The two sets with a table."""
-        return _GRASPING if is_benchmarked(self.world.body) else ()
+        return _GRASPING if has_problems(self.world.body) else ()
 
     def count(self, family: str, split: Split) -> int | None:
         """Of MotionBenchMaker's sets."""
@@ -280,10 +282,10 @@ class SpatialPartlySeen:
         centres = sphere_centres_batch(rows, arrays)[:, arrays.links > 0]
         return np.asarray(lookup(image, self.world.sensor.grid, centres).unseen.mean(axis=1))
 
-    def mesh_checker(self, problem: Problem) -> MeshChecker | None:
-        """By convex hulls of the Panda's meshes; None for other arms, and where it holds something."""
+    def mesh_checker(self, problem: Problem, folder: Path | None = None) -> MeshChecker | None:
+        """By meshes of the arms that have problems; None for others, and where one holds something."""
         scene = cast("SpatialScene", problem.scenario)
-        meshes = _meshes(scene.world.body) if scene.holding is None else None
+        meshes = _meshes(scene.world.body, folder) if scene.holding is None else None
         return None if meshes is None else meshes.among(scene.obstacles)
 
 
@@ -335,8 +337,15 @@ def is_benchmarked(arm: SerialArm) -> bool:
     return (mine.joints, mine.tool) == (panda.joints, panda.tool) and spheres[0] == spheres[1]
 
 
+def has_problems(arm: SerialArm) -> bool:
+    """Whether sets of MotionBenchMaker are for it: its Panda, or :data:`UR5` as the archive describes it."""
+    return is_benchmarked(arm) or (arm.name == UR5 and arm.dim == _UR5_JOINTS)
+
+
 def with_benchmark_limits(world: SpatialWorld) -> SpatialWorld:
-    """The Panda's world with the limits of MotionBenchMaker's problems."""
+    """The Panda's world with the limits of MotionBenchMaker's problems; others as they are."""
+    if not is_benchmarked(world.body):
+        return world
     return replace(world, body=world.body.with_limits(LIMITS_RAD))
 
 
@@ -415,12 +424,19 @@ def _bench(split: Split, folder: Path | None, family: str) -> tuple[BenchProblem
 
 
 @lru_cache(maxsize=2)
-def _meshes(arm: SerialArm) -> RobotMeshes | None:
-    urdf = panda_urdf()
-    if urdf is None or not is_benchmarked(arm):
-        return None
-    held = dict.fromkeys(("panda_finger_joint1", "panda_finger_joint2"), FINGERS_M)
+def _meshes(arm: SerialArm, folder: Path | None) -> RobotMeshes | None:
+    description = _description(arm, folder)
     try:
-        return RobotMeshes(arm, Description(urdf, held))
+        return None if description is None else RobotMeshes(arm, description)
     except ScenarioError:
         return None
+
+
+def _description(arm: SerialArm, folder: Path | None) -> Description | None:
+    urdf = panda_urdf()
+    if is_benchmarked(arm) and urdf is not None:
+        return Description(urdf, dict.fromkeys(("panda_finger_joint1", "panda_finger_joint2"), FINGERS_M))
+    if arm.name != UR5 or folder is None:
+        return None
+    place = folder / "description"
+    return Description(place / "ur5.urdf", packages=(place,))

@@ -9,7 +9,7 @@ from pathlib import Path
 from cspace.errors import ConfigError, CspaceError, ScenarioError
 from cspace.query import MAX_SAMPLES
 from cspace.simulator import ProblemRequest, Split
-from cspace.worlds import examples, partly_seen, simulator_of
+from cspace.worlds import examples, named_world, partly_seen, simulator_of
 from services.command_errors import finite, report_error
 from services.evaluator.benchmark.arms import (
     AIMS,
@@ -110,7 +110,9 @@ def parser() -> argparse.ArgumentParser:
     )
     what = parser.add_argument_group("what is run")
     what.add_argument(
-        "--robot", choices=list(WORLDS), default=next(iter(WORLDS)), help="default: %(default)s"
+        "--robot",
+        default=next(iter(WORLDS)),
+        help=f"{', '.join(WORLDS)}, or a robot's file (default: %(default)s)",
     )
     what.add_argument("--family", choices=_families(), action="append", help="default: all")
     what.add_argument("--split", type=Split, choices=SPLITS, default=Split.VALIDATION)
@@ -206,7 +208,7 @@ def chosen_arms(options: argparse.Namespace) -> tuple[Arm, ...]:
     _require(1 <= options.samples <= MAX_SAMPLES, "samples", f"1 to {MAX_SAMPLES}", options.samples)
     _require(all(0.0 < one <= 1.0 for one in options.shares), "shares", "above 0 to 1", options.shares)
     taken = Taken(options.min_confidence, options.samples, tuple(dict.fromkeys(options.shares)))
-    range_rad = simulator_of(WORLDS[options.robot]).measures.range_rad
+    range_rad = simulator_of(named_world(options.robot)).measures.range_rad
     return pick(table(_names(options), range_rad, taken), options.arms, options.planners)
 
 
@@ -291,7 +293,7 @@ def _setting(options: argparse.Namespace) -> Setting:
         float(limits["time_limit_s"]),
         options.aim or AIMS[0],
         PLAN_LIMIT_S,
-        WORLDS[options.robot],
+        named_world(options.robot),
         options.held,
     )
 

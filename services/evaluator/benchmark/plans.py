@@ -107,7 +107,7 @@ class PlanWorker:
             return [self._row(unit, arm, run, Found().times | nothing) for arm, run in unit.todo]
         picture, world = picture_file_of(problem.scenario), problem.scenario.world
         image, truth = world.read_picture(picture), checker_of(problem.scenario)
-        mesh_checker = seen.mesh_checker(problem)
+        mesh_checker = seen.mesh_checker(problem, unit.folder)
 
         # Arms with the same model, or the same view of unseen space, share its paths.
         @cache

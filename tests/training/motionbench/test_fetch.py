@@ -31,6 +31,9 @@ def few_problems() -> Iterator[None]:
         yield
 
 
+UR5 = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+
+
 def scene(number: int) -> dict[str, object]:
     upright = {"position": [0.1, 0.2, number / 100], "orientation": [0, 0, 0, 1]}
     turned = {"position": [1, 0, 0], "orientation": [0, 0, HALF, HALF]}
@@ -60,7 +63,10 @@ def packed(files: dict[str, bytes], how: str) -> bytes:
 
 
 def made(
-    folder: Path, changes: dict[str, bytes | None] | None = None, inside: str = INSIDE
+    folder: Path,
+    changes: dict[str, bytes | None] | None = None,
+    inside: str = INSIDE,
+    more: dict[str, bytes] | None = None,
 ) -> tuple[Path, str]:
     files: dict[str, bytes | None] = {"problems/notes.txt": b"no problem"}
     for family in BENCH_FAMILIES:
@@ -73,6 +79,7 @@ def made(
         "vamp_planner-0.6.4/pyproject.toml": project,
         "vamp_planner-0.6.4/PKG-INFO": b"Metadata-Version: 2.1\nName: vamp-planner\nVersion: 0.6.4\n",
         inside: packed(kept, "w:bz2"),
+        **(more or {}),
     }
     path = folder / "vamp_planner-0.6.4.tar.gz"
     path.write_bytes(packed(outer, "w:gz"))
@@ -132,6 +139,35 @@ def test_an_archive_with_another_digest_is_refused(
     assert command.main(["fetch", "--archive", str(sound[0]), "--out", str(tmp_path / "out")]) == 2
     assert "damaged or another" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_problems_of_the_ur5_come_with_its_description(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = dict(zip(JOINTS, [*(f"{name}_joint" for name in UR5), "knuckle"], strict=True))
+
+    def renamed(text: bytes) -> bytes:
+        for old, new in names.items():
+            text = text.replace(old.encode(), new.encode())
+        return text
+
+    changes = {
+        f"problems/{family}_ur5/{kind}{number:04}.yaml": renamed(text)
+        for family in BENCH_FAMILIES
+        for number, both in enumerate(TEXTS, 1)
+        for kind, text in zip(("scene", "request"), both, strict=True)
+    }
+    folder = "vamp_planner-0.6.4/resources/ur5"
+    more = {f"{folder}/ur5.urdf": b"<robot/>", f"{folder}/meshes/ur5/base.stl": b"solid", "../evil": b""}
+    path, sha256 = made(tmp_path, changes, f"{folder}/problems.tar.bz2", more)
+    monkeypatch.setattr(command, "SHA256", sha256)
+    asked = ["fetch", "--robot", "ur5", "--archive", str(path), "--out", str(tmp_path / "out")]
+    assert command.main(asked) == command.main(asked) == 0
+    (first, *_) = problems(Split.VALIDATION, tmp_path / "out")
+    assert first.goal == tuple(index + 0.123457 for index in range(6))
+    found = sorted(one for one in (tmp_path / "out" / "description").rglob("*") if one.is_file())
+    assert [one.name for one in found] == ["base.stl", "ur5.urdf"]
+    assert not (tmp_path / "evil").exists()
 
 
 FIRST = "problems/box_panda/scene0001.yaml"

@@ -8,7 +8,7 @@ import pytest
 from cspace.errors import ScenarioError
 from cspace.simulator import ProblemRequest, Split, Taken
 from cspace.worlds import checker_of, default_world, examples, partly_seen, picture_file_of, picture_of
-from cspace.worlds.spatial.benchmark import LIMITS_RAD, level_face, middle
+from cspace.worlds.spatial.benchmark import LIMITS_RAD, UR5, level_face, middle
 from cspace.worlds.spatial.checks import CollisionChecker
 from cspace.worlds.spatial.obstacles import Box, Obstacles
 from cspace.worlds.spatial.poses import make_pose, pose_of
@@ -28,7 +28,10 @@ def test_worlds_that_are_seen_whole_have_none():
         partly_seen(default_world())
 
 
-def test_the_sets_are_of_the_panda_alone():
+def test_the_sets_are_of_the_panda_and_of_the_ur5_with_its_gripper():
+    ur5 = examples()["ur5"]
+    gripping = partly_seen(replace(ur5, body=replace(ur5.body, name=UR5)))
+    assert list(gripping.sources) == ["MotionBenchMaker", "own families"]
     assert list(SETS.sources) == ["MotionBenchMaker", "own families"]
     assert list(partly_seen(examples()["ur5"]).sources) == ["own families"]
     assert SETS.count("motionbench_box", Split.VALIDATION) == 30
