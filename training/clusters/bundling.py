@@ -92,7 +92,7 @@ def make_bundle(folder: Path, config: TrainConfig, dataset: Dataset, parts: Trai
         "generator": _sampler_graph(config, parts),
     }
     if parts.validity is not None:
-        graphs |= _head_graphs(config.validity, dataset.world, parts.validity)
+        graphs |= head_graphs(config.validity, dataset.world, parts.validity)
     known = None
     # The paper's joint baseline stays as the paper has it.
     if not config.joint:
@@ -118,7 +118,14 @@ def make_bundle(folder: Path, config: TrainConfig, dataset: Dataset, parts: Trai
     return Bundle.load(write_bundle(folder, spec, graphs))
 
 
-def _head_graphs(config: HeadConfig, world: World, checkpoint: Path) -> dict[str, bytes]:
+def head_graphs(config: HeadConfig, world: World, checkpoint: Path) -> dict[str, bytes]:
+    """The graphs of a validity head: a trained one's, or for any arm those of a scene model.
+
+    Args:
+        config: of the head.
+        world: whose configurations it scores.
+        checkpoint: file of the scene model, or folder of the trained head.
+    """
     if config.grid is None:
         flat = trained(lambda: make_head(config, world), checkpoint, "head")
         return {"validity": validity_graph(flat, world.sensor.pixels, world.dim)}

@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from cspace.space import JointSpace
 from training.models.joints import Joints
 from training.models.mixture import GatedSampler, LookupSampler
 from training.models.networks import MeansGenerator, TorusGenerator
@@ -44,6 +45,17 @@ def encoder_graph(encoder: nn.Module, pixels: int | Sequence[int]) -> bytes:
         ["mu", "sigma"],
         batched("images", 1),
     )
+
+
+class _Blind(nn.Module):
+    def forward(self, image: Tensor) -> tuple[Tensor, Tensor]:
+        nothing = 0.0 * image.flatten(1)[:, :1]
+        return nothing, nothing
+
+
+def blind_encoder_graph(size: Sequence[int]) -> bytes:
+    """ONNX bytes of an encoder that sees nothing: ``image`` to ``mu`` (b, 1), 0, and ``sigma`` (b, 1), 1."""
+    return encoder_graph(_Blind(), size)
 
 
 class _NoveltyGraph(nn.Module):
@@ -115,6 +127,24 @@ def generator_graph(
         inputs = (latent, torch.zeros(2, dim), torch.zeros(2, noise_dim))
         names, sampler = ["latent", "base", "noise"], _from_torus(generator, generator.joints)
     return exported(sampler, inputs, names, ["samples"], batched("latents", len(inputs)))
+
+
+class _Uniform(nn.Module):
+    def __init__(self, joints: Joints) -> None:
+        super().__init__()
+        self.joints = joints
+
+    def forward(self, latent: Tensor, base: Tensor) -> Tensor:
+        return (self.joints.from_torus(base) + 0.0 * latent)[:, None]
+
+
+def uniform_graph(space: JointSpace) -> bytes:
+    """ONNX bytes: ``latent`` (m, 1) and ``base`` (m, d), uniform on the torus, to ``samples`` (m, 1, d) rad.
+
+    They are uniform in the joint space, whatever the latent is.
+    """
+    inputs = (torch.zeros(2, 1), torch.zeros(2, space.dim))
+    return exported(_Uniform(Joints(space)), inputs, ["latent", "base"], ["samples"], batched("latents", 2))
 
 
 def mixture_graph(sampler: GatedSampler, latent_dim: int, noise_dim: int, pixels: int) -> bytes:

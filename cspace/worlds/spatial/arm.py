@@ -12,7 +12,7 @@ from pydantic import Field
 from cspace.errors import ScenarioError
 from cspace.space import MAX_LIMIT_RAD, MIN_RANGE_RAD, JointSpace
 from cspace.strict_json import LEFT_OUT, Record, read_object, validated, written
-from cspace.worlds.spatial.poses import MAX_OFFSET_M, SAME, Frame, Offset, moved, turn
+from cspace.worlds.spatial.poses import MAX_OFFSET_M, SAME, Frame, Offset, Vector, moved, turn
 
 _UNIT = 1e-9
 # The name of its frame.
@@ -84,6 +84,8 @@ def _is_range(low: float, high: float) -> bool:
 
 KIND = "serial_arm"
 MAX_JOINTS = 10
+# How far above and aside of the base shoulders are, as a rule at most, m.
+_HIGH_M, _ASIDE_M = 0.48, 0.2
 MAX_SPHERES = 2000
 
 
@@ -196,6 +198,17 @@ class SerialArm(Record):
             spheres = np.asarray(part.spheres_m)
             tips.append(steps[part.link] + (np.linalg.norm(spheres[:, :3], axis=1) + spheres[:, 3]).max())
         return float(max(tips))
+
+    @property
+    def usual_base_m(self) -> Vector:
+        """Where the base would be if it were below the shoulder as those of most arms are, m.
+
+        That is (0, 0, 0) for most; the first link of a description may be a stand, or the room's origin.
+        """
+        x, y, z = self.joints[0].origin.xyz_m
+        if z <= _HIGH_M and x * x + y * y <= _ASIDE_M * _ASIDE_M:
+            return (0.0, 0.0, 0.0)
+        return (x, y, max(0.0, z - _HIGH_M))
 
     def link_frames(self, configurations: ArrayLike) -> NDArray[np.float64]:
         """Forward kinematics: (N, d) rad to the links' frames in the base's, (N, d + 1, 4, 4), m.

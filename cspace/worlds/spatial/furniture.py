@@ -424,6 +424,7 @@ class SpatialScenes(Record):
         shoulder_m: height above the base from which reach is measured.
         reach_m: a region counts if it has a free place no farther than this from the shoulder.
         room_m: clearance of such a place.
+        base_m: where the scenes take the arm's base to be, in the base frame.
         shelves: ranges of shelves.
         tables: ranges of tables.
         bins: ranges of bins.
@@ -453,6 +454,7 @@ class SpatialScenes(Record):
     shoulder_m: float = 0.333
     reach_m: float = 0.9
     room_m: Annotated[float, Field(ge=0.0)] = 0.04
+    base_m: Annotated[Vector, Field(exclude_if=lambda place: not any(place))] = (0.0, 0.0, 0.0)
     shelves: Shelves = field(default_factory=Shelves)
     tables: Tables = field(default_factory=Tables)
     bins: Bins = field(default_factory=Bins)

@@ -73,6 +73,9 @@ def _attempt(scenes: SpatialScenes, rng: np.random.Generator, family: str) -> La
     regions = tuple(one for one in pieces.regions if _is_reached(scenes, rng, one, obstacles))
     if not regions:
         return None
+    if any(scenes.base_m):
+        piece = Piece(tuple(shapes), regions).moved(make_pose(np.eye(3), scenes.base_m))
+        obstacles, regions = Obstacles.of(piece.shapes), piece.regions
     centres = np.array([[row[3] for row in one.box.pose[:3]] for one in regions])
     focus = centres[int(rng.integers(len(centres)))]
     return Layout(family, obstacles, regions, (float(focus[0]), float(focus[1]), float(focus[2])))

@@ -332,7 +332,7 @@ def spheres_at(arm: SerialArm, state: tuple[float, ...]) -> NDArray[np.float64]:
 
 def usual(arm: SerialArm) -> SpatialWorld:
     """An arm that is seen and stands in scenes as most are."""
-    return SpatialWorld(arm, DepthSensor(grid_of(arm)), SpatialScenes())
+    return SpatialWorld(arm, DepthSensor(grid_of(arm)), SpatialScenes(base_m=arm.usual_base_m))
 
 
 def shipped(name: str) -> SerialArm:

@@ -20,7 +20,8 @@ from cspace.worlds.spatial.furniture import (
 )
 from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles
 from cspace.worlds.spatial.poses import HERE, make_pose, pose_of
-from cspace.worlds.spatial.scenes import base_clearance_m, draw_layout
+from cspace.worlds.spatial.scenes import base_clearance_m, draw_layout, scenes_of
+from cspace.worlds.spatial.world import shipped, usual
 
 SCENES = SpatialScenes()
 
@@ -30,6 +31,27 @@ def drawn():
     return {
         name: [draw_layout(SCENES, Split.TRAIN, 3, index, name) for index in range(12)] for name in FAMILIES
     }
+
+
+def test_an_arm_high_above_its_first_link_has_its_scenes_about_the_shoulder(drawn):
+    ur5 = shipped("ur5")
+    first = replace(ur5.joints[0], origin=replace(ur5.joints[0].origin, xyz_m=(0.3, 0.0, 1.2)))
+    scenes = scenes_of(usual(replace(ur5, joints=(first, *ur5.joints[1:]))))
+    assert (usual(ur5).scenes, usual(shipped("panda")).scenes) == (SCENES, SCENES)
+    assert scenes.base_m == pytest.approx((0.3, 0.0, 0.72))
+    plain = drawn["table"][0]
+    raised = draw_layout(scenes, Split.TRAIN, 3, 0, "table")
+    for name in ("boxes", "cylinders"):
+        places, found = (
+            np.array([one.pose for one in getattr(layout.obstacles, name)]).reshape(-1, 4, 4)[:, :3, 3]
+            for layout in (plain, raised)
+        )
+        np.testing.assert_allclose(found, places + scenes.base_m)
+    np.testing.assert_allclose(raised.focus, np.add(plain.focus, scenes.base_m))
+    region = np.array(raised.regions[0].box.pose)[:3, 3]
+    np.testing.assert_allclose(region, np.array(plain.regions[0].box.pose)[:3, 3] + scenes.base_m)
+    written = parse_json(json.dumps(scenes.to_dict()).encode())
+    assert read_object(SpatialScenes, written, "the scenes", ScenarioError) == scenes
 
 
 def test_a_scene_is_told_by_split_seed_and_index():

@@ -7,12 +7,14 @@ import onnxruntime
 import pytest
 import torch
 
+from cspace.bundle.runtime import Graph
 from cspace.errors import ConfigError
 from cspace.worlds import default_world, examples
 from cspace.worlds.spatial.arm import grouped, ready_rad
 from cspace.worlds.spatial.checks import CollisionChecker
 from cspace.worlds.spatial.obstacles import Obstacles
 from cspace.worlds.spatial.visibility import lookup, unseen_share
+from cspace.worlds.spatial.world import shipped, usual
 from tests.training.models.grids.plain_head import plain_answers
 from training.models.checkpoint import seeded_initialisation
 from training.models.grid_head import GridHead
@@ -30,6 +32,7 @@ from training.models.settings import GridConfig, ValidityConfig
 
 WORLD = examples()["panda"]
 ARM, GRID = WORLD.body, WORLD.sensor.grid
+UR5 = shipped("ur5")
 SMALL = ValidityConfig(
     free_share=0.6,
     hidden=8,
@@ -167,6 +170,20 @@ def test_the_graphs_answer_as_the_network(head, picture, rows):
 
 def run(graph, feeds):
     return onnxruntime.InferenceSession(graph, providers=["CPUExecutionProvider"]).run(None, feeds)
+
+
+@pytest.mark.slow
+def test_the_map_of_an_arm_that_reaches_far_may_be_opened():
+    longer = tuple(
+        replace(one, origin=replace(one.origin, xyz_m=tuple(1.5 * x for x in one.origin.xyz_m)))
+        for one in UR5.joints
+    )
+    world = usual(replace(UR5, joints=longer))
+    assert world.sensor.grid.counts == (128, 128, 128)
+    sizes = GridConfig(finest=12, width=4, middle=4, deep=4)
+    graph = map_graph(GridHead.of(SMALL.model_copy(update={"grid": sizes}), world).eval())
+    opened = Graph("map.onnx", graph, {"image"}, {"map"})
+    assert opened.fixed_shape("map") == (64**3, 12)
 
 
 def batch(picture, rows, hits):

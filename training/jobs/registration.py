@@ -1,0 +1,62 @@
+"""Bundles that no job made, as versions of registered models."""
+
+import os
+
+from cspace.bundle import Bundle
+from cspace.errors import ConfigError
+from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, EXPERIMENT, TAG_STAGE, recorded_name
+from services.registry.ports import ID
+from training.jobs.job import world_tag
+
+ALIASES = (ALIAS_CHALLENGER, ALIAS_CHAMPION)
+
+
+def registry_uri() -> str:
+    """Of the tracking server.
+
+    Raises:
+        ConfigError: ``MLFLOW_TRACKING_URI`` is not set.
+    """
+    uri = os.environ.get("MLFLOW_TRACKING_URI")
+    if not uri:
+        raise ConfigError(
+            "there is no registry", expected="its address in MLFLOW_TRACKING_URI", got="nothing"
+        )
+    return uri
+
+
+def register_untrained(bundle: Bundle, uri: str, model: str, alias: str, stage: str) -> str:
+    """Make a bundle the next version of a model, by a run that holds its settings; ``name/version``.
+
+    Args:
+        bundle: what is registered.
+        uri: of the tracking server.
+        model: name of the registered model.
+        alias: one of ``ALIASES``.
+        stage: what the run is of.
+
+    Raises:
+        RegistryError: the registry does not answer.
+    """
+    # MLflow takes seconds to import.
+    from services.registry.mlflow_registry import MlflowRegistry  # noqa: PLC0415
+    from services.registry.mlflow_tracking import MlflowTracking  # noqa: PLC0415
+
+    provenance = bundle.spec.provenance
+    tags = {TAG_STAGE: stage, **world_tag(bundle.spec.world, recorded_name(provenance.config))}
+    # The same bundle is registered once, however often it is given.
+    key = f"{stage}/{model}/{bundle.digest}"
+    with MlflowTracking(uri).start(EXPERIMENT, f"{model}, untrained, {ID}", tags=tags, key=key) as run:
+        run.params(dict(provenance.config))
+        version = MlflowRegistry(uri).register(
+            model,
+            bundle.folder,
+            run.run_id,
+            bundle.digest,
+            {
+                "data_digest": provenance.data_digest or "",
+                "source_digest": provenance.config["source_digest"],
+            },
+            alias=alias,
+        )
+    return str(version)

@@ -1,0 +1,122 @@
+"""``python -m training.untrained ROBOT FOLDER``: a model of an arm by the shipped scene model, in minutes.
+
+Nothing is trained. The scene model scores configurations and paths of any arm; samples are uniform ones that
+it takes for free. What the bundle states of itself, its threshold and its plans' calibration, is fitted to
+simulated scenes of the arm. With ``--register`` it becomes a version of ``<robot>-sampler``.
+
+A folder that holds this very model already is taken as it is, so that the command may be given again.
+
+Exit codes: 0 done, 1 the disk or the registry is bad, 2 the command or the robot is wrong.
+"""
+
+import argparse
+import hashlib
+import logging
+import math
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from cspace.bundle import Bundle, BundleSpec, Provenance, RandomInput, write_bundle
+from cspace.errors import ConfigError, CspaceError, InputError
+from cspace.world import World
+from cspace.worlds import robot_digest
+from services.command_errors import report_error
+from services.names import label, model_name
+from training.clusters.bundling import FALLBACK_THRESHOLD, head_graphs, with_choices
+from training.config import HeadConfig, load_config
+from training.jobs.environment import command_line, now, source_state
+from training.jobs.registration import ALIASES, register_untrained, registry_uri
+from training.models.autoencoders import network_size
+from training.models.export import blind_encoder_graph, uniform_graph
+
+PRESET, SETTINGS = "panda_quick", ()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Parse, make, print."""
+    options = parser().parse_args(arguments)
+    logging.basicConfig(format="%(message)s")
+    logging.getLogger("training").setLevel(logging.INFO)
+    try:
+        uri = None if options.register is None else registry_uri()
+        robot = str(Path(options.robot).absolute()) if Path(options.robot).is_file() else options.robot
+        config = load_config(PRESET, [f"data.robot={robot}", *SETTINGS])
+        model = model_name(config.world, label(config.world))
+        bundle = made_or_found(options.folder, config.world, config.validity)
+        print(f"{bundle.folder}\n  digest {bundle.digest}", flush=True)
+        if uri is not None:
+            version = register_untrained(bundle, uri, model, options.register, "untrained")
+            print(f"  registered as {version}")
+    except CspaceError as error:
+        return report_error(error, InputError, ConfigError)
+    return 0
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m training.untrained",
+        description="Make a model of an arm in space by the shipped scene model; nothing is trained.",
+        epilog="Reads MLFLOW_TRACKING_URI with --register. Exit codes: 0 done, 1 failed, 2 bad input.",
+    )
+    parser.add_argument("robot", help="panda, ur5, or a file that python -m training.robots import wrote")
+    parser.add_argument("folder", type=Path, help="where the bundle goes")
+    parser.add_argument("--register", choices=ALIASES, help="make it a version of the robot's model")
+    return parser
+
+
+def made_or_found(folder: Path, world: World, config: HeadConfig) -> Bundle:
+    """The model that the folder holds already, or one that is made there.
+
+    Args:
+        folder: of the bundle.
+        world: the arm's.
+        config: of the head, with its scene model.
+
+    Raises:
+        BundleError: the folder holds something else.
+        ConfigError: the scene model cannot be read, or none is given.
+        StorageError: the folder cannot be written.
+    """
+    file = config.scene_model_file
+    if file is None or not file.is_file():
+        raise ConfigError("there is no scene model", expected="validity.scene_model", got=str(file))
+    recipe = {
+        "robot_name": label(world),
+        "samples": "uniform",
+        "plan_problems": config.plan_problems,
+        "source_digest": hashlib.sha256(file.read_bytes()).hexdigest(),
+    }
+    if folder.is_dir():
+        found = Bundle.load(folder)
+        same_arm = robot_digest(found.spec.world) == robot_digest(world)
+        if same_arm and dict(found.spec.provenance.config) == recipe:
+            return found
+    state = source_state()
+    spec = BundleSpec(
+        world=world,
+        latent_dim=1,
+        random_inputs=(RandomInput("base", "uniform", (world.dim,), -math.pi, math.pi),),
+        confidence_threshold=config.threshold or FALLBACK_THRESHOLD,
+        provenance=Provenance(
+            git_commit=state.commit,
+            git_dirty=state.dirty,
+            config=recipe,
+            created=now(),
+            command=command_line(),
+        ),
+    )
+    graphs = {
+        "encoder": blind_encoder_graph(network_size(world.sensor)),
+        "generator": uniform_graph(world.space),
+        **head_graphs(config, world, file),
+    }
+    # All of its samples are uniform: there is nothing to mix.
+    fitted = config.model_copy(update={"uniform_share": 0.0})
+    draft = folder.with_name(folder.name + "-draft")
+    return Bundle.load(write_bundle(folder, with_choices(draft, fitted, spec, graphs), graphs))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
