@@ -1,15 +1,16 @@
 """A robot's file, as ``python -m training.robots import`` writes it, wherever a robot is named."""
 
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from cspace.errors import ConfigError, ScenarioError
+from cspace.errors import ConfigError, JobError, ScenarioError
 from cspace.worlds import robot_digest
 from cspace.worlds.spatial.world import shipped, usual
-from services.local.own_arm import import_arm, tour_of_arm
+from services.local.own_arm import import_arm, serve_untrained, tour_of_arm
 from services.local.settings import Settings
 from services.names import label
 from services.planner.__main__ import parse_command
@@ -103,3 +104,50 @@ def test_a_description_that_is_refused_ends_the_command_with_the_imports_own_wor
     with pytest.raises(ConfigError, match="was not imported"):
         import_arm(settings, tmp_path / "none.urdf", ["--name", "bench"], lines.append)
     assert any("none.urdf" in line and "error" in line for line in lines)
+
+
+def stub_python(folder: Path, monkeypatch: pytest.MonkeyPatch, making: int, planning: int) -> Path:
+    """In place of Python: notes its arguments, prints what the commands would, and ends with their codes."""
+    said, stub = folder / "asked.txt", folder / "python"
+    stub.write_text(
+        f"""#!/bin/sh
+echo "$@" >> {said}
+case "$2" in
+  training.untrained) echo "  registered as bench-arm-5-sampler/1"; exit {making};;
+  *) echo "  plan     solved"; exit {planning};;
+esac
+"""
+    )
+    stub.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(stub))
+    monkeypatch.setattr("services.local.own_arm.up", lambda *_: None)
+    return said
+
+
+def test_an_arm_without_training_is_registered_served_and_planned_with(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said, served, lines = stub_python(tmp_path, monkeypatch, 0, 1), [], []
+    monkeypatch.setattr(
+        "services.local.own_arm.wait_served", lambda _, reference, *, default: served.append(reference)
+    )
+    settings = Settings.from_environment({"CSPACE_HOME": str(tmp_path / "home")})
+    serve_untrained(settings, file, lines.append)
+    make, plan = said.read_text().splitlines()
+    folder = settings.arms_folder / f"bench-arm-5-untrained-{DIGEST[:8]}"
+    assert make == f"-m training.untrained {file} {folder} --register champion"
+    assert plan.startswith(f"-m services.planner --api {settings.api_url} --robot {file} --family table")
+    assert "--whole-plan" in plan
+    assert served == ["bench-arm-5-sampler/1"]
+    assert any("model=bench-arm-5-sampler" in line for line in lines)
+
+
+@pytest.mark.parametrize(("making", "planning", "says"), [(1, 0, "was not made"), (0, 2, "planner failed")])
+def test_a_step_that_fails_ends_it(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, making: int, planning: int, says: str
+) -> None:
+    stub_python(tmp_path, monkeypatch, making, planning)
+    monkeypatch.setattr("services.local.own_arm.wait_served", lambda *_, **__: None)
+    settings = Settings.from_environment({"CSPACE_HOME": str(tmp_path / "home")})
+    with pytest.raises(JobError, match=says):
+        serve_untrained(settings, file, lambda _: None)
