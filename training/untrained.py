@@ -30,7 +30,7 @@ from training.jobs.registration import ALIASES, register_untrained, registry_uri
 from training.models.autoencoders import network_size
 from training.models.export import blind_encoder_graph, uniform_graph
 
-PRESET, SETTINGS = "panda_quick", ()
+PRESET = "panda_quick"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -41,7 +41,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         uri = None if options.register is None else registry_uri()
         robot = str(Path(options.robot).absolute()) if Path(options.robot).is_file() else options.robot
-        config = load_config(PRESET, [f"data.robot={robot}", *SETTINGS])
+        settings = [f"data.robot={robot}", f"validity.plan_problems={options.plan_problems}"]
+        if options.scene_model is not None:
+            settings.append(f"validity.scene_model={options.scene_model.absolute()}")
+        config = load_config(PRESET, settings)
         model = model_name(config.world, label(config.world))
         bundle = made_or_found(options.folder, config.world, config.validity)
         print(f"{bundle.folder}\n  digest {bundle.digest}", flush=True)
@@ -62,6 +65,13 @@ def parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("robot", help="panda, ur5, or a file that python -m training.robots import wrote")
     parser.add_argument("folder", type=Path, help="where the bundle goes")
+    parser.add_argument("--scene-model", type=Path, help="of yours (default: the shipped one)")
+    parser.add_argument(
+        "--plan-problems",
+        type=int,
+        default=70,
+        help="simulated ones by which plans are calibrated; 0 for none (default: %(default)s)",
+    )
     parser.add_argument("--register", choices=ALIASES, help="make it a version of the robot's model")
     return parser
 
