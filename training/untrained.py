@@ -85,9 +85,9 @@ def made_or_found(folder: Path, world: World, config: HeadConfig) -> Bundle:
         config: of the head, with its scene model.
 
     Raises:
-        BundleError: the folder holds something else.
-        ConfigError: the scene model cannot be read, or none is given.
-        StorageError: the folder cannot be written.
+        BundleError: the folder holds no sound bundle.
+        ConfigError: the scene model cannot be read.
+        StorageError: the folder holds another model, or cannot be written.
     """
     file = config.scene_model_file
     if file is None or not file.is_file():

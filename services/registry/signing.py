@@ -26,7 +26,8 @@ def sign(folder: Path, private_key: Path) -> str:
         private_key: PEM file of an elliptic curve's key without a password.
 
     Raises:
-        ConfigError: the package is missing, or the file holds no such key.
+        ConfigError: the file holds no such key.
+        ServiceError: the package is missing, or its process does not end.
     """
     with tempfile.TemporaryDirectory(prefix="cspace-signature-") as temporary:
         made = Path(temporary, "model.sig")
