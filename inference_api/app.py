@@ -21,7 +21,7 @@ from inference_api.models.worker import RegistryWorker
 from inference_api.problem_types import add_problem_handlers
 from inference_api.process import few_arenas, repeated, settle, trimmed
 from inference_api.requests import Service
-from inference_api.routes import doctor, models, open_inference, outcomes, plan, sample, validity
+from inference_api.routes import belief, doctor, models, open_inference, outcomes, plan, sample, validity
 from inference_api.routes.documentation import add_docs_page, add_guide
 from inference_api.scheduler import Lookups, Scheduler
 from inference_api.schemas import ModelInfo, Problem, model_info
@@ -81,7 +81,7 @@ def create_app(settings: ApiSettings | None = None, registry: ModelReader | None
         docs_url=None,
         redoc_url=None,
     )
-    for routes in (sample, validity, plan, doctor, outcomes, models, open_inference):
+    for routes in (sample, validity, plan, belief, doctor, outcomes, models, open_inference):
         app.include_router(routes.router)
     add_docs_page(app)
     add_guide(app, settings.guide_folder)
@@ -121,7 +121,7 @@ def document(app: FastAPI, default_model: str) -> dict[str, Any]:
         made["security"] = [{}, {"key": []}]
         for path in HEALTH:
             made["paths"][path]["get"]["security"] = []
-        for path in ("/sample", "/validity", "/plan", "/doctor"):
+        for path in ("/sample", "/validity", "/plan", "/belief", "/doctor"):
             for body in made["paths"][path]["post"]["requestBody"]["content"].values():
                 body["schema"]["properties"]["model"]["default"] = default_model
         schemas = components.setdefault("schemas", {})

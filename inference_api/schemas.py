@@ -22,6 +22,7 @@ from pydantic import (
     Tag,
     ValidationError,
     WithJsonSchema,
+    model_validator,
 )
 
 from cspace.errors import InputError
@@ -53,7 +54,7 @@ from cspace.view_file import (
 from cspace.world import Contact, Finding
 from inference_api.models.served import ServedModel
 from inference_api.problem_types import FieldProblem, FieldsError, brief
-from services.names import SITE_PATTERN
+from services.names import ROBOT_NAME, SITE_PATTERN, model_of
 from services.registry.ports import ModelReference
 
 MAX_JOINTS, MAX_EPSILONS, MAX_VIEWS = 64, 1000, 64
@@ -166,6 +167,19 @@ Robot = Annotated[
     Annotated[str, Field(pattern=f"^{DIGEST_PATTERN}$")] | None,
     Expected("64 hexadecimal digits, small letters"),
 ]
+_RobotOrName = Annotated[
+    Annotated[str, Field(pattern=f"^{DIGEST_PATTERN}$")] | None,
+    Expected("64 hexadecimal digits, small letters; without `model` also a robot's name"),
+    WithJsonSchema(
+        {"anyOf": [{"type": "string", "pattern": f"^({DIGEST_PATTERN}|{ROBOT_NAME})$"}, {"type": "null"}]}
+    ),
+]
+_ROBOT: Any = Field(
+    None,
+    description="The robot that is planned for, as `model.robot` of an answer has it: a model of another one "
+    "refuses with 409. Absent, whichever robot the model is of. Without `model` also its name, such as "
+    "`panda`: the champion of its models answers.",
+)
 Confidence = Annotated[
     Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False)] | None,
     Expected("a finite number from 0 to 1"),
@@ -400,11 +414,7 @@ class SceneFields(ModelFields):
         description="Metres that one unit of the depth pictures stands for: 0.001 (mm) when absent, 1 for "
         "floats; 0.0001 for tenths of a mm, 0.0002 for TUM RGB-D. Goes with `camera`.",
     )
-    robot: Robot = Field(
-        None,
-        description="The robot that is planned for, as `model.robot` of an answer has it: a model of another "
-        "one refuses with 409. Absent, whichever robot the model is of.",
-    )
+    robot: _RobotOrName = _ROBOT
 
     scene: _Scene = Field(
         (),
@@ -441,6 +451,15 @@ class SceneFields(ModelFields):
     def has_known(self) -> bool:
         """Whether anything is known beside the pictures."""
         return any(getattr(self, name) for name in _KNOWN)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _named(cls, values: dict[str, Any]) -> dict[str, Any]:
+        """A robot's name stands for its model."""
+        robot = values.get("robot")
+        if "model" in values or not isinstance(robot, str) or not re.fullmatch(ROBOT_NAME, robot, re.ASCII):
+            return values
+        return {**values, "robot": None, "model": model_of(robot)}
 
     def known(self) -> bytes | None:
         """JSON of the planning scene, which the world reads; None where nothing is known."""
@@ -521,6 +540,8 @@ class QueryFields(RequestFields):
 class SampleRequest(QueryFields, SceneFields):
     """A request for samples."""
 
+    robot: _RobotOrName = _ROBOT
+
 
 class ValidityRequest(SceneFields):
     """A question whether configurations are free."""
@@ -534,6 +555,10 @@ class ValidityRequest(SceneFields):
         description=f"1 to {MAX_SAMPLES} configurations in rad, circles at any turn, other joints within "
         "their limits. In JSON, or in a form as a `.npy` file: float32 or float64 of shape (n, joints)."
     )
+
+
+class BeliefRequest(SceneFields):
+    """A question what is where."""
 
 
 class DoctorRequest(SceneFields):
@@ -806,6 +831,20 @@ class ValidityAnswer(SceneAnswer):
     why: Annotated[list[ContactInfo | None] | None, LEFT_OUT] = Field(
         None,
         description="With `explain`: what is in the way of each configuration; null of those that pass.",
+    )
+    timing_ms: ScoreTimingMs
+
+
+class BeliefAnswer(SceneAnswer):
+    """What a model takes the scene to be, seen or not, on a grid of cells in the robot's base."""
+
+    low_m: list[float] = Field(description="The grid's lowest corner, x, y and z.")
+    cell_m: float = Field(description="Side of a cell.")
+    counts: list[int] = Field(description="Cells along x, y and z.")
+    occupied: str = Field(
+        description="The probability in 1/255 that a ball of the cell's width in its middle touches "
+        "something: base64 of a byte for each cell, z the fastest, x the slowest.",
+        json_schema_extra={"contentEncoding": "base64"},
     )
     timing_ms: ScoreTimingMs
 

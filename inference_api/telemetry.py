@@ -65,7 +65,7 @@ class Answered:
         stages_s: time by stage of :data:`STAGES`, s.
     """
 
-    kind: Literal["samples", "scores", "plan", "diagnosis"]
+    kind: Literal["samples", "scores", "plan", "diagnosis", "belief"]
     model: str
     fallback: bool
     n: int | None = None

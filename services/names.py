@@ -43,7 +43,7 @@ TAG_ROBOT, TAG_WORLD = "robot", "world"
 MAX_WORLD = 4000
 
 _SUFFIX, _PATH_SUFFIX = "-sampler", "-path-sampler"
-_ROBOT_NAME = r"[A-Za-z0-9][A-Za-z0-9-]{0,62}"
+ROBOT_NAME = r"[A-Za-z0-9][A-Za-z0-9-]{0,62}"
 _DERIVED = rf"({'|'.join(KINDS)})-[0-9a-f]{{8}}"
 
 
@@ -59,7 +59,7 @@ def robot_name(world: World, given: str | None = None) -> str:
     own = example or derived
     if given is None or given == own:
         return own
-    if re.fullmatch(_ROBOT_NAME, given, re.ASCII) is None:
+    if re.fullmatch(ROBOT_NAME, given, re.ASCII) is None:
         raise ConfigError(
             "robot_name does not fit", expected="1 to 63 letters, digits and -, no - first", got=repr(given)
         )
@@ -107,6 +107,11 @@ def model_name(world: World, given: str | None = None, *, path: bool = False) ->
     return f"{name}{_PATH_SUFFIX if path else _SUFFIX}"
 
 
+def model_of(robot: str) -> str:
+    """The registered model of a robot's name."""
+    return MODEL_NAME if robot == robot_name(default_world()) else f"{robot}{_SUFFIX}"
+
+
 def names_beside(model: str) -> tuple[str, ...]:
     """The models of the robot that a model is named after, of configurations and of paths; else itself."""
     robot = _robot_of(model)
@@ -134,7 +139,7 @@ def world_tags(world: World) -> dict[str, str]:
 def recorded_name(config: Mapping[str, Any]) -> str | None:
     """What the configuration in a bundle's provenance calls the robot; None where it has no name for it."""
     name = config.get("robot_name")
-    return name if isinstance(name, str) and re.fullmatch(_ROBOT_NAME, name, re.ASCII) else None
+    return name if isinstance(name, str) and re.fullmatch(ROBOT_NAME, name, re.ASCII) else None
 
 
 def may_name(model: str, world: World, given: str | None) -> bool:

@@ -21,8 +21,15 @@ import onnx
 from google.protobuf.message import DecodeError  # type: ignore[import-untyped]
 from onnx import checker, helper, numpy_helper, shape_inference
 
-from cspace.bundle.files import ENCODER_FILE, GENERATOR_FILE, MAP_FILE, NOVELTY_FILE, VALIDITY_FILE
-from cspace.bundle.runtime import CHUNK_ROWS, PATH_CHUNK_ROWS
+from cspace.bundle.files import (
+    BELIEF_FILE,
+    ENCODER_FILE,
+    GENERATOR_FILE,
+    MAP_FILE,
+    NOVELTY_FILE,
+    VALIDITY_FILE,
+)
+from cspace.bundle.runtime import CHUNK_ROWS, PATH_CHUNK_ROWS, PLACES_CHUNK_ROWS
 from cspace.bundle.sampling import CACHED_ROWS
 from cspace.bundle.spec import MAP, PICTURE, BundleSpec
 from cspace.errors import BundleIntegrityError
@@ -105,6 +112,8 @@ def check_graphs(spec: BundleSpec, contents: Mapping[str, bytes]) -> None:
         found = check_graph(VALIDITY_FILE, data, {**shapes, "configurations": few})
         if "unseen" not in found:
             check_graph(VALIDITY_FILE, data, {**shapes, "configurations": (CHUNK_ROWS, spec.dim)})
+    if BELIEF_FILE in contents:
+        check_graph(BELIEF_FILE, contents[BELIEF_FILE], {**shapes, "places": (PLACES_CHUNK_ROWS, 3)})
 
 
 def check_graph(name: str, data: bytes, shapes: Mapping[str, Shape]) -> dict[str, Shape]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.bundle.files import (
+    BELIEF_FILE,
     ENCODER_FILE,
     GENERATOR_FILE,
     GOLDEN_FILE,
@@ -24,8 +25,9 @@ from cspace.bundle.files import (
     sums_of,
 )
 from cspace.bundle.golden import GoldenCase, endpoints, scene
-from cspace.bundle.runtime import RUN_LIMIT_S, CheckCancelled, open_graphs
+from cspace.bundle.runtime import PLACES_CHUNK_ROWS, RUN_LIMIT_S, CheckCancelled, Graph, chunked, open_graphs
 from cspace.bundle.samples import (
+    Belief,
     Encoding,
     Picture,
     SampleSet,
@@ -35,8 +37,8 @@ from cspace.bundle.samples import (
     require_inside,
 )
 from cspace.bundle.sampling import Head, sampler_of
-from cspace.bundle.spec import WAYS, BundleSpec
-from cspace.errors import BundleIntegrityError, InputError, StorageError
+from cspace.bundle.spec import MAP, PICTURE, WAYS, BundleSpec
+from cspace.errors import BundleError, BundleIntegrityError, InputError, StorageError
 from cspace.files import replacing
 from cspace.plan import path_confidence, plan
 from cspace.query import Plan, PlanQuery, QueryOptions, SampleQuery
@@ -80,7 +82,7 @@ class Bundle:
         graphs = open_graphs(self.spec, files, run_limit_s)
         self._encoder, self._novelty, self._map = graphs.encoder, graphs.novelty, graphs.map
         self._validity = None if graphs.validity is None else Head(graphs.validity)
-        self._generator = graphs.generator
+        self._generator, self._belief = graphs.generator, graphs.belief
         self._sampler = sampler_of(self.spec, self._generator, self._validity)
         self.reports_unseen = self._validity is not None and self._validity.reports_unseen
         self.head_looks_at_map = self._validity is not None and self._validity.looks_at_map
@@ -362,6 +364,54 @@ class Bundle:
             )
         return head.predict(picture, configurations, check_cancelled)
 
+    def belief(
+        self, image: NDArray[np.uint8] | Picture, check_cancelled: CheckCancelled | None = None
+    ) -> Belief:
+        """What the model takes the whole scene to be, seen or not.
+
+        Args:
+            image: uint8 (X, Y, Z, 2), or one that :meth:`prepare` made.
+            check_cancelled: as :meth:`answer` has it.
+
+        Raises:
+            InputError: the bundle cannot tell, or the picture does not fit.
+            BundleError: the graph fails, or gives what is no probability.
+        """
+        graph, grid = self.require_belief()
+        picture, cell_m, counts = self._prepared(image), 2.0 * grid.voxel_m, [n // 2 for n in grid.counts]
+        axes = [low + cell_m * (np.arange(n) + 0.5) for low, n in zip(grid.low_m, counts, strict=True)]
+        places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.float32)
+        fixed: dict[str, Any] = {PICTURE: picture.pixels, MAP: picture.map}
+
+        def run(rows: slice) -> NDArray[np.float32]:
+            part = places[rows]
+            return graph.run(fixed | {"places": part}, {"occupied": (len(part),)})["occupied"]
+
+        found = chunked(run, len(places), check_cancelled, PLACES_CHUNK_ROWS)
+        if np.any((found < 0.0) | (found > 1.0)):
+            raise BundleError("belief.onnx gives no probabilities", expected="values from 0 to 1")
+        return Belief(grid.low_m, cell_m, found.reshape(counts))
+
+    @property
+    def tells_belief(self) -> bool:
+        """Whether :meth:`belief` answers."""
+        return self._belief is not None
+
+    def require_belief(self) -> tuple[Graph, Any]:
+        """What :meth:`belief` asks, and the grid of the pictures.
+
+        Raises:
+            InputError: as there.
+        """
+        grid = getattr(self.spec.world.sensor, "grid", None)
+        if self._belief is None or grid is None:
+            raise InputError(
+                "the model cannot tell what it takes the scene to be",
+                expected="a model of an arm that sees with depth cameras, with belief.onnx",
+                remedy="make the model again with this version of training",
+            )
+        return self._belief, grid
+
     def _head(self) -> Head:
         if self._validity is None:
             raise InputError("the model has no validity head", remedy="train one with validity.steps above 0")
@@ -411,6 +461,7 @@ _GRAPH_FILES = {
     "validity": VALIDITY_FILE,
     "novelty": NOVELTY_FILE,
     "map": MAP_FILE,
+    "belief": BELIEF_FILE,
 }
 
 
@@ -422,8 +473,8 @@ def write_bundle(
     Args:
         folder: where the bundle is to be; must not exist.
         spec: its description.
-        graphs: ``encoder``, and as the description asks for ``generator``, ``validity``, ``novelty`` and
-            ``map``, to ONNX bytes.
+        graphs: ``encoder``, and as the description asks for ``generator``, ``validity``, ``novelty``, ``map``
+            and ``belief``, to ONNX bytes.
         golden: the golden case; computed from a fixed picture and seed when None.
 
     Returns:
@@ -459,7 +510,7 @@ def _graph_files(graphs: Mapping[str, bytes]) -> dict[str, bytes]:
     if not {"encoder"} <= set(graphs) <= set(_GRAPH_FILES):
         raise BundleIntegrityError(
             "the bundle's graphs do not fit",
-            expected="encoder and optionally generator, validity, novelty and map",
+            expected="encoder and optionally generator, validity, novelty, map and belief",
             got=", ".join(sorted(graphs)),
         )
     return {_GRAPH_FILES[name]: data for name, data in graphs.items()}

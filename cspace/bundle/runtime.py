@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.bundle.files import (
+    BELIEF_FILE,
     ENCODER_FILE,
     GENERATOR_FILE,
     MAP_FILE,
@@ -24,7 +25,7 @@ from cspace.bundle.files import (
     VALIDITY_FILE,
     BundleFiles,
 )
-from cspace.bundle.spec import MAP, WAYS, BundleSpec
+from cspace.bundle.spec import MAP, PICTURE, WAYS, BundleSpec
 from cspace.errors import BundleError, BundleIntegrityError
 
 # Of all sessions of a process together, weights aside; in a container at most this share of its limit.
@@ -162,8 +163,9 @@ DEADLINES = Deadlines()
 
 
 # Bound the memory and the time of one call; fixed sizes, so that they can not move a result. What one call
-# of a path sampler draws comes in the order of the path, so it is drawn in larger parts.
-CHUNK_ROWS, PATH_CHUNK_ROWS = 512, 4096
+# of a path sampler draws comes in the order of the path, so it is drawn in larger parts; a place costs far
+# less than a configuration.
+CHUNK_ROWS, PATH_CHUNK_ROWS, PLACES_CHUNK_ROWS = 512, 4096, 4096
 
 # May raise to stop the work.
 CheckCancelled = Callable[[], None]
@@ -353,6 +355,7 @@ class GraphSet:
     validity: Graph | None
     novelty: Graph | None
     map: Graph | None
+    belief: Graph | None
 
 
 def open_graphs(spec: BundleSpec, files: BundleFiles, run_limit_s: float) -> GraphSet:
@@ -385,11 +388,12 @@ def open_graphs(spec: BundleSpec, files: BundleFiles, run_limit_s: float) -> Gra
     generator = opened(GENERATOR_FILE, {"latent", *noise, *spec.conditions}, {"samples"})
     _check_whole(GENERATOR_FILE, generator, "a model kind that has one", described=spec.model_kind != WAYS)
     validity = opened(VALIDITY_FILE, {"image", "configurations"}, {"confidence"}, optional)
-    looked_at = spec.looks_at_map or (validity is not None and MAP in validity.inputs)
+    belief = opened(BELIEF_FILE, {PICTURE, MAP, "places"}, {"occupied"})
+    looked_at = spec.looks_at_map or belief is not None or (validity is not None and MAP in validity.inputs)
     _check_whole(MAP_FILE, seen, "the condition map", described=looked_at)
     scores = opened(NOVELTY_FILE, {"image", "mu"}, {"scores"})
     _check_whole(NOVELTY_FILE, scores, "novelty_quantiles", described=spec.novelty_quantiles is not None)
-    return GraphSet(encoder, generator, validity, scores, seen)
+    return GraphSet(encoder, generator, validity, scores, seen, belief)
 
 
 def _check_whole(name: str, graph: Graph | None, beside: str, *, described: bool) -> None:

@@ -64,6 +64,22 @@ class Picture:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Belief:
+    """What a model takes a scene to be, seen or not, on a grid of cells in the base frame.
+
+    Args:
+        low_m: lowest corner of the grid.
+        cell_m: side of a cell.
+        occupied: float32 (X, Y, Z), the probability that a ball of the cell's width in its middle touches
+            something.
+    """
+
+    low_m: tuple[float, float, float]
+    cell_m: float
+    occupied: NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Sampled:
     """What a sampler gives.
 

@@ -34,12 +34,23 @@ from cspace.worlds import partly_seen, read_world, simulator_of
 from cspace.worlds.spatial.obstacles import Box
 from cspace.worlds.spatial.planning_scene import read_planning_scene
 from cspace.worlds.spatial.situation import Situation
-from cspace_client import ClientError, DepthPictures, Diagnosis, FoundPlan, Known, PlanQuery, SamplingClient
+from cspace_client import (
+    Belief,
+    ClientError,
+    DepthPictures,
+    Diagnosis,
+    FoundPlan,
+    Known,
+    PlanQuery,
+    SamplingClient,
+)
 from services.planner.client import usual_api
 
 Floats = NDArray[np.float64]
 GREY, START, GOAL, ALONG = (150, 150, 155), (70, 120, 200), (60, 160, 90), (230, 150, 40)
-UNSEEN, KNOWN, CONTACT = (200, 190, 230), (90, 130, 190), (220, 30, 30)
+UNSEEN, KNOWN, CONTACT, EXPECTED = (200, 190, 230), (90, 130, 190), (220, 30, 30), (120, 60, 200)
+# A cell in which the model expects something at least as surely is shown.
+BELIEVED = 0.5
 # From here on the novelty is shown as a warning.
 NOVEL, WARNING = 0.95, ' style="color:#c22"'
 # What the shares mean, shown where the pointer rests.
@@ -103,6 +114,9 @@ class Api(Protocol):
 
     def plan(self, picture: DepthPictures, query: PlanQuery, model: str) -> FoundPlan:
         """A path."""
+
+    def belief(self, picture: DepthPictures, model: str) -> Belief:
+        """What the model takes the scene to be."""
 
     def doctor(self, picture: DepthPictures, model: str) -> Diagnosis:
         """What is wrong with pictures, cameras and state."""
@@ -228,6 +242,11 @@ class SceneState:
     def unseen_m(self) -> Floats:
         """What no camera sees of the space in reach, (N, 3) m in the base frame, thinned out."""
         return _thinned(cast("Any", self.world).unseen_m(self.view))
+
+    def believed(self) -> tuple[Floats, NDArray[np.float32], float]:
+        """Middles (N, 3) m of cells in which something is expected, how surely (N,), and a cell's side."""
+        found = self.api.belief(self.pictures(), self.model)
+        return found.centres_m(BELIEVED), found.occupied[found.occupied >= BELIEVED], found.cell_m
 
     def findings(self) -> str:
         """What the doctor says of the pictures, as Markdown."""
@@ -398,6 +417,7 @@ class Viewer:
             self.message = gui.add_markdown("")
             gui.add_markdown("Click an obstacle or a camera to move it.")
             self.unseen: Any = gui.add_checkbox("show unknown space", initial_value=False)
+            self.believed: Any = gui.add_checkbox("show what the model expects", initial_value=False)
         self._add_upload()
         with gui.add_folder("Plan"):
             self.least = gui.add_slider("min. confidence", 0.0, 1.0, 0.01, 0.5)
@@ -412,6 +432,7 @@ class Viewer:
         self.cameras.on_update(lambda _: self._guarded(self._use_cameras))
         self.count.on_update(lambda _: self._guarded(self.show_samples))
         self.unseen.on_update(lambda _: self._guarded(self._show_unseen))
+        self.believed.on_update(lambda _: self._guarded(self._show_believed))
         plan.on_click(lambda _: self._guarded(self.show_plan))
         self.along.on_update(lambda _: self._show_along())
 
@@ -610,6 +631,7 @@ class Viewer:
         cloud = self.state.points_m()
         scene.add_point_cloud("/scene/cloud", cloud, (40, 40, 40), point_size=0.004)
         self._show_unseen()
+        self._show_believed()
         # An API that fails leaves no figures of another scene.
         self.shares.content = ""
         found = self.state.sample(int(self.count.value))
@@ -635,6 +657,27 @@ class Viewer:
     def _show_unseen(self) -> None:
         points = self.state.unseen_m() if self.unseen.value else np.empty((0, 3))
         self.server.scene.add_point_cloud("/scene/unseen", points, UNSEEN, point_size=0.004)
+
+    def _show_believed(self) -> None:
+        """Translucent cells, the surer the less so."""
+        with suppress(KeyError):
+            self.server.scene.remove_by_name("/scene/believed")
+        if not self.believed.value:
+            return
+        centres, surely, cell_m = self.state.believed()
+        box = trimesh.creation.box((cell_m,) * 3)
+        self.server.scene.add_batched_meshes_simple(
+            "/scene/believed",
+            box.vertices.astype(np.float32),
+            box.faces.astype(np.uint32),
+            np.tile(np.array([1.0, 0.0, 0.0, 0.0], np.float32), (len(centres), 1)),
+            centres.astype(np.float32),
+            batched_colors=EXPECTED,
+            batched_opacities=(0.5 * surely).astype(np.float32),
+            cast_shadow=False,
+            receive_shadow=False,
+            flat_shading=True,
+        )
 
     def show_plan(self) -> None:
         """Ask for a path, check it in the true scene, and draw it."""

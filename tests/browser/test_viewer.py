@@ -37,6 +37,7 @@ def test_a_scene_is_sampled_planned_and_changed(page: Page, address: str) -> Non
     open_viewer(page, address)
     # The first scene shows what the arm can do, the other example what it refuses to do.
     assert re.search(r"Confidence \d+%. In the true scene the path is collision-free.", plan_in_viewer(page))
+    page.get_by_text("show what the model expects").click()
     page.get_by_text("Known beside the pictures").click()
     for what in ("add", "hold"):
         page.get_by_role("button", name=what, exact=True).click()
@@ -52,6 +53,7 @@ def test_a_scene_is_sampled_planned_and_changed(page: Page, address: str) -> Non
     before = table.text_content() or ""
     page.get_by_role("textbox", name="seed").fill("3")
     expect(table).not_to_have_text(before)
+    expect(page.get_by_text("Error")).to_have_count(0)
     # Another scene has another path.
     expect(page.get_by_text("In the true scene the path is")).to_have_count(0)
 

@@ -45,6 +45,7 @@ def test_every_page_of_the_contract_is_in_the_document(document: dict[str, Any])
         "/sample": {"post"},
         "/validity": {"post"},
         "/plan": {"post"},
+        "/belief": {"post"},
         "/doctor": {"post"},
         "/outcomes": {"post"},
         "/models": {"get"},
@@ -173,7 +174,7 @@ def test_the_default_model_that_is_shown_is_the_one_that_answers(tmp_path) -> No
     settings = ApiSettings(None, tmp_path, "three-link-sampler")
     found = create_app(settings).openapi()
     named = [schema for schema in _properties(found) if schema.get("maxLength") == 300]
-    assert len(named) == 8
+    assert len(named) == 10
     assert {schema["default"] for schema in named} == {"three-link-sampler"}
 
 

@@ -164,3 +164,17 @@ def test_another_models_versions_are_listed_by_its_name(
     assert found["default"] == MODEL_NAME
     assert list(listed(api)) == [f"{MODEL_NAME}/1", "pretrained"]
     assert_problem(api.get("/models", params={"name": "../x"}), 422, "invalid-value")
+
+
+def test_a_robots_name_stands_for_its_model(panda_api: ApiClient, png: bytes) -> None:
+    def ask(**fields: str) -> httpx.Response:
+        return panda_api.post("/sample", files={"image": png}, data={"n": "3", **fields})
+
+    named = ask(robot="two-link").json()["model"]
+    assert (named["name"], named["robot"]) == ("pretrained", TWO)
+    # The arm's model answers, which takes no picture of a plane.
+    assert_problem(ask(robot="panda"), 422, "invalid-image")
+    assert "nobody-sampler" in assert_problem(ask(robot="nobody"), 404, "unknown-model")["detail"]
+    for fields in ({"robot": "two-link", "model": "pretrained"}, {"robot": "-"}):
+        problem = assert_problem(ask(**fields), 422, "invalid-value")
+        assert "a robot's name" in problem["errors"][0]["expected"]

@@ -26,6 +26,7 @@ from training.config import HeadConfig, TrainConfig
 from training.jobs.environment import command_line, now, source_state
 from training.jobs.job import TAG_START
 from training.models.autoencoders import network_size
+from training.models.belief import belief_graph
 from training.models.checkpoint import load_scene_model, trained
 from training.models.export import (
     encoder_graph,
@@ -134,7 +135,11 @@ def head_graphs(config: HeadConfig, world: World, checkpoint: Path) -> dict[str,
     else:
         model = load_scene_model(checkpoint, world)
         head = GridHead(model, world.grid_arm(model.config.groups), counts_of(world)).eval()
-    return {"map": map_graph(head), "validity": grid_validity_graph(head, world.dim)}
+    return {
+        "map": map_graph(head),
+        "validity": grid_validity_graph(head, world.dim),
+        "belief": belief_graph(head.model, world),
+    }
 
 
 def with_choices(

@@ -274,6 +274,25 @@ class GridHead(nn.Module):
         scenes, count, dim = configurations.shape
         frames = self.frames(configurations.reshape(-1, dim))
         scene = None if scenes == 1 else torch.arange(scenes, device=frames.device).repeat_interleave(count)
+        return self.at_frames(pictures, table, frames, scene, (scenes, count))
+
+    def at_frames(
+        self,
+        pictures: Tensor,
+        table: Tensor,
+        frames: Tensor,
+        scene: Tensor | None,
+        shape: tuple[int, int],
+    ) -> HeadPrediction:
+        """The same of frames of the arm, (3, 4 (d + 1), n), in scenes as :meth:`at_spheres` has them.
+
+        Args:
+            pictures: as :meth:`forward` has them.
+            table: of their features.
+            frames: of the arm.
+            scene: (n,) number of the picture; None for one.
+            shape: p and c, whose product is n.
+        """
         margins, unseen = self.at_spheres(pictures, frames, scene)
         near, sight = margins[self.members].amin(dim=1), unseen[self.members].mean(dim=1)
         inputs = [*self._at_groups(pictures, frames, scene), *_margin_features(near), sight.unsqueeze(0)]
@@ -284,10 +303,9 @@ class GridHead(nn.Module):
         # The sum of all volumes may be above 1 by rounding.
         share = (unseen * self.volumes).sum(dim=0).clamp(max=1.0)
         clear = self._clear(inner, hazards, share) + self._past_the_seen(margins)
-        shape = (scenes, count)
         return HeadPrediction(
             clear.reshape(shape),
-            hazards.T.reshape(scenes, count, -1),
+            hazards.T.reshape(*shape, -1),
             (self.gap(frames) > 0.0).float().reshape(shape),
             share.reshape(shape),
         )

@@ -23,6 +23,7 @@ from cspace.simulator import (
 from cspace.world import Image, Scene, World
 from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.checks import CollisionChecker, group_hits
+from cspace.worlds.spatial.distances import distance_m
 from cspace.worlds.spatial.furniture import FAMILIES
 from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles, obstacles_of, rows_of
 from cspace.worlds.spatial.problems import Ends, PathLimits, draw_problem, draw_proposals, find_path
@@ -139,6 +140,11 @@ class SpatialSimulator:
     def render(self, scene: Scene) -> Image:
         """See :meth:`cspace.worlds.spatial.world.SpatialWorld.observed`."""
         return self.world.observed(_spatial(scene).view())
+
+    def unseen_places(self, scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Places in reach that no camera of a scene sees, (N, 3) m, and how far obstacles are, (N,) m."""
+        places = self.world.unseen_m(_spatial(scene).view())
+        return places, distance_m(_spatial(scene).obstacles, places)
 
     def picture_file(self, scene: Scene) -> bytes:
         """See :mod:`cspace.worlds.spatial.view`."""

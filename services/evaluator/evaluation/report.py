@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
+from cspace.bundle import Bundle
 from cspace.errors import EvaluationError
 from cspace.simulator import UNIFORM, Split
 from cspace.worlds import picture_of, robot_digest, simulator_of
@@ -59,7 +60,7 @@ from services.evaluator.tables import Table, aligned, markdown
 from services.names import NOTE as DESCRIPTION
 from services.planner.ompl_planner import solve
 from services.planner.plotting import plot_plan
-from services.planner.samples import SampleSource
+from services.planner.samples import BundleSampler, SampleSource
 from services.registry.ports import ModelRegistry, ModelVersion, RunLog, Shown
 from services.registry.promotion import Decision, record_decision
 
@@ -98,6 +99,26 @@ def gallery(
         for label, colour, marker, size in POINTS
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize=8, frameon=False)
+    return figure
+
+
+def completions(scenes: Sequence[Scene], bundle: Bundle, title: str) -> Figure:
+    """One row a scenario from the side: what cameras see, and what the bundle expects among the obstacles."""
+    figure = Figure(figsize=(7.5, 0.7 + 2.9 * len(scenes)), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(len(scenes), 2, squeeze=False)
+    for row, scene in zip(panels, scenes, strict=True):
+        _picture(row[0], scene, "red is seen, grey is not")
+        found = bundle.belief(scene.image)
+        (left, _, low), (x, _, z) = found.low_m, found.cell_m * np.array(found.occupied.shape)
+        extent = (left, left + x, low, low + z)
+        most = found.occupied.max(axis=1).T
+        shown = row[1].imshow(most, "Purples", vmin=0.0, vmax=1.0, extent=extent, origin="lower")
+        simulator_of(scene.stage.world).draw_scene(row[1], scene.scenario, "none")
+        row[1].set(xlim=extent[:2], ylim=extent[2:])
+        row[1].set_title("expected by the model,\nwith the outlines of what is there", fontsize=9)
+        figure.colorbar(shown, ax=row[1], label="highest probability\nalong the view")
+    figure.suptitle(title)
     return figure
 
 
@@ -411,6 +432,9 @@ def log_evaluation(
         shown = exhibits(stage, result)
         names.append(f"gallery-{split}")
         run.figure(gallery([*shown], sampler, title, [*shown.values()]), names[-1])
+        if isinstance(sampler, BundleSampler) and sampler.bundle.tells_belief:
+            names.append(f"completions-{split}")
+            run.figure(completions([*shown], sampler.bundle, title), names[-1])
     summary = evaluation.test.reconstruction
     if summary is not None and summary.occupancy is not None:
         names.append("reliability")

@@ -13,7 +13,7 @@ from cspace.worlds import examples, simulator_of
 from cspace.worlds.spatial.obstacles import Box
 from cspace.worlds.spatial.poses import HERE
 from cspace.worlds.spatial.view import write_view
-from cspace_client import DepthPictures
+from cspace_client import Belief, DepthPictures, ModelHead
 from services.planner.viewer import SceneState
 
 WORLD = examples()["panda"]
@@ -41,6 +41,13 @@ class FakeApi:
         plan = SimpleNamespace(path=self.path, confidence=0.75, status="solved" if solved else "refused")
         return SimpleNamespace(plan=plan, reason=None if solved else "none is sure enough")
 
+    def belief(self, picture: DepthPictures, model: str) -> Belief:
+        self.shown.append(picture)
+        occupied = np.zeros((4, 4, 4), dtype=np.float32)
+        occupied[1, 2, 3], occupied[0, 0, 0] = 0.75, 0.25
+        head = ModelHead("m", 1, "0" * 64)
+        return Belief(np.array([-1.0, 0.0, 1.0]), 0.5, occupied, head, 0.1)
+
     def doctor(self, picture: DepthPictures, model: str) -> Any:
         self.shown.append(picture)
         verdict = SimpleNamespace(code="holes", seen="few readings", effect="little is known", remedy="mend")
@@ -61,6 +68,12 @@ def test_samples_are_checked_against_the_scenes_own_obstacles(api: FakeApi, stat
     found = state.sample(20)
     assert (found.free == simulator_of(WORLD).checker(state.scene).valid_batch(api.rows)).all()
     assert (found.novelty, found.unseen) == (0.25, None)
+
+
+def test_cells_are_shown_in_which_something_is_expected(state: SceneState) -> None:
+    centres, surely, cell_m = state.believed()
+    np.testing.assert_allclose(centres, [[-0.25, 1.25, 2.75]])
+    assert (surely.tolist(), cell_m) == ([0.75], 0.5)
 
 
 def test_a_path_through_an_obstacle_is_called_in_collision(api: FakeApi, state: SceneState) -> None:

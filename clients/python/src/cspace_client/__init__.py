@@ -19,6 +19,7 @@ from cspace_client.known import Known
 from cspace_client.models import (
     MAX_SAMPLES,
     AlternativePath,
+    Belief,
     Contact,
     Diagnosis,
     FoundPlan,
@@ -49,6 +50,7 @@ __all__ = [
     "MAX_SAMPLES",
     "AlternativePath",
     "AsyncSamplingClient",
+    "Belief",
     "ClientError",
     "ConfigError",
     "Contact",

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from cspace_client.errors import ConfigError, SamplerAnswerError, SamplerError, SamplerUnavailableError
 from cspace_client.models import (
+    Belief,
     Diagnosis,
     FoundPlan,
     PlanOptions,
@@ -25,6 +26,7 @@ from cspace_client.models import (
 )
 from cspace_client.pictures import Picture, shown
 from cspace_client.requests import (
+    BeliefQuestion,
     DoctorQuestion,
     Found,
     PlanQuestion,
@@ -95,6 +97,9 @@ class HttpClient(ABC, Generic[Transport]):
     def _of_plan(self, picture: Picture, query: PlanOptions, model: str | None) -> PlanQuestion:
         given = shown(picture), model, self._robot, self._sends_robot
         return PlanQuestion(*given, query)
+
+    def _of_belief(self, picture: Picture, model: str | None) -> BeliefQuestion:
+        return BeliefQuestion(shown(picture), model, self._robot, self._sends_robot)
 
     def _of_doctor(self, picture: Picture, model: str | None) -> DoctorQuestion:
         return DoctorQuestion(shown(picture), model, self._robot, self._sends_robot)
@@ -240,6 +245,20 @@ class SamplingClient(HttpClient[httpx.BaseTransport]):
         """
         return self._ask(self._of_plan(picture, query, model), time.perf_counter())
 
+    def belief(self, picture: Picture, model: str | None = None) -> Belief:
+        """What a model takes the whole scene of depth pictures to be, seen or not; no fallback answers.
+
+        Args:
+            picture: of the scene.
+            model: as :meth:`sample` has it.
+
+        Raises:
+            SamplerUnavailableError: as :meth:`answer` has it.
+            SamplerAnswerError: likewise.
+            SamplerError: likewise.
+        """
+        return self._ask(self._of_belief(picture, model), time.perf_counter())
+
     def doctor(self, picture: Picture, model: str | None = None) -> Diagnosis:
         """What is wrong with pictures, cameras and state, and what to do; no fallback answers.
 
@@ -367,6 +386,10 @@ class AsyncSamplingClient(HttpClient[httpx.AsyncBaseTransport]):
     async def plan(self, picture: Picture, query: PlanOptions, model: str | None = None) -> FoundPlan:
         """See :meth:`cspace_client.SamplingClient.plan`."""
         return await self._ask(self._of_plan(picture, query, model), time.perf_counter())
+
+    async def belief(self, picture: Picture, model: str | None = None) -> Belief:
+        """See :meth:`cspace_client.SamplingClient.belief`."""
+        return await self._ask(self._of_belief(picture, model), time.perf_counter())
 
     async def doctor(self, picture: Picture, model: str | None = None) -> Diagnosis:
         """See :meth:`cspace_client.SamplingClient.doctor`."""

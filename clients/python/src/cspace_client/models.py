@@ -228,6 +228,29 @@ class Diagnosis:
     round_trip_s: float
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Belief:
+    """What a model takes a scene to be, seen or not, on a grid of cells in the robot's base.
+
+    Args:
+        low_m: (3,) lowest corner of the grid.
+        cell_m: side of a cell.
+        occupied: (X, Y, Z) the probability that a ball of the cell's width in its middle touches something.
+        model: that answered, with the novelty.
+        round_trip_s: from the request to the checked answer, further attempts included.
+    """
+
+    low_m: NDArray[np.float64]
+    cell_m: float
+    occupied: NDArray[np.float32]
+    model: ModelHead
+    round_trip_s: float
+
+    def centres_m(self, least: float) -> NDArray[np.float64]:
+        """(N, 3): middles of the cells whose probability is at least that, m, in the order of the array."""
+        return np.asarray(self.low_m + self.cell_m * (np.argwhere(self.occupied >= least) + 0.5))
+
+
 MAX_SAMPLES = 20_000
 """Of one request."""
 

@@ -1,7 +1,9 @@
 """The requests of an inference API, one class for each endpoint, and how their answers are read."""
 
+import base64
 import io
 import json
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -34,6 +36,7 @@ from cspace_client.models import (
     MAX_SAMPLES,
     PLAIN,
     AlternativePath,
+    Belief,
     Contact,
     Diagnosis,
     FoundPlan,
@@ -365,16 +368,14 @@ class PlanReading:
         query, seed = self.question.query, answer.seed("seed")
         if seed != query.seed:
             raise unusable("is for another seed", str(query.seed), str(seed))
-        head = _head(self.question, answer.inner("model"))
+        head = _head(self.question, answer)
         space = space_of(answer.plain("joint_space"), f"joint_space: {str(answer.plain('joint_space'))[:80]}")
-        scenario = answer.inner("scenario")
-        novelty = scenario.number("novelty", 1.0) if scenario.has_required("novelty") else None
         plan = _plan(answer, space)
         limits = query.limits
         _require_fit(plan, query, space if limits is None else space.narrowed(limits))
         reason = printable(answer.text("reason")) if answer.has_required("reason") else None
         warnings = warnings_of(answer) if answer.has("warnings") else ()
-        head = replace(head, space=space, novelty=novelty, warnings=warnings)
+        head = replace(head, space=space, warnings=warnings)
         named = answer.has("calibration") and answer.has_required("calibration")
         calibration = printable(answer.text("calibration", _MAX_NAME)) if named else None
         return FoundPlan(plan, reason, seed, head, round_trip_s, self.request_id, calibration)
@@ -395,15 +396,22 @@ def _json(name: str, value: object) -> str:
         ) from error
 
 
-def _head(question: Question[Any], model: Members) -> ModelHead:
+def _head(question: Question[Any], answer: Members) -> ModelHead:
+    model, scenario = answer.inner("model"), answer.inner("scenario")
     name, version, robot = model.text("name", _MAX_NAME), model.count("version"), model.text("robot")
     digest = model.text("digest")
     for what, value in (("digest", digest), ("robot", robot)):
         if not is_digest(value):
             raise unusable(f"names a wrong {what}", "a SHA-256 in hexadecimal", repr(value[:80]))
     require_requested(question.model, question.robot, name, version, robot)
-    confirmed = model.flag("alias_confirmed")
-    return ModelHead(printable(name), version, digest, robot=robot, alias_confirmed=confirmed)
+    return ModelHead(
+        printable(name),
+        version,
+        digest,
+        robot=robot,
+        alias_confirmed=model.flag("alias_confirmed"),
+        novelty=scenario.number("novelty", 1.0) if scenario.has_required("novelty") else None,
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -440,8 +448,6 @@ class DoctorReading:
             answer = Members(parse_json(body), "diagnosis")
         except ValueError as error:
             raise unusable("is no diagnosis", "the members of one", str(error)) from error
-        scenario = answer.inner("scenario")
-        novelty = scenario.number("novelty", 1.0) if scenario.has_required("novelty") else None
         return Diagnosis(
             tuple(
                 Verdict(
@@ -455,7 +461,54 @@ class DoctorReading:
             ),
             tuple(map(printable, answer.texts("notes"))),
             tuple(map(_suggested, answer.each("poses"))),
-            replace(_head(self.question, answer.inner("model")), novelty=novelty),
+            _head(self.question, answer),
+            round_trip_s,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BeliefQuestion(Question[Belief]):
+    """A request for what a model takes the scene to be."""
+
+    path: ClassVar[str] = "/belief"
+    media_type: ClassVar[str] = JSON
+
+    def own_fields(self) -> dict[str, Any]:
+        """None: the pictures are all."""
+        return {}
+
+    def read(self, headers: Mapping[str, str]) -> "BeliefReading":
+        """See :class:`cspace_client.requests.Question`."""
+        read_media_type(headers, JSON)
+        return BeliefReading(self)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BeliefReading:
+    """See :class:`cspace_client.requests.Reading`."""
+
+    question: BeliefQuestion
+
+    @property
+    def limit_bytes(self) -> int:
+        """Of JSON."""
+        return _MAX_BYTES
+
+    def conclude(self, body: bytes, round_trip_s: float) -> Belief:
+        """The belief, with a byte for each cell."""
+        try:
+            answer = Members(parse_json(body), "belief")
+            packed = base64.b64decode(answer.text("occupied", _MAX_BYTES), validate=True)
+        except ValueError as error:
+            raise unusable("is no belief", "the members of one", str(error)) from error
+        counts, low_m = [int(count) for count in answer.row("counts")], answer.row("low_m")
+        if len(counts) != 3 or len(low_m) != 3 or len(packed) != math.prod(counts):
+            raise unusable("is no belief", "a byte for each cell", f"{len(packed)} of {counts}"[:100])
+        return Belief(
+            np.array(low_m),
+            answer.number("cell_m"),
+            np.frombuffer(packed, np.uint8).reshape(counts).astype(np.float32) / np.float32(255.0),
+            _head(self.question, answer),
             round_trip_s,
         )
 
