@@ -21,6 +21,12 @@ def _careful(folder: Path) -> Path:
     return write_bundle(folder, spec, tiny_graphs(spec, validity=True))
 
 
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Requests from the OpenAPI document are made while they are collected, which takes 20 s."""
+    made_at_once = collection_path.name == "test_schemathesis.py"
+    return True if made_at_once and "not e2e" in config.option.markexpr else None
+
+
 StartApi = Callable[..., ApiClient]
 
 
