@@ -17,6 +17,9 @@ EXPERIMENT = "cspace-sampler"
 OUTCOMES_EXPERIMENT, OUTCOMES_FILE = "cspace-outcomes", "outcomes.jsonl"
 # Calibrations of plans for a site: their runs, and the name of a site's registered model before the site's.
 CALIBRATIONS_EXPERIMENT, CALIBRATION_PREFIX = "cspace-calibrations", "calibration-"
+# Scene models: their runs, the registered model, and its weights among a run's files.
+SCENE_MODELS_EXPERIMENT, SCENE_MODEL_NAME = "cspace-scene-models", "scene-model"
+SCENE_MODEL_FILE = "scene_model.safetensors"
 SITE_PATTERN = r"[A-Za-z0-9._-]{1,64}"
 # The setting that names where artifacts lie that the tracking server does not hand out itself: ``s3://models``.
 ARTIFACT_STORE = "CSPACE_ARTIFACT_STORE"

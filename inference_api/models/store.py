@@ -36,7 +36,14 @@ from inference_api.models.served import ServedModel, ShippedModels
 from inference_api.models.worker import RegistryWorker
 from inference_api.problem_types import ModelNotReadyError
 from inference_api.telemetry import Observer, Refusal
-from services.names import ALIAS_CHAMPION, CALIBRATION_PREFIX, SHADOW, TAG_ROBOT, TAG_SHADOW_SHARE
+from services.names import (
+    ALIAS_CHAMPION,
+    CALIBRATION_PREFIX,
+    SCENE_MODEL_NAME,
+    SHADOW,
+    TAG_ROBOT,
+    TAG_SHADOW_SHARE,
+)
 from services.registry.calibration import SiteCalibration, calibration_name
 from services.registry.failures import anonymous
 from services.registry.ports import PRETRAINED, ModelReader, ModelReference, ModelVersion, is_model_name
@@ -44,6 +51,8 @@ from services.registry.ports import PRETRAINED, ModelReader, ModelReference, Mod
 _Answer = TypeVar("_Answer")
 _NOT_LOOKED_UP: Literal[""] = ""
 _LOG = logging.getLogger(__name__)
+# Names of registered models that answer no request begin so.
+_NO_SAMPLERS = CALIBRATION_PREFIX, SCENE_MODEL_NAME
 LOAD_WAIT_S = 30.0
 # For how long after a request named it a reference is looked up in the background.
 IN_USE_S = 60.0
@@ -330,7 +339,7 @@ class ModelStore:
         fitting = [
             name
             for name in names
-            if is_model_name(name) and name != self.model_name and not name.startswith(CALIBRATION_PREFIX)
+            if is_model_name(name) and not name.startswith(_NO_SAMPLERS) and name != self.model_name
         ]
         others = [version for name in fitting[:LISTED_MODELS] for version in self.versions(name)]
         found = [*self.versions(self.model_name), *(version for version in others if version.aliases)]

@@ -91,7 +91,8 @@ def test_what_a_run_found_is_recorded_once_as_tags_alone(
     assert (made.tags, made.aliases) == ({"offset": "0.5"}, (ALIAS_CHAMPION,))
     again = registry.record(model_name, runs[0], {"offset": "0.5", "slope": "1.0"})
     assert (again.number, again.tags) == (1, {"offset": "0.5", "slope": "1.0"})
-    assert registry.record(model_name, runs[1], {}).number == 2
+    second = registry.record(model_name, runs[1], {"digest": "0" * 64})
+    assert (made.digest, second.digest, second.number) == ("", "0" * 64, 2)
     assert registry.by_alias(model_name, ALIAS_CHAMPION).number == 1
     with pytest.raises(RegistryError):
         registry.record(model_name, "0" * 32, {})

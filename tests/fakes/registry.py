@@ -17,7 +17,7 @@ from cspace.errors import (
     RegistryUnavailableError,
     StorageError,
 )
-from services.names import TAG_KEY, world_tags
+from services.names import TAG_DIGEST, TAG_KEY, world_tags
 from services.registry.ports import (
     ID,
     ID_LENGTH,
@@ -223,7 +223,8 @@ class FakeRegistry:
         known = self._versions.setdefault(name, [])
         number = next((one.number for one in known if one and one.run_id == run_id), len(known) + 1)
         if number > len(known):
-            known.append(ModelVersion(name, number, run_id, "", (), {}, time.time_ns() // 1_000_000))
+            digest, now_ms = tags.get(TAG_DIGEST, ""), time.time_ns() // 1_000_000
+            known.append(ModelVersion(name, number, run_id, digest, (), {}, now_ms))
         self.set_tags(name, number, tags)
         if alias is not None:
             self.set_alias(name, alias, number)

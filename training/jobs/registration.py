@@ -5,7 +5,7 @@ import os
 from cspace.bundle import Bundle
 from cspace.errors import ConfigError
 from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, EXPERIMENT, TAG_STAGE, recorded_name
-from services.registry.ports import ID
+from services.registry.ports import ID, ModelRegistry, Tracking
 from training.jobs.job import world_tag
 
 ALIASES = (ALIAS_CHALLENGER, ALIAS_CHAMPION)
@@ -25,6 +25,15 @@ def registry_uri() -> str:
     return uri
 
 
+def registry_at(uri: str) -> tuple[Tracking, ModelRegistry]:
+    """Runs and models on a tracking server."""
+    # MLflow takes seconds to import.
+    from services.registry.mlflow_registry import MlflowRegistry  # noqa: PLC0415
+    from services.registry.mlflow_tracking import MlflowTracking  # noqa: PLC0415
+
+    return MlflowTracking(uri), MlflowRegistry(uri)
+
+
 def register_untrained(bundle: Bundle, uri: str, model: str, alias: str, stage: str) -> str:
     """Make a bundle the next version of a model, by a run that holds its settings; ``name/version``.
 
@@ -38,17 +47,14 @@ def register_untrained(bundle: Bundle, uri: str, model: str, alias: str, stage: 
     Raises:
         RegistryError: the registry does not answer.
     """
-    # MLflow takes seconds to import.
-    from services.registry.mlflow_registry import MlflowRegistry  # noqa: PLC0415
-    from services.registry.mlflow_tracking import MlflowTracking  # noqa: PLC0415
-
+    tracking, registry = registry_at(uri)
     provenance = bundle.spec.provenance
     tags = {TAG_STAGE: stage, **world_tag(bundle.spec.world, recorded_name(provenance.config))}
     # The same bundle is registered once, however often it is given.
     key = f"{stage}/{model}/{bundle.digest}"
-    with MlflowTracking(uri).start(EXPERIMENT, f"{model}, untrained, {ID}", tags=tags, key=key) as run:
+    with tracking.start(EXPERIMENT, f"{model}, untrained, {ID}", tags=tags, key=key) as run:
         run.params(dict(provenance.config))
-        version = MlflowRegistry(uri).register(
+        version = registry.register(
             model,
             bundle.folder,
             run.run_id,
