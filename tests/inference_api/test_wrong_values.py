@@ -26,7 +26,7 @@ WRONG: dict[str, list[object]] = {
     "start": ["[0, 0]", [[0, 0]], [0, 0]],
     "goal": [[0, 0]],
     "image": ["not base64!", IMAGE[:-1], None, [1, 2]],
-    "robot": ["", "two-link", "A" * 64, "a" * 63, "a" * 65, f"{'a' * 64}\n"],
+    "robot": ["", "two link", "-two", "A" * 64, "a" * 65, f"{'a' * 64}\n"],
     "seeds": [3],
     "": [3],
 }
