@@ -51,7 +51,7 @@ def _answer(
     bundle, spec, image = served.bundle, served.bundle.spec, request.picture()
     require_robot(request.robot, spec)
     bundle.require_belief()
-    job.spend(rows_of(rows=math.prod(spec.world.sensor.picture_shape) / _VOXELS_A_ROW))
+    job.spend(rows_of(rows=math.prod(spec.world.sensor.picture_shape[:3]) / _VOXELS_A_ROW))
     prepared = prepared_picture(store, bundle, image, job)
     asked = time.perf_counter()
     found = bundle.belief(prepared.picture, job.check_cancelled)
