@@ -631,7 +631,6 @@ class Viewer:
         cloud = self.state.points_m()
         scene.add_point_cloud("/scene/cloud", cloud, (40, 40, 40), point_size=0.004)
         self._show_unseen()
-        self._show_believed()
         # An API that fails leaves no figures of another scene.
         self.shares.content = ""
         found = self.state.sample(int(self.count.value))
@@ -653,6 +652,8 @@ class Viewer:
         }
         self.shares.content = _table({name: value for name, value in shares.items() if value is not None})
         self.message.content = ""
+        # Last, for not every model can tell.
+        self._show_believed()
 
     def _show_unseen(self) -> None:
         points = self.state.unseen_m() if self.unseen.value else np.empty((0, 3))
