@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from cspace.simulator import Split
 from cspace.world import GridArm, World
-from cspace.worlds import simulator_of
+from cspace.worlds import simulator_of, usual_world
 from training.models.export import exported
 from training.models.grid_head import GridHead, SceneModel, counts_of
 
@@ -90,7 +90,9 @@ def belief_graph(model: SceneModel, world: World) -> bytes:
 @torch.no_grad()
 def _fitted(model: Ball, world: World) -> tuple[float, float]:
     """A and b of :class:`Ball` for a world's validation scenes; 1 and 0 where these hide nothing."""
-    simulator: Any = simulator_of(world)
+    # Usual scenes where nobody knows the world's own, as with recordings.
+    scenes = getattr(world, "scenes", None)
+    simulator: Any = simulator_of(usual_world(world.body, sensor=world.sensor, scenes=scenes))
     rng, odds, truth = np.random.default_rng(0), [], []
     for scene in simulator.scenes(Split.VALIDATION, 0, SCENES):
         places, distances = simulator.unseen_places(scene)
