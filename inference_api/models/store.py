@@ -51,8 +51,6 @@ from services.registry.ports import PRETRAINED, ModelReader, ModelReference, Mod
 _Answer = TypeVar("_Answer")
 _NOT_LOOKED_UP: Literal[""] = ""
 _LOG = logging.getLogger(__name__)
-# Names of registered models that answer no request begin so.
-_NO_SAMPLERS = CALIBRATION_PREFIX, SCENE_MODEL_NAME
 LOAD_WAIT_S = 30.0
 # For how long after a request named it a reference is looked up in the background.
 IN_USE_S = 60.0
@@ -339,7 +337,9 @@ class ModelStore:
         fitting = [
             name
             for name in names
-            if is_model_name(name) and not name.startswith(_NO_SAMPLERS) and name != self.model_name
+            if is_model_name(name)
+            and name not in (self.model_name, SCENE_MODEL_NAME)
+            and not name.startswith(CALIBRATION_PREFIX)
         ]
         others = [version for name in fitting[:LISTED_MODELS] for version in self.versions(name)]
         found = [*self.versions(self.model_name), *(version for version in others if version.aliases)]

@@ -73,7 +73,16 @@ def test_the_client_reads_a_belief(api: ApiClient) -> None:
     assert ((sure > found.low_m) & (sure < found.low_m + 40 * found.cell_m)).all()
 
 
-@pytest.mark.parametrize("wrong", [{"counts": [40, 40, 41]}, {"occupied": "@"}, {"low_m": [0.0]}])
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"counts": [40, 40, 41]},
+        {"counts": [-40, -40, 40]},
+        {"counts": []},
+        {"occupied": "@"},
+        {"low_m": [0.0]},
+    ],
+)
 def test_the_client_refuses_what_is_no_belief(api: ApiClient, wrong: dict) -> None:
     answer = ask(api)
     body = json.dumps(answer.json() | wrong)

@@ -27,6 +27,9 @@ def test_models_of_other_robots_are_listed_where_an_alias_names_them(
     registry.add(bundles["plain"], name="arm-sampler")
     registry.add(bundles["other"], "champion", name="arm-sampler")
     registry.add(bundles["plain"], name="another-sampler")
+    # These answer no request.
+    for other in ("scene-model", "calibration-lab-3"):
+        registry.record(other, "run", {}, alias="champion")
     listed = [item["reference"] for item in own_api.get("/models").json()["models"]]
     assert listed[5:] == ["arm-sampler/2", "pretrained"]
     named = own_api.get("/models?name=arm-sampler").json()["models"]

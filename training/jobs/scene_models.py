@@ -18,7 +18,7 @@ from services.names import (
     TAG_DIGEST,
     TAG_STAGE,
 )
-from services.registry.ports import ModelReference, ModelRegistry, ModelVersion, Tracking
+from services.registry.ports import ID, ModelReference, ModelRegistry, ModelVersion, Tracking
 
 # How many more of those that pass may be in collision for an arm, before a model is no better.
 _MARGIN = 0.005
@@ -36,7 +36,7 @@ def register(
     more of what passes a confidence of 0.9 are in collision. The same weights are registered once.
 
     Args:
-        file: that :func:`training.models.checkpoint.save_scene_model` wrote.
+        file: named ``scene_model.safetensors``, of :func:`training.models.checkpoint.save_scene_model`.
         figures: of each held-out arm, as :func:`training.scene_model.measure` finds them.
         params: how they were trained.
         tracking: keeps the weights.
@@ -52,13 +52,10 @@ def register(
         champion = registry.by_alias(SCENE_MODEL_NAME, ALIAS_CHAMPION)
     is_champion = champion is None or champion.digest == digest or _is_better(figures, champion.tags)
     tags = {TAG_STAGE: "scene model", TAG_DIGEST: digest}
-    with tracking.start(SCENE_MODELS_EXPERIMENT, "scene model, {id}", tags=tags, key=digest) as run:
+    with tracking.start(SCENE_MODELS_EXPERIMENT, f"scene model, {ID}", tags=tags, key=digest) as run:
         run.params(params)
         run.metrics(flat, 0)
-        with TemporaryDirectory() as folder:
-            kept = Path(folder) / SCENE_MODEL_FILE
-            kept.write_bytes(file.read_bytes())
-            run.artifact(kept)
+        run.artifact(file)
     alias = ALIAS_CHAMPION if is_champion else ALIAS_CHALLENGER
     values = {name: repr(value) for name, value in flat.items()}
     return registry.record(SCENE_MODEL_NAME, run.run_id, {TAG_DIGEST: digest, **values}, alias=alias)
@@ -102,6 +99,9 @@ def fetch(reference: str, file: Path, tracking: Tracking, registry: ModelRegistr
 def _is_better(figures: Figures, before: Mapping[str, str]) -> bool:
     gained = 0.0
     for arm, found in figures.items():
+        # An arm that the champion was not measured with says nothing.
+        if f"{arm}.{ACCURACY}" not in before:
+            continue
         accuracy, false_free = (float(before[f"{arm}.{name}"]) for name in (ACCURACY, FALSE_FREE))
         if found[FALSE_FREE] > false_free + _MARGIN:
             return False

@@ -17,7 +17,7 @@ from training.models.grid_head import GridHead, SceneModel, counts_of
 
 # Scenes and hidden places of each by which a ball's probability is fitted.
 SCENES, PLACES = 8, 4000
-# A ball is smaller than all that the model has learned with.
+# Places are never taken for free more surely than 1 - this, so that log odds are finite.
 _SURE = 1e-6
 
 
@@ -89,7 +89,7 @@ def belief_graph(model: SceneModel, world: World) -> bytes:
 
 @torch.no_grad()
 def _fitted(model: Ball, world: World) -> tuple[float, float]:
-    """A and b of :class:`Ball` for a world's validation scenes; 1 and 0 where these hide nothing."""
+    """The scale of a :class:`Ball` for a world's validation scenes; 1 and 0 where these hide nothing."""
     # Usual scenes where nobody knows the world's own, as with recordings.
     scenes = getattr(world, "scenes", None)
     simulator: Any = simulator_of(usual_world(world.body, sensor=world.sensor, scenes=scenes))

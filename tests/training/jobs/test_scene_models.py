@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from cspace.errors import BundleIntegrityError, InputError, ModelNotFoundError
-from services.names import SCENE_MODEL_NAME, SCENE_MODELS_EXPERIMENT
+from services.names import SCENE_MODEL_FILE, SCENE_MODEL_NAME, SCENE_MODELS_EXPERIMENT
 from tests.fakes.registry import FakeRegistry, FakeTracking
 from training.jobs.scene_models import fetch, register
 
@@ -17,13 +17,15 @@ class Kept:
         self.folder, self.tracking = folder, FakeTracking()
         self.registry = FakeRegistry(folder / "registry", self.tracking.runs)
 
-    def register(self, weights: bytes, accuracy: float = 0.9, false_free: float = 0.02) -> tuple[str, ...]:
+    def register(
+        self, weights: bytes, accuracy: float = 0.9, false_free: float = 0.02, arm: str = "ur5"
+    ) -> tuple[str, ...]:
         """The version and its aliases."""
-        file = self.folder / "own-name.safetensors"
+        file = self.folder / SCENE_MODEL_FILE
         file.write_bytes(weights)
         figures = {
             "panda": {"accuracy": 0.9, "false_free_above_0.9": 0.02},
-            "ur5": {"accuracy": accuracy, "false_free_above_0.9": false_free},
+            arm: {"accuracy": accuracy, "false_free_above_0.9": false_free},
         }
         version = register(file, figures, {"steps": 5}, self.tracking, self.registry)
         return str(version), *version.aliases
@@ -48,6 +50,14 @@ def test_the_first_and_each_better_one_is_the_champion(kept: Kept) -> None:
     assert kept.fetch("scene-model/1") == b"one"
     (run,) = [run for run in kept.tracking.runs.values() if "two" in str(run.artifacts)]
     assert (run.experiment, run.history["ur5.accuracy"]) == (SCENE_MODELS_EXPERIMENT, [(0, 0.91)])
+
+
+def test_an_arm_that_the_champion_was_not_measured_with_decides_nothing(kept: Kept) -> None:
+    assert kept.register(b"one") == ("scene-model/1", "champion")
+    assert kept.register(b"two", accuracy=0.99, false_free=0.5, arm="xarm7") == (
+        "scene-model/2",
+        "challenger",
+    )
 
 
 def test_the_same_weights_are_registered_once_and_stay_the_champion(kept: Kept) -> None:

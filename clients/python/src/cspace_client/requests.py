@@ -114,9 +114,9 @@ class Question(ABC, Generic[Found]):
         pictures = [("image", file) for file in self.shown.files]
         return [*pictures, *(("mesh", file) for file in self.shown.meshes), *self.own_files()]
 
-    @abstractmethod
     def own_fields(self) -> dict[str, Any]:
-        """Those that this question has."""
+        """Those that this question has beside the pictures."""
+        return {}
 
     def own_files(self) -> list[tuple[str, File]]:
         """Files beside the picture, each with its field."""
@@ -230,10 +230,6 @@ class ValidityQuestion(Question[Predictions]):
     media_type: ClassVar[str] = NPY
 
     configurations: NDArray[np.float64]
-
-    def own_fields(self) -> dict[str, Any]:
-        """None: the configurations are a file."""
-        return {}
 
     def own_files(self) -> list[tuple[str, File]]:
         """As a ``.npy``, which is shorter than JSON and exact."""
@@ -421,10 +417,6 @@ class DoctorQuestion(Question[Diagnosis]):
     path: ClassVar[str] = "/doctor"
     media_type: ClassVar[str] = JSON
 
-    def own_fields(self) -> dict[str, Any]:
-        """None: the pictures are all."""
-        return {}
-
     def read(self, headers: Mapping[str, str]) -> "DoctorReading":
         """See :class:`cspace_client.requests.Question`."""
         read_media_type(headers, JSON)
@@ -473,10 +465,6 @@ class BeliefQuestion(Question[Belief]):
     path: ClassVar[str] = "/belief"
     media_type: ClassVar[str] = JSON
 
-    def own_fields(self) -> dict[str, Any]:
-        """None: the pictures are all."""
-        return {}
-
     def read(self, headers: Mapping[str, str]) -> "BeliefReading":
         """See :class:`cspace_client.requests.Question`."""
         read_media_type(headers, JSON)
@@ -502,7 +490,8 @@ class BeliefReading:
         except ValueError as error:
             raise unusable("is no belief", "the members of one", str(error)) from error
         counts, low_m = [int(count) for count in answer.row("counts")], answer.row("low_m")
-        if len(counts) != 3 or len(low_m) != 3 or len(packed) != math.prod(counts):
+        fits = len(counts) == len(low_m) == 3 and min(counts) > 0
+        if not fits or len(packed) != math.prod(counts):
             raise unusable("is no belief", "a byte for each cell", f"{len(packed)} of {counts}"[:100])
         return Belief(
             np.array(low_m),

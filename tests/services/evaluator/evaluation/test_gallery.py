@@ -3,12 +3,20 @@
 import numpy as np
 import pytest
 
+from cspace.bundle import Bundle
 from cspace.simulator import Split
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.problems import Family
 from cspace.worlds.planar.world import PlanarWorld
-from services.evaluator.evaluation.report import MISSED_COLOUR, SHOWN_SAMPLES, exhibits, gallery
+from inference_api.settings import further_folders
+from services.evaluator.evaluation.report import (
+    MISSED_COLOUR,
+    SHOWN_SAMPLES,
+    completions,
+    exhibits,
+    gallery,
+)
 from services.evaluator.evaluation.units import SplitResult
 from services.evaluator.measures.sample_quality import SampleQuality, SceneQuality
 from services.evaluator.measures.scenes import Scene, Stage
@@ -46,6 +54,18 @@ def test_the_gallery_has_three_panels_a_scenario(robot, tmp_path):
     assert len(figure.axes) == 6
     assert (tmp_path / "gallery.png").stat().st_size > 10_000
     assert "free" in figure.axes[2].get_title()
+
+
+def test_what_a_model_expects_is_drawn_from_the_side_among_the_obstacles():
+    bundle = Bundle.load(further_folders()["pretrained-panda"], check=False)
+    scene = Scene(Stage(bundle.spec.world, Split.VALIDATION, 0), 0)
+    _, panel, _ = completions([scene], bundle, "one").axes
+    (image,), found = panel.images, bundle.belief(scene.image)
+    np.testing.assert_array_equal(image.get_array(), found.occupied.max(axis=1).T)
+    (left, _, low), (x, _, z) = found.low_m, found.cell_m * np.array(found.occupied.shape)
+    assert image.get_extent() == pytest.approx([left, left + x, low, low + z])
+    obstacles = scene.scenario.obstacles
+    assert len(panel.patches) == len(obstacles.boxes) + len(obstacles.cylinders)
 
 
 def test_free_configurations_that_no_sample_is_near_are_marked():
