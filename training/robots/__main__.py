@@ -5,37 +5,33 @@ Exit codes: 0 done; 1 the disk is bad; 2 the command or the description is wrong
 
 import argparse
 import json
-import math
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from cspace.errors import ConfigError, CspaceError, ScenarioError
 from cspace.files import replacing
-from services.command_errors import report_error
+from services.command_errors import finite, report_error
 from training.robots.chain import Limits
 from training.robots.covering import Allowances
 from training.robots.importing import Request, import_robot
-from training.robots.report import draw, lines_of, values_of
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Parse, call, print; returns the exit code."""
     options = parser().parse_args(arguments)
+    values, picture = (options.out.with_suffix(end) for end in (".report.json", ".report.png"))
     try:
         imported = import_robot(_request(options), lambda name: print(f"covering {name}", flush=True))
-        values, picture = (options.out.with_suffix(end) for end in (".report.json", ".report.png"))
-        with replacing(options.out, "the robot") as beside:
-            beside.write_text(_text(imported.arm.to_dict()), encoding="utf-8")
-        with replacing(values, "the report") as beside:
-            beside.write_text(_text(values_of(imported)), encoding="utf-8")
+        _write(options.out, "the robot", imported.arm.to_dict())
+        _write(values, "the report", imported.to_dict())
         with replacing(picture, "the report's picture") as beside:
-            draw(imported, beside)
+            imported.draw(beside)
     except CspaceError as error:
         return report_error(error, ConfigError, ScenarioError)
-    print("\n".join(lines_of(imported)))
+    print("\n".join(imported.lines()))
     print(f"written to {options.out}; the report is in {values.name} and {picture.name}")
     return 0
 
@@ -54,12 +50,9 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("--name", help=named)
     one.add_argument("--srdf", type=Path, help="with the pairs that need no check; default: beside the URDF")
     one.add_argument("--tip", metavar="LINK", help="whose frame is the tool's; default: the last link")
+    held = "a joint that does not move, rad or m; those beside the chain are held at 0"
     for name, value, help_text in (
-        (
-            "--lock",
-            "JOINT=VALUE",
-            "a joint that does not move, rad or m; those beside the chain are held at 0",
-        ),
+        ("--lock", "JOINT=VALUE", held),
         ("--limit", "JOINT=LOW,HIGH", "instead of the description's, rad; JOINT=none for a circle"),
         ("--package", "NAME=FOLDER", "where a package of meshes or xacro files lies"),
         ("--xacro", "NAME=VALUE", "an argument of xacro"),
@@ -89,10 +82,10 @@ def _request(options: argparse.Namespace) -> Request:
         name=options.name,
         srdf=options.srdf,
         tip=options.tip,
-        locked={name: _number("--lock", value) for name, value in _pairs("--lock", options.lock).items()},
-        limits={name: _limits(value) for name, value in _pairs("--limit", options.limit).items()},
-        packages={name: Path(value) for name, value in _pairs("--package", options.package).items()},
-        arguments=_pairs("--xacro", options.xacro),
+        locked={joint: _number("--lock", text) for joint, text in _pairs("--lock", options.lock)},
+        limits={joint: _limits(text) for joint, text in _pairs("--limit", options.limit)},
+        packages={name: Path(folder) for name, folder in _pairs("--package", options.package)},
+        arguments=dict(_pairs("--xacro", options.xacro)),
         without=tuple(options.without),
         kept=tuple((first, second) for first, second in options.keep),
         allowances=Allowances(options.slack_mm / 1e3, excess_m, relaxed=options.excess_mm is None),
@@ -100,35 +93,34 @@ def _request(options: argparse.Namespace) -> Request:
     )
 
 
+def _pairs(option: str, given: Sequence[str]) -> Iterator[tuple[str, str]]:
+    for text in given:
+        name, _, value = text.partition("=")
+        if not (name and value):
+            raise ConfigError(f"{option} does not fit", expected="NAME=VALUE", got=repr(text)[:200])
+        yield name, value
+
+
 def _limits(text: str) -> Limits:
     low, _, high = text.partition(",")
     return None if text == "none" else (_number("--limit", low), _number("--limit", high))
 
 
-def _pairs(option: str, given: Sequence[str]) -> dict[str, str]:
-    pairs = {}
-    for text in given:
-        name, sign, value = text.partition("=")
-        if not (name and sign and value):
-            raise ConfigError(f"{option} does not fit", expected="NAME=VALUE", got=repr(text)[:200])
-        pairs[name] = value
-    return pairs
-
-
 def _number(option: str, text: str) -> float:
     try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise ConfigError(f"{option} does not fit", expected="a finite number", got=repr(text)[:200])
-    return value
+        return finite(text)
+    except argparse.ArgumentTypeError as error:
+        raise ConfigError(
+            f"{option} does not fit", expected="a finite number", got=repr(text)[:200]
+        ) from error
 
 
-def _text(values: Mapping[str, Any]) -> str:
-    """JSON with a list of numbers in one line each."""
+def _write(path: Path, what: str, values: Mapping[str, Any]) -> None:
+    """Write JSON with a list of numbers in one line each."""
     text = json.dumps(values, indent=1, allow_nan=False)
-    return re.sub(r"\[\s*([^\[\]{}]*?)\s*\]", lambda found: f"[{' '.join(found[1].split())}]", text) + "\n"
+    text = re.sub(r"\[\s*([^\[\]{}]*?)\s*\]", lambda found: f"[{' '.join(found[1].split())}]", text)
+    with replacing(path, what) as beside:
+        beside.write_text(text + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

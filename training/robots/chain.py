@@ -1,7 +1,7 @@
 """The serial chain in a description: joints that do not move are folded, what hangs on them is carried."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -34,15 +34,6 @@ class Held:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Piece:
-    """A link of the description, the arm's link that it is fixed to, and its frame (4, 4) in that one's."""
-
-    name: str
-    link: int
-    frame: Matrix
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Chain:
     """A serial arm without its spheres.
 
@@ -72,7 +63,7 @@ def read_chain(
             limits are missing or no range, or names of joints are unknown.
     """
     path = _path(description, tip)
-    reader = _Reader(description, path, dict(locked), dict(limits))
+    reader = _Reader(description, path, locked, limits)
     if unknown := sorted((set(locked) | set(limits)) - set(reader.by_name)):
         known = f"some of {sorted(reader.by_name)}"
         raise ScenarioError("joints are unknown", expected=known, got=str(unknown))
@@ -116,20 +107,20 @@ def _path(description: Description, tip: str | None) -> list[str]:
     return path[::-1]
 
 
-@dataclass(slots=True)
 class _Reader:
     """Finds where joints are held, and the limits of those that move."""
 
-    description: Description
-    path: list[str]
-    locked: dict[str, float]
-    limits: dict[str, Limits]
-    held: list[Held] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-    by_name: dict[str, Any] = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.by_name = {joint.name: joint for joint in self.description.joints.values()}
+    def __init__(
+        self,
+        description: Description,
+        path: list[str],
+        locked: Mapping[str, float],
+        limits: Mapping[str, Limits],
+    ) -> None:
+        self.description, self.path, self.locked, self.limits = description, path, locked, limits
+        self.by_name = {joint.name: joint for joint in description.joints.values()}
+        self.held: list[Held] = []
+        self.notes: list[str] = []
 
     def hold(self, joint: Any) -> Matrix:
         """(4, 4): the transform of a joint that does not move."""

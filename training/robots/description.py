@@ -124,16 +124,11 @@ def read_xml(data: bytes, name: str, root: str = "robot") -> Any:
 
 def _expanded(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, str]) -> bytes:
     folders = {name: str(folder.resolve()) for name, folder in packages.items()}
-    request = {"file": str(path.resolve()), "packages": folders, "arguments": dict(arguments)}
+    request = json.dumps({"file": str(path.resolve()), "packages": folders, "arguments": dict(arguments)})
     command = [sys.executable, "-I", str(packages_script.__file__)]
     try:
         done = subprocess.run(
-            command,
-            input=json.dumps(request).encode(),
-            capture_output=True,
-            env={},
-            timeout=60.0,
-            check=False,
+            command, input=request.encode(), capture_output=True, env={}, timeout=60.0, check=False
         )
         if done.returncode == 0:
             return done.stdout

@@ -1,19 +1,20 @@
-"""A serial arm from its description: the chain, spheres for its links, and pairs of links that can touch."""
+"""A serial arm from its description: chain, spheres for its links, pairs of links that can touch, report."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from cspace.errors import ScenarioError
-from cspace.worlds.spatial.arm import MAX_OVERLAP_M, MAX_SPHERES, Part, SerialArm
+from cspace.worlds.spatial.arm import MAX_OVERLAP_M, MAX_SPHERES, Part, SerialArm, ready_rad
 from cspace.worlds.spatial.kinematics import arm_arrays, self_distance_batch
 from cspace.worlds.spatial.poses import moved
 from cspace.worlds.spatial.sensor import VOXEL_M, grid_of
 from training.robots.chain import Chain, Held, Limits, read_chain
-from training.robots.covering import Allowances, Fit, Floats, cover, measure
+from training.robots.covering import Allowances, Fit, Floats, cover, gaps_m, measure
 from training.robots.description import Description, find_srdf, read_description, read_disabled_pairs
 from training.robots.meshes import Solid, read_solids, union_surface
 
@@ -80,6 +81,76 @@ class Imported:
     surfaces: Mapping[str, Floats]
     srdf: Path | None
 
+    def lines(self) -> list[str]:
+        """How well the spheres fit, joints, pairs that are held apart, what was left out."""
+        lines = [f"{'part':<24}spheres  missed mm  missed %  sticks out mm  mean mm"]
+        for name, fit in self.fits.items():
+            lines.append(
+                f"{name:<24}{fit.spheres:>7}{1e3 * fit.missed_m:>11.2f}{100.0 * fit.missed_share:>10.2f}"
+                f"{1e3 * fit.excess_m:>15.2f}{1e3 * fit.mean_excess_m:>9.2f}"
+            )
+        arm = self.arm
+        lines.append(f"{arm.name}: {arm.dim} joints, {arm.sphere_count} spheres, {len(arm.touching)} pairs")
+        for joint in arm.joints:
+            low, high = joint.limits_rad or (None, None)
+            lines.append(f"  {joint.name}: {'a circle' if low is None else f'{low:g} to {high:g} rad'}")
+        lines += [f"  {one.name}, {one.kind}: held at {one.value:g}, {one.why}" for one in self.held]
+        lines.append(f"pairs by {'sampling' if self.srdf is None else self.srdf}")
+        lines += [
+            f"  {one.pair[0]} and {one.pair[1]}: overlap in {100.0 * one.share:.2f} % of configurations"
+            f"{'' if one.kept else ', not held apart'}"
+            for one in self.touching
+            if one.share is not None and (one.share > 0.0 or one.kept)
+        ]
+        return lines + [f"warning: {note}" for note in self.notes]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        arm = self.arm
+        return {
+            "robot": arm.name,
+            "joints": [{"name": joint.name, "limits_rad": joint.limits_rad} for joint in arm.joints],
+            "held": [asdict(one) for one in self.held],
+            "parts": [
+                {"name": part.name, "link": part.link, **asdict(self.fits[part.name])} for part in arm.parts
+            ],
+            "srdf": None if self.srdf is None else str(self.srdf),
+            "pairs": [asdict(one) for one in self.touching],
+            "warnings": list(self.notes),
+        }
+
+    def draw(self, path: Path) -> None:
+        """Write a PNG: from three sides, the arm's surfaces where it waits, with its spheres over them.
+
+        Points of a surface are green inside the spheres, red outside.
+        """
+        # A second that errors need not wait.
+        from matplotlib.collections import EllipseCollection  # noqa: PLC0415
+        from matplotlib.figure import Figure  # noqa: PLC0415
+
+        arm = self.arm
+        frames = arm.link_frames(ready_rad(arm)[None])[0]
+        spheres, points, missed = [], [], []
+        for part in arm.parts:
+            own, surface = np.asarray(part.spheres_m), self.surfaces[part.name]
+            missed.append(gaps_m(surface, own) > 0.0)
+            points.append(moved(frames[part.link], surface))
+            spheres.append(np.column_stack([moved(frames[part.link], own[:, :3]), own[:, 3]]))
+        centres, dots, red = np.concatenate(spheres), np.concatenate(points), np.concatenate(missed)
+        figure = Figure(figsize=(15, 5.5), layout="constrained")
+        figure.suptitle(f"{arm.name}: {arm.sphere_count} spheres over its surfaces, where it waits")
+        for axes, (x, y) in zip(figure.subplots(1, 3), ((0, 2), (1, 2), (0, 1)), strict=True):
+            sizes = 2.0 * centres[:, 3]
+            axes.add_collection(
+                EllipseCollection(
+                    sizes, sizes, np.zeros(len(sizes)), units="xy", offsets=centres[:, (x, y)],
+                    offset_transform=axes.transData, facecolors="none", edgecolors="0.6", linewidths=0.3,
+                )
+            )  # fmt: skip
+            axes.scatter(dots[:, x], dots[:, y], s=0.3, c=np.where(red, "tab:red", "tab:green"))
+            axes.set(xlabel=f"{'xyz'[x]}, m", ylabel=f"{'xyz'[y]}, m", aspect="equal")
+        figure.savefig(path, format="png")
+
 
 def import_robot(request: Request, report: Callable[[str], None] = lambda _: None) -> Imported:
     """The arm that a request describes; ``report`` takes each part's name before its spheres are sought.
@@ -145,7 +216,8 @@ def _solids(
         notes += more
         if found:
             solids[name] = found
-            pictured += [] if link.collisions else [name]
+        if found and not link.collisions:
+            pictured.append(name)
     if gone:
         notes.append(f"left out by --without: {', '.join(sorted(gone))}")
     if pictured:
@@ -211,9 +283,11 @@ def _touching(
             continue
         distances = self_distance_batch(sampled, arm_arrays(replace(arm, touching=(names,))))
         share = float(np.mean(distances < 0.0))
-        why = (
-            "never overlap" if not share else "can touch" if share < ALWAYS_SHARE else "nearly always overlap"
-        )
-        why = "--keep" if pair in kept else why
+        if pair in kept:
+            why = "--keep"
+        elif share == 0.0:
+            why = "never overlap"
+        else:
+            why = "can touch" if share < ALWAYS_SHARE else "nearly always overlap"
         found.append(Touching(names, share, why in {"--keep", "can touch"}, why))
     return tuple(found)
