@@ -195,3 +195,7 @@ class PathGanConfig(PointConfig):
     guide_weight: float = Field(0.0, ge=0, description="of the configuration space's local critics")
     steps: int = Field(1500, ge=1)
     learning_rate: float = Field(1e-3, gt=0)
+
+
+# The section of a job's configuration that a trial is trained by.
+TrialSettings = VaeConfig | GateConfig | GanConfig | ValidityConfig | PointConfig

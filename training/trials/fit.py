@@ -5,8 +5,7 @@ import os
 import time
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import lightning
 import torch
@@ -21,6 +20,7 @@ from training.config import ResourceConfig
 from training.models.checkpoint import Progress, load_checkpoint, read_progress, start_from
 from training.models.data import StepCounter
 from training.models.modules import Metrics, TrialModule
+from training.models.settings import TrialSettings
 from training.trials.launch import TrialFolder, TrialRequest
 
 # Readers of a log want a line now and then, however fast the steps are.
@@ -29,14 +29,6 @@ LINE_EVERY_S = 5.0
 STOP_LOOK_EVERY_S = 0.25
 
 _LOG = logging.getLogger("training")
-
-
-@dataclass(frozen=True, slots=True)
-class Rhythm:
-    """How often a trial logs and checkpoints, in steps."""
-
-    log_every_steps: int
-    checkpoint_every_steps: int
 
 
 class TrialStopped(BaseException):
@@ -50,7 +42,7 @@ class TrialCallback(lightning.Callback):
         name: of the trial in progress lines, with its job's.
         progress: where it starts.
         steps: where it ends.
-        rhythm: how often it logs and checkpoints.
+        resources: how often it logs and checkpoints.
         run: its tracking run.
         folder: takes its checkpoints, and holds those of earlier attempts.
         stopping: whether it is to end early.
@@ -61,13 +53,13 @@ class TrialCallback(lightning.Callback):
         name: str,
         progress: Progress,
         steps: int,
-        rhythm: Rhythm,
+        resources: ResourceConfig,
         run: RunLog,
         folder: TrialFolder,
         stopping: Callable[[], bool],
     ) -> None:
         self.name, self.step, self.steps = name, progress.step, steps
-        self.rhythm, self.run, self.folder = rhythm, run, folder
+        self.resources, self.run, self.folder = resources, run, folder
         self.stopping, self.stopped, self.looked_s = stopping, False, time.monotonic()
         self.history = [dict(row) for row in progress.history]
         self.first, self.started = progress.step, time.monotonic()
@@ -95,10 +87,10 @@ class TrialCallback(lightning.Callback):
         last, first = self.step == self.steps, self.step == self.first + 1
         if not isinstance(pl_module, TrialModule):
             return
-        if first or last or self.step % self.rhythm.log_every_steps == 0:
+        if first or last or self.step % self.resources.log_every_steps == 0:
             self._log(pl_module)
         self.stopped = not last and self._should_stop()
-        if last or self.stopped or self.step % self.rhythm.checkpoint_every_steps == 0:
+        if last or self.stopped or self.step % self.resources.checkpoint_every_steps == 0:
             self._checkpoint(pl_module)
         trainer.should_stop = self.stopped
 
@@ -137,7 +129,7 @@ def fit(
     name: str,
     module: TrialModule,
     steps: int,
-    rhythm: Rhythm,
+    resources: ResourceConfig,
     run: RunLog,
     folder: TrialFolder,
     stopping: Callable[[], bool] = lambda: False,
@@ -148,7 +140,7 @@ def fit(
         name: of the trial in progress lines.
         module: what is trained; its batches are its own.
         steps: generator steps in all.
-        rhythm: how often it logs and checkpoints.
+        resources: how often it logs and checkpoints.
         run: its tracking run, finished here.
         folder: of its checkpoints.
         stopping: whether to write a checkpoint and end; asked several times a second.
@@ -161,7 +153,7 @@ def fit(
     """
     checkpoint = folder.latest()
     progress = Progress(0, run.run_id, ()) if checkpoint is None else read_progress(checkpoint)
-    callback = TrialCallback(name, progress, steps, rhythm, run, folder, stopping)
+    callback = TrialCallback(name, progress, steps, resources, run, folder, stopping)
     with warnings.catch_warnings():
         # Lightning counsels on loader workers and loggers; the loader only counts steps.
         warnings.simplefilter("ignore")
@@ -183,19 +175,6 @@ def fit(
             if callback.stopped:
                 raise TrialStopped
     return callback.last
-
-
-class TrialSettings(Protocol):
-    """The section of a job's configuration that a trial is trained by."""
-
-    @property
-    def steps(self) -> int:
-        """Of training, in all."""
-        ...
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values by key."""
-        ...
 
 
 def fit_tracked(
@@ -229,7 +208,6 @@ def fit_tracked(
     logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
     # What can not be sent is kept, so there is nothing to be patient for.
     lower_patience(os.environ)
-    rhythm = Rhythm(resources.log_every_steps, resources.checkpoint_every_steps)
     label = f"{trial.name} ({trial.job})"
     folder = TrialFolder(trial.folder, resources.checkpoints_kept)
     if trial.start is not None:
@@ -239,7 +217,7 @@ def fit_tracked(
     parameters = _parameters(trial, module, settings) | extra_parameters
     shown = _show(run, parameters)
     try:
-        metrics = fit(label, module, settings.steps, rhythm, run, folder, trial.stop.exists)
+        metrics = fit(label, module, settings.steps, resources, run, folder, trial.stop.exists)
     except TrialStopped:
         return None
     if not shown:

@@ -3,8 +3,9 @@ import torch
 
 from tests.fakes.run_log import RecordingRun
 from tests.training.models.builders import tiny_module
+from training.config import ResourceConfig
 from training.models.checkpoint import read_progress
-from training.trials.fit import Rhythm, TrialStopped, fit
+from training.trials.fit import TrialStopped, fit
 from training.trials.launch import TrialFolder
 
 
@@ -23,7 +24,8 @@ class KilledAt(RecordingRun):
 
 def train(module, folder, run, stopping=lambda: False):
     """Nine steps, logged every 2 and kept every 4; returns the last metrics."""
-    return fit("local-0", module, 9, Rhythm(2, 4), run, TrialFolder(folder), stopping)
+    resources = ResourceConfig(log_every_steps=2, checkpoint_every_steps=4)
+    return fit("local-0", module, 9, resources, run, TrialFolder(folder), stopping)
 
 
 def last(folder):
