@@ -34,11 +34,10 @@ from training.models.checkpoint import read_progress
 from training.models.mixture import gate_probabilities
 from training.trials.arrays import (
     GatedCells,
-    GridOccupancy,
     Latents,
-    OccupancyArrays,
     TrainingArrays,
     encode,
+    has_occupancy,
     load_encoder,
 )
 from training.trials.launch import TrialOutcome, TrialRequest, connect, run_trials
@@ -129,11 +128,10 @@ def train_on_pictures(
     images = shown(sensor, dataset.images)
     if dataset.extra_images is not None:
         images = np.concatenate([images, shown(sensor, dataset.extra_images)])
-    arrays = OccupancyArrays if config.validity.grid is None else GridOccupancy
-    wanted = config.validity.steps > 0 and config.validity.scene_model is None
-    occupancy = arrays.of(dataset) if wanted else None
+    trained = config.validity.steps > 0 and config.validity.scene_model is None
+    head = trained and has_occupancy(dataset, config.validity)
     vae = not config.joint and config.vae.checkpoint is None
-    names = [name for name, wanted in ((VAE, vae), (VALIDITY, occupancy is not None)) if wanted]
+    names = [name for name, wanted in ((VAE, vae), (VALIDITY, head)) if wanted]
     if not names:
         return None, None
     _LOG.info("%s: %d pictures", " and ".join(names), len(images))
@@ -141,7 +139,7 @@ def train_on_pictures(
     shared = {
         "train": config,
         "images": images,
-        "occupancy": occupancy,
+        "data_folder": dataset.folder.absolute(),
         "tracking_uri": job.environment.tracking_uri,
     }
     done = run_trials(picture_trial, trials, shared, config.resources)

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from torch import nn
 
 from cspace.dataset import Dataset, open_dataset
-from cspace.errors import JobError
 from cspace.world import Sensor, World
 from cspace.worlds import simulator_of
 from training.models.autoencoders import (
@@ -162,80 +161,46 @@ class TrainingArrays:
         return torch.tensor(counts / np.maximum(counts.sum(axis=1, keepdims=True), 1.0))
 
 
-@dataclass(frozen=True, slots=True)
-class OccupancyArrays:
-    """Free and colliding configurations by scenario, with what the look-ups need to know.
+def has_occupancy(dataset: Dataset, config: ValidityConfig) -> bool:
+    """Whether a head can learn from a data set: along links it needs scenarios with both kinds."""
+    if dataset.collision is None:
+        return False
+    return config.grid is not None or len(_with_both_kinds(dataset)) > 0
+
+
+def head_module(folder: Path, config: ValidityConfig, images: torch.Tensor, seed: int) -> TrialModule:
+    """The training of a validity head.
 
     Args:
-        world: robot and sensor.
-        free: (M, d) float32 rad.
-        free_offsets: (S + 1,) int64.
-        collision: (N, d) float32 rad.
-        collision_offsets: (S + 1,) int64.
+        folder: of the data set, which every node can read.
+        config: of the head.
+        images: as of :func:`occupancy_samples`; a head of arrays of space reads them where they lie.
+        seed: of initialisation and of every draw.
     """
-
-    world: World
-    free: NDArray[np.float32]
-    free_offsets: NDArray[np.int64]
-    collision: NDArray[np.float32]
-    collision_offsets: NDArray[np.int64]
-
-    @classmethod
-    def of(cls, dataset: Dataset) -> "OccupancyArrays | None":
-        """The data set's configurations; None unless some scenario has both kinds."""
-        if dataset.collision is None or dataset.collision_offsets is None:
-            return None
-        found = cls(
-            dataset.world,
-            np.asarray(dataset.free),
-            np.asarray(dataset.free_offsets),
-            np.asarray(dataset.collision),
-            np.asarray(dataset.collision_offsets),
-        )
-        return found if len(found.scenarios) else None
-
-    @property
-    def scenarios(self) -> NDArray[np.int64]:
-        """Indices of the scenarios that have configurations of both kinds."""
-        return np.flatnonzero((np.diff(self.free_offsets) > 0) & (np.diff(self.collision_offsets) > 0))
-
-    def module(self, config: ValidityConfig, images: torch.Tensor, seed: int) -> TrialModule:
-        """The head's training; arguments as of :meth:`samples`."""
-        return ValidityModule(config, self.samples(images), self.world, seed)
-
-    def samples(self, images: torch.Tensor) -> OccupancySamples:
-        """Tensors for the module; copied, for the shared arrays are read-only.
-
-        Args:
-            images: (S, 3, P, P) uint8, and further ones behind them that have no configurations.
-        """
-        rest = (self.free, self.free_offsets, self.collision, self.collision_offsets, self.scenarios)
-        return OccupancySamples(images[: len(self.free_offsets) - 1], *(torch.tensor(part) for part in rest))
+    dataset = open_dataset(folder, verify=False)
+    if config.grid is None:
+        return ValidityModule(config, occupancy_samples(dataset, images), dataset.world, seed)
+    held = ArmSamples((dataset.world,), (grid_samples(dataset, config.grid),))
+    return GridHeadModule(config, held, seed)
 
 
-@dataclass(frozen=True, slots=True)
-class GridOccupancy:
-    """A data set's folder, which every node can read."""
+def occupancy_samples(dataset: Dataset, images: torch.Tensor) -> OccupancySamples:
+    """Free and colliding configurations by scenario; copied, for those of the data set are read-only.
 
-    folder: Path
+    Args:
+        dataset: with configurations in collision.
+        images: (S, 3, P, P) uint8, and further ones behind them that have no configurations.
+    """
+    names = ("free", "free_offsets", "collision", "collision_offsets")
+    arrays = [*(dataset.arrays[name] for name in names), _with_both_kinds(dataset)]
+    tensors = (torch.tensor(np.asarray(array)) for array in arrays)
+    return OccupancySamples(images[: dataset.scenario_count], *tensors)
 
-    @classmethod
-    def of(cls, dataset: Dataset) -> "GridOccupancy | None":
-        """The data set's; None without configurations in collision."""
-        return None if dataset.collision is None else cls(dataset.folder.absolute())
 
-    def module(self, config: ValidityConfig, images: torch.Tensor, seed: int) -> TrialModule:
-        """The head's training; pictures are read where they lie.
-
-        Raises:
-            JobError: the settings are of another head.
-        """
-        del images
-        if config.grid is None:
-            raise JobError("a head of arrays of space needs its sizes", expected="validity.grid", got="none")
-        dataset = open_dataset(self.folder, verify=False)
-        held = ArmSamples((dataset.world,), (grid_samples(dataset, config.grid),))
-        return GridHeadModule(config, held, seed)
+def _with_both_kinds(dataset: Dataset) -> NDArray[np.int64]:
+    """Scenarios with free configurations and with some in collision."""
+    counts = [np.diff(dataset.arrays[f"{kind}_offsets"]) for kind in ("free", "collision")]
+    return np.flatnonzero((counts[0] > 0) & (counts[1] > 0))
 
 
 def grid_samples(dataset: Dataset, config: GridConfig) -> GridSamples:

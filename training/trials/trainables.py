@@ -15,9 +15,9 @@ from training.models.lookups import make_lookups, values_read
 from training.models.mixture import Experts, Gate, GatedSampler, GateModule
 from training.models.modules import Metrics, TrialModule, VaeModule, WganGpModule, make_critic, make_generator
 from training.models.networks import Critic, MeansGenerator, TorusGenerator
-from training.models.settings import GanConfig, LookupConfig
-from training.trials.arrays import GridOccupancy, OccupancyArrays, TrainingArrays
-from training.trials.fit import TrialSettings, fit_tracked
+from training.models.settings import GanConfig, LookupConfig, TrialSettings
+from training.trials.arrays import TrainingArrays, head_module
+from training.trials.fit import fit_tracked
 from training.trials.launch import TrialRequest
 
 
@@ -118,7 +118,7 @@ def picture_trial(
     trial: TrialRequest,
     train: TrainConfig,
     images: NDArray[np.uint8],
-    occupancy: OccupancyArrays | GridOccupancy | None,
+    data_folder: Path,
     tracking_uri: str,
 ) -> Metrics | None:
     """Train what learns from pictures, channels first, and needs no latents: the VAE, or the head."""
@@ -126,8 +126,9 @@ def picture_trial(
     module: TrialModule
     settings: TrialSettings
     with seeded_initialisation(trial.seed):
-        if occupancy is not None and trial.name == VALIDITY:
-            module, settings = occupancy.module(train.validity, pictures, trial.seed), train.validity
+        if trial.name == VALIDITY:
+            module = head_module(data_folder, train.validity, pictures, trial.seed)
+            settings = train.validity
         else:
             module, settings = VaeModule(train.vae, pictures, trial.seed), train.vae
     return fit_tracked(trial, module, settings, train.resources, tracking_uri, pictures=len(images))
