@@ -8,26 +8,21 @@ ray job submit --working-dir . -- python training/cluster_train.py --resume RUN_
 """
 
 import sys
+from typing import Any
 
-from training.command import JobCommand, Resume, Train
-from training.config import load_config, presets
+from training.command import JobCommand
+from training.config import TrainConfig
 
 
-def job() -> tuple[Train, Resume]:
-    """What trains, and what goes on."""
-    from training.clusters.pipeline import resume, train  # noqa: PLC0415
+def run(job: Any) -> Any:
+    """Runs the job, and returns its result."""
+    from training.clusters.pipeline import run_job  # noqa: PLC0415
 
-    return train, resume
+    return run_job(job)
 
 
 COMMAND = JobCommand(
-    program="cluster_train",
-    description=(__doc__ or "").partition("\n")[0],
-    presets=presets,
-    preset="quickstart",
-    example="global.steps=200",
-    load=load_config,
-    job=job,
+    description=(__doc__ or "").partition("\n")[0], example="global.steps=200", config=TrainConfig, run=run
 )
 
 if __name__ == "__main__":

@@ -12,15 +12,11 @@ from typing import Any
 from cspace.errors import CspaceError, InputError
 from services.command_errors import report_error
 from services.results import report_result
-from training.jobs.environment import Environment, job_environment, job_folder
-from training.section import Section
+from training.config import JobConfig
+from training.jobs.environment import Environment, job_environment, job_folder, job_tags
 
 # The exit code of a job that was asked to stop.
 STOPPED = 3
-
-# What runs a configuration under the name of a job or without one, and what goes on with a run of an id.
-Train = Callable[[Any, Environment, str | None], Any]
-Resume = Callable[[str, Environment], Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,23 +24,22 @@ class JobCommand:
     """What tells one job's command from another's.
 
     Args:
-        program: its name in messages.
         description: for the help.
-        presets: names of those that ship.
-        preset: the default.
         example: of an override.
-        load: a configuration of a preset and overrides.
-        job: imports what trains and what goes on; asked late, so that a wrong key is told at once and not
-            after the frameworks have loaded.
+        config: kind of the job's configuration.
+        run: runs a job and returns its result. It imports the frameworks, so that a wrong key is told at
+            once, and not after these have loaded.
     """
 
-    program: str
     description: str
-    presets: Callable[[], Sequence[str]]
-    preset: str
     example: str
-    load: Callable[[str, Sequence[str]], Section]
-    job: Callable[[], tuple[Train, Resume]]
+    config: type[JobConfig]
+    run: Callable[[Any], Any]
+
+    @property
+    def program(self) -> str:
+        """Its name in messages."""
+        return self.config.SCRIPT.removesuffix(".py")
 
     def main(self, arguments: Sequence[str] | None = None) -> int:
         """Parse, train, print; returns the exit code."""
@@ -55,17 +50,13 @@ class JobCommand:
         logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stdout)
         logging.getLogger("training").setLevel(logging.INFO)
         try:
-            config = self.load(options.preset, options.overrides)
+            config = self.config.load(options.preset, options.overrides)
             if options.print_config:
                 # With the keys that are told only where they are set.
                 print(json.dumps(config.model_dump(mode="json", by_alias=True), indent=2))
                 return 0
             environment = job_environment()
-            train, resume = self.job()
-            if options.resume:
-                result = resume(options.resume, environment)
-            else:
-                result = train(config, environment, options.job)
+            result = self.run(self._job(config, environment, options))
         except CspaceError as error:
             return report_error(error, InputError, program=self.program)
         except KeyboardInterrupt:
@@ -76,13 +67,25 @@ class JobCommand:
         report_result(dataclasses.asdict(result), result.rows(folder), folder)
         return 0
 
+    def _job(self, config: JobConfig, environment: Environment, options: argparse.Namespace) -> Any:
+        """The job that is to be run: a new one, or one that goes on."""
+        from training.jobs.job import Job  # noqa: PLC0415
+        from training.trials.launch import connect  # noqa: PLC0415
+
+        connect()
+        if options.resume:
+            return Job.resume(options.resume, environment, self.config)
+        tags = job_tags(config.preset, config.seed, f"training/{config.SCRIPT}")
+        return Job.start(config, environment, tags, self.program.replace("_", "-"), options.job)
+
     def _parser(self) -> argparse.ArgumentParser:
         parser = argparse.ArgumentParser(
             description=self.description,
             epilog="Reads MLFLOW_TRACKING_URI, CSPACE_DATA_DIR. "
             "Exit codes: 0 registered, 1 failed, 2 bad input, 3 stopped and can go on.",
         )
-        parser.add_argument("--preset", default=self.preset, help=f"one of {', '.join(self.presets())}")
+        preset = self.config.model_fields["preset"].default
+        parser.add_argument("--preset", default=preset, help=f"one of {', '.join(self.config.presets())}")
         parser.add_argument(
             "--set",
             dest="overrides",

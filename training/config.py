@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Literal, TypeVar
+from typing import Any, ClassVar, Literal, Self
 
 from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
 
@@ -27,61 +27,6 @@ from training.models.settings import (
     ValidityConfig,
 )
 from training.section import AbsolutePath, RobotName, Section
-
-Whole = TypeVar("Whole", bound=Section)
-
-
-def load_values(folder: Path, preset: str, overrides: Sequence[str] = ()) -> dict[str, Any]:
-    """A preset's values with ``key.sub=value`` overrides, and the preset's name.
-
-    Args:
-        folder: of the presets.
-        preset: name of a file there without its ending.
-        overrides: YAML scalars by dotted key, such as ``global.steps=200``.
-
-    Raises:
-        ConfigError: an unknown preset, or an override that is none.
-    """
-    values = _read(folder, preset)
-    values["preset"] = preset
-    for override in overrides:
-        _set(values, override)
-    return values
-
-
-def validated(kind: type[Whole], values: dict[str, Any], command: str) -> Whole:
-    """The configuration of plain values.
-
-    Args:
-        kind: of configuration.
-        values: by key.
-        command: where its keys can be looked up, for the message.
-
-    Raises:
-        ConfigError: an unknown key, or a value of the wrong type or range.
-    """
-    try:
-        return kind.model_validate(values)
-    except ValidationError as error:
-        remedy = f"{command} --help lists presets, --print-config the keys"
-        raise refused(error, ConfigError, f"the configuration {values.get('preset')}", remedy) from error
-
-
-def named_presets(folder: Path) -> list[str]:
-    """Names of the presets in a folder."""
-    return sorted(path.stem for path in folder.glob("*.yaml"))
-
-
-def _read(folder: Path, preset: str) -> dict[str, Any]:
-    """A preset's values, on top of those of the preset that it names as its ``base``."""
-    path = folder / f"{preset}.yaml"
-    if not path.is_file() or path.parent != folder:
-        raise ConfigError(
-            "the preset is unknown", expected=", ".join(named_presets(folder)), got=repr(preset)
-        )
-    values: dict[str, Any] = read_yaml_file(path, ConfigError).values or {}
-    base = values.pop("base", None)
-    return values if base is None else _merged(_read(folder, base), values)
 
 
 def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
@@ -114,6 +59,8 @@ _SHAPING = {
 class JobConfig(Section):
     """What fixes any training job."""
 
+    SCRIPT: ClassVar[str]
+    PRESETS: ClassVar[Path]
     # Files of a job's folder without which no other job can start from it.
     KEPT: ClassVar[tuple[str, ...]] = ()
 
@@ -131,6 +78,42 @@ class JobConfig(Section):
         description="name@alias, name/version or a run's id: trials start from the weights of the job that "
         "made it",
     )
+
+    @classmethod
+    def presets(cls) -> list[str]:
+        """Names of the presets that ship."""
+        return sorted(path.stem for path in cls.PRESETS.glob("*.yaml"))
+
+    @classmethod
+    def load(cls, preset: str, overrides: Sequence[str] = ()) -> Self:
+        """A preset with ``key.sub=value`` overrides, validated.
+
+        Args:
+            preset: name of a file in ``PRESETS`` without its ending.
+            overrides: YAML scalars by dotted key, such as ``global.steps=200``.
+
+        Raises:
+            ConfigError: an unknown preset or key, or a value of the wrong type or range.
+        """
+        values = cls._read(preset)
+        values["preset"] = preset
+        for override in overrides:
+            _set(values, override)
+        try:
+            return cls.model_validate(values)
+        except ValidationError as error:
+            remedy = f"{cls.SCRIPT} --help lists presets, --print-config the keys"
+            raise refused(error, ConfigError, f"the configuration {values.get('preset')}", remedy) from error
+
+    @classmethod
+    def _read(cls, preset: str) -> dict[str, Any]:
+        """A preset's values, on top of those of the preset that it names as its ``base``."""
+        path = cls.PRESETS / f"{preset}.yaml"
+        if not path.is_file() or path.parent != cls.PRESETS:
+            raise ConfigError("the preset is unknown", expected=", ".join(cls.presets()), got=repr(preset))
+        values: dict[str, Any] = read_yaml_file(path, ConfigError).values or {}
+        base = values.pop("base", None)
+        return values if base is None else _merged(cls._read(base), values)
 
     @property
     def world(self) -> World:
@@ -153,7 +136,6 @@ class JobConfig(Section):
 
 # In a job's folder: centres of its cells, and the cluster of each.
 CLUSTERS_FILE = "clusters.npz"
-PRESET_FOLDER = Path(__file__).parent / "presets"
 SCENE_MODEL = Path(__file__).parent / "pretrained" / "scene_model.safetensors"
 
 
@@ -256,6 +238,8 @@ class ResourceConfig(Section):
 class TrainConfig(JobConfig):
     """Everything that fixes a training job."""
 
+    SCRIPT = "cluster_train.py"
+    PRESETS = Path(__file__).parent / "presets"
     KEPT = (CLUSTERS_FILE,)
 
     preset: str = "quickstart"
@@ -354,19 +338,6 @@ class TrainConfig(JobConfig):
         return 0 if self.clusters.count == 1 and unasked else self.clusters.count
 
 
-def load_config(preset: str, overrides: Sequence[str] = ()) -> TrainConfig:
-    """A preset with ``key.sub=value`` overrides, validated.
-
-    Args:
-        preset: name of a file in ``presets`` without its ending.
-        overrides: YAML scalars by dotted key, such as ``global.steps=200``.
-
-    Raises:
-        ConfigError: an unknown preset or key, or a value of the wrong type or range.
-    """
-    return validated(TrainConfig, load_values(PRESET_FOLDER, preset, overrides), "cluster_train.py")
-
-
 def _check_lookups(key: str, lookups: LookupConfig, world: World) -> None:
     """Refuse look-ups that generators and critics of configurations do not have in a world's pictures."""
     if lookups.groups:
@@ -389,19 +360,15 @@ def _world(data: DatasetConfig, folder: Path | None) -> World:
         return default_world()
 
 
-def presets() -> list[str]:
-    """Names of the presets that ship."""
-    return named_presets(PRESET_FOLDER)
-
-
-PATH_PRESET_FOLDER = PRESET_FOLDER / "paths"
-
 PathModel = Literal["flow", "wgan", "wgan_guided"]
 UNGUIDED: tuple[PathModel, ...] = ("flow", "wgan")
 
 
 class PathTrainConfig(JobConfig):
     """Everything that fixes a job that trains path models."""
+
+    SCRIPT = "path_train.py"
+    PRESETS = TrainConfig.PRESETS / "paths"
 
     preset: str = "paths"
     source: str = Field(
@@ -445,18 +412,3 @@ class PathTrainConfig(JobConfig):
         """Sizes and look-ups of a model that gives points."""
         found: PointConfig = getattr(self, name)
         return found
-
-
-def load_path_config(preset: str, overrides: Sequence[str] = ()) -> PathTrainConfig:
-    """A preset with ``key.sub=value`` overrides, validated.
-
-    Raises:
-        ConfigError: an unknown preset or key, or a value of the wrong type or range.
-    """
-    values = load_values(PATH_PRESET_FOLDER, preset, overrides)
-    return validated(PathTrainConfig, values, "path_train.py")
-
-
-def path_presets() -> list[str]:
-    """Names of the presets that ship."""
-    return named_presets(PATH_PRESET_FOLDER)

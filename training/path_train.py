@@ -7,26 +7,21 @@ ray job submit --working-dir . -- python training/path_train.py --resume RUN_ID
 """
 
 import sys
+from typing import Any
 
-from training.command import JobCommand, Resume, Train
-from training.config import load_path_config, path_presets
+from training.command import JobCommand
+from training.config import PathTrainConfig
 
 
-def job() -> tuple[Train, Resume]:
-    """What trains, and what goes on."""
-    from training.paths.pipeline import resume_paths, train_paths  # noqa: PLC0415
+def run(job: Any) -> Any:
+    """Runs the job, and returns its result."""
+    from training.paths.pipeline import run_job  # noqa: PLC0415
 
-    return train_paths, resume_paths
+    return run_job(job)
 
 
 COMMAND = JobCommand(
-    program="path_train",
-    description=(__doc__ or "").partition("\n")[0],
-    presets=path_presets,
-    preset="paths",
-    example="flow.steps=500",
-    load=load_path_config,
-    job=job,
+    description=(__doc__ or "").partition("\n")[0], example="flow.steps=500", config=PathTrainConfig, run=run
 )
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ import numpy as np
 from cspace.errors import ConfigError, CspaceError, InputError
 from services.command_errors import report_error
 from services.results import report_result
-from training.config import TrainConfig, load_config, presets
+from training.config import TrainConfig
 from training.jobs.environment import Environment, job_environment, job_folder
 
 _LOG = logging.getLogger("training")
@@ -34,7 +34,7 @@ def parser() -> argparse.ArgumentParser:
         description=(__doc__ or "").partition("\n")[0],
         epilog="Reads MLFLOW_TRACKING_URI, CSPACE_DATA_DIR. Exit codes: 0 found, 1 failed, 2 bad input.",
     )
-    parser.add_argument("--preset", default="reference", help=f"one of {', '.join(presets())}")
+    parser.add_argument("--preset", default="reference", help=f"one of {', '.join(TrainConfig.presets())}")
     parser.add_argument("--set", dest="overrides", metavar="KEY=VALUE", action="append", default=[])
     parser.add_argument("--trials", type=int, default=24, help="settings that are tried")
     parser.add_argument("--scenarios", type=int, default=40, help="validation scenarios that decide")
@@ -49,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         # One generator over all cells a trial, and no head: the search is about generators.
         fixed = ["clusters.count=1", "validity.steps=0"]
-        config = load_config(options.preset, [*options.overrides, *fixed])
+        config = TrainConfig.load(options.preset, [*options.overrides, *fixed])
         if config.gate.cells == 0 or min(options.trials, options.scenarios) < 1:
             raise ConfigError(
                 "there is nothing to search",

@@ -24,7 +24,7 @@ from cspace.worlds import robot_digest
 from services.command_errors import report_error
 from services.names import label, model_name
 from training.clusters.bundling import FALLBACK_THRESHOLD, head_graphs, with_choices
-from training.config import HeadConfig, load_config
+from training.config import HeadConfig, TrainConfig
 from training.jobs.environment import command_line, now, source_state
 from training.jobs.registration import ALIASES, register_untrained, registry_uri
 from training.models.autoencoders import network_size
@@ -44,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         settings = [f"data.robot={robot}", f"validity.plan_problems={options.plan_problems}"]
         if options.scene_model is not None:
             settings.append(f"validity.scene_model={options.scene_model.absolute()}")
-        config = load_config(PRESET, settings)
+        config = TrainConfig.load(PRESET, settings)
         model = model_name(config.world, label(config.world))
         bundle = made_or_found(options.folder, config.world, config.validity)
         print(f"{bundle.folder}\n  digest {bundle.digest}", flush=True)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from training.config import TrainConfig, load_config
+from training.config import TrainConfig
 
 BASE = "single"
 
@@ -64,7 +64,7 @@ class Scale:
             encoder: a VAE trial's checkpoint; None trains one, or none where it is trained jointly.
             gpus: of each trial.
         """
-        plain = load_config(column.preset, [*self.changes, *column.changes])
+        plain = TrainConfig.load(column.preset, [*self.changes, *column.changes])
         steps = {"vae": plain.vae.steps, "local": plain.local.steps, "global": plain.global_.steps}
         scaled = {name: max(1, round(self.share * count)) for name, count in steps.items()}
         # The last checkpoint is that of the last step, which a further one just before it would crowd.
@@ -86,7 +86,7 @@ class Scale:
 
     def config(self, column: Column, encoder: Path | None, gpus: float = 0.0) -> TrainConfig:
         """The configuration that these overrides make."""
-        return load_config(column.preset, self.overrides(column, encoder, gpus))
+        return TrainConfig.load(column.preset, self.overrides(column, encoder, gpus))
 
 
 _WIDTHS = ("hidden", "critic_hidden")

@@ -10,7 +10,7 @@ from markdown_table import code, table
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from training.config import PATH_PRESET_FOLDER, PRESET_FOLDER, PathTrainConfig, TrainConfig
+from training.config import PathTrainConfig, TrainConfig
 
 INTRODUCTION = """\
 # Configuration
@@ -20,20 +20,18 @@ an unknown key or a value that does not fit ends the job before it starts. `--pr
 The settings of the services are environment variables, and stand in [operations](../operations.md#settings).
 """
 BOUNDS = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below", "multiple_of": "a multiple of"}
-JOBS = (
-    ("`training/cluster_train.py`", TrainConfig, PRESET_FOLDER),
-    ("`training/path_train.py`", PathTrainConfig, PATH_PRESET_FOLDER),
-)
+JOBS = (TrainConfig, PathTrainConfig)
 
 
 def markdown() -> str:
     """The page."""
     lines = [INTRODUCTION]
-    for command, config, folder in JOBS:
+    for config in JOBS:
+        command = f"`training/{config.SCRIPT}`"
         lines += [f"## {command}", "", (config.__doc__ or "").strip(), ""]
         lines += [*table(("key", "default", "meaning"), rows(config)), ""]
         lines += [f"### Presets of {command}", ""]
-        for path in sorted(folder.glob("*.yaml")):
+        for path in sorted(config.PRESETS.glob("*.yaml")):
             lines += list(_preset(path))
     return "\n".join(lines)
 

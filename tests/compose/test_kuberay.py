@@ -11,7 +11,7 @@ import kubernetes_validate
 import pytest
 import yaml
 
-from training.config import presets
+from training.config import TrainConfig
 
 # An older one and one of today.
 KUBERNETES = ("1.29", "1.36")
@@ -108,7 +108,7 @@ def test_the_job_trains_a_preset_that_there_is(job: Mapping[str, Any]) -> None:
     # By its name a further attempt goes on with what the volume holds.
     assert (naming, name) == ("--job", job["metadata"]["name"])
     assert (FOLDER.parents[1] / script).is_file()
-    assert preset in presets()
+    assert preset in TrainConfig.presets()
 
 
 def test_images_are_those_of_the_compose_file(services: Mapping[str, Any]) -> None:

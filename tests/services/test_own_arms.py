@@ -15,7 +15,7 @@ from services.local.settings import Settings
 from services.names import label
 from services.planner.__main__ import parse_command
 from services.scene_files import read_scene_file, read_scene_text
-from training.config import load_config
+from training.config import TrainConfig
 from training.data.__main__ import main as data_command
 
 ARM = replace(shipped("ur5"), name="Bench_Arm 5")
@@ -40,7 +40,7 @@ def test_a_robot_is_called_as_its_description_says_where_no_other_is(name: str, 
 
 
 def test_a_job_takes_a_robots_file(file: Path) -> None:
-    config = load_config("panda_quick", [f"data.robot={file}"])
+    config = TrainConfig.load("panda_quick", [f"data.robot={file}"])
     assert robot_digest(config.world) == DIGEST
     # What is recorded needs no file.
     assert config.to_dict()["data"]["robot"]["name"] == ARM.name
@@ -52,7 +52,7 @@ def test_a_job_takes_a_robots_file(file: Path) -> None:
 )
 def test_a_job_refuses_a_robots_file_that_it_cannot_find(robot: str, says: str) -> None:
     with pytest.raises(ConfigError, match=says):
-        load_config("panda_quick", [f"data.robot={robot}"])
+        TrainConfig.load("panda_quick", [f"data.robot={robot}"])
 
 
 def test_the_planner_takes_a_robots_file_and_asks_for_its_own_model(file: Path) -> None:

@@ -13,7 +13,7 @@ from cspace.worlds import examples, usual_world
 from cspace.worlds.spatial.arm import ready_rad
 from cspace.worlds.spatial.checks import CollisionChecker
 from cspace.worlds.spatial.obstacles import Obstacles
-from training.config import SCENE_MODEL, load_config
+from training.config import SCENE_MODEL, TrainConfig
 from training.models.checkpoint import load_scene_model, save_scene_model, seeded_initialisation
 from training.models.grid_head import GridHead, counts_of
 from training.models.grid_training import ArmSamples
@@ -132,11 +132,13 @@ def test_the_shipped_model_serves_arms_of_any_size_and_no_voxels_of_another_size
 
 
 def test_a_job_takes_the_shipped_model_its_own_or_trains_a_head() -> None:
-    assert load_config("panda_quick", []).validity.scene_model_file == SCENE_MODEL
-    assert load_config("panda_quick", ["validity.scene_model=/x/y"]).validity.scene_model_file == Path("/x/y")
-    assert load_config("panda_quick", ["validity.scene_model=null"]).validity.scene_model_file is None
+    assert TrainConfig.load("panda_quick", []).validity.scene_model_file == SCENE_MODEL
+    assert TrainConfig.load("panda_quick", ["validity.scene_model=/x/y"]).validity.scene_model_file == Path(
+        "/x/y"
+    )
+    assert TrainConfig.load("panda_quick", ["validity.scene_model=null"]).validity.scene_model_file is None
     with pytest.raises(ConfigError, match=r"needs validity\.grid"):
-        load_config("quickstart", ["validity.scene_model=shipped"])
+        TrainConfig.load("quickstart", ["validity.scene_model=shipped"])
 
 
 def test_weights_of_a_head_know_no_arm() -> None:

@@ -26,7 +26,6 @@ from training.clusters.bundling import TrainedParts, make_bundle
 from training.clusters.clustering import Partition, cluster, group
 from training.config import CLUSTERS_FILE, TrainConfig
 from training.data.generate import generate
-from training.jobs.environment import Environment, job_tags
 from training.jobs.figures import PANELS, own_curves, wgan_curves
 from training.jobs.job import TAG_START, Job, kept_bundle, log_configuration, registered_name, world_tag
 from training.models.autoencoders import shown
@@ -40,7 +39,7 @@ from training.trials.arrays import (
     has_occupancy,
     load_encoder,
 )
-from training.trials.launch import TrialOutcome, TrialRequest, connect, run_trials
+from training.trials.launch import TrialOutcome, TrialRequest, run_trials
 from training.trials.trainables import (
     GATE,
     GLOBAL,
@@ -353,39 +352,13 @@ class TrainResult:
         }
 
 
-def train(config: TrainConfig, environment: Environment, name: str | None = None) -> TrainResult:
-    """Run the whole job, or go on with the one that was submitted under this name before.
-
-    Args:
-        config: what it trains.
-        environment: where it works.
-        name: of the job; None always starts a new one.
+def run_job(job: Job[TrainConfig]) -> TrainResult:
+    """Run the whole job, or go on with it: finished trials stay, others start from their checkpoints.
 
     Raises:
-        CspaceError: bad data, a failed trial, a registry that does not answer, or a name that belongs to a
-            job of other settings.
+        CspaceError: bad data, a failed trial, or a registry that does not answer.
         KeyboardInterrupt: it was asked to stop; it can be resumed.
     """
-    connect()
-    tags = job_tags(config.preset, config.seed, "training/cluster_train.py")
-    return _run(Job.start(config, environment, tags, name=name))
-
-
-def resume(run_id: str, environment: Environment) -> TrainResult:
-    """Go on with a job that was stopped: finished trials stay, others start from their checkpoints.
-
-    Args:
-        run_id: the job's parent run.
-        environment: the same as the job's.
-
-    Raises:
-        CspaceError: as for :func:`train`; ConfigError where there is no such job.
-    """
-    connect()
-    return _run(Job.resume(run_id, environment, TrainConfig))
-
-
-def _run(job: Job[TrainConfig]) -> TrainResult:
     with job.running() as run:
         dataset = prepare_data(job.config, job.environment.data_folder)
         # The configuration's name for the robot, else that of its data, else that of its description.

@@ -14,18 +14,16 @@ from services.registry.mlflow_registry import MlflowRegistry
 from services.results import numbers
 from training.config import PathTrainConfig
 from training.data.generate import generate
-from training.jobs.environment import Environment, job_tags
 from training.jobs.figures import path_curves
 from training.jobs.job import TAG_START, Job, kept_bundle, log_configuration, registered_name, world_tag
 from training.models.checkpoint import read_progress
 from training.paths.bundling import trained_bundle
 from training.paths.writing import made_or_found, require_source, source_bundle
-from training.trials.launch import TrialOutcome, TrialRequest, connect, run_trials
+from training.trials.launch import TrialOutcome, TrialRequest, run_trials
 from training.trials.paths import Guides, PathArrays, find_guides, path_arrays, path_trial, require_world
 
 _LOG = logging.getLogger("training")
 
-JOB_TITLE = "path-train"
 # The sampler that is not trained on paths, registered beside those that are.
 UNTRAINED = "ways"
 
@@ -61,41 +59,13 @@ class PathTrainResult:
         }
 
 
-def train_paths(
-    config: PathTrainConfig, environment: Environment, name: str | None = None
-) -> PathTrainResult:
-    """Run the whole job, or go on with the one that was submitted under this name before.
-
-    Args:
-        config: what it trains.
-        environment: where it works.
-        name: of the job; None always starts a new one.
+def run_job(job: Job[PathTrainConfig]) -> PathTrainResult:
+    """Run the whole job, or go on with it: finished trials stay, others start from their checkpoints.
 
     Raises:
-        CspaceError: bad data or source, a failed trial, a registry that does not answer, or a name that
-            belongs to a job of other settings.
+        CspaceError: bad data or source, a failed trial, or a registry that does not answer.
         KeyboardInterrupt: it was asked to stop; it can be resumed.
     """
-    connect()
-    tags = job_tags(config.preset, config.seed, "training/path_train.py")
-    return _run(Job.start(config, environment, tags, JOB_TITLE, name))
-
-
-def resume_paths(run_id: str, environment: Environment) -> PathTrainResult:
-    """Go on with a job that was stopped: finished trials stay, others start from their checkpoints.
-
-    Args:
-        run_id: the job's parent run.
-        environment: the same as the job's.
-
-    Raises:
-        CspaceError: as for :func:`train_paths`; ConfigError where there is no such job.
-    """
-    connect()
-    return _run(Job.resume(run_id, environment, PathTrainConfig))
-
-
-def _run(job: Job[PathTrainConfig]) -> PathTrainResult:
     config = job.config
     with job.running() as run:
         registry = MlflowRegistry(job.environment.tracking_uri)

@@ -6,13 +6,13 @@ import pytest
 from cspace.dataset import write_dataset
 from cspace.errors import ConfigError
 from training.clusters.pipeline import cluster_data, require_encoder
-from training.config import CLUSTERS_FILE, load_config
+from training.config import CLUSTERS_FILE, TrainConfig
 
 COUNT = 400
 
 
 def dataset(folder, count=COUNT):
-    world = load_config("smoke").data.world
+    world = TrainConfig.load("smoke").data.world
     images = np.zeros((1, *world.sensor.picture_shape), dtype=np.uint8)
     free = np.random.default_rng(0).uniform(-3.0, 3.0, (count, 2))
     return write_dataset(folder, world=world, images=images, free=[free], generator={})
@@ -20,7 +20,7 @@ def dataset(folder, count=COUNT):
 
 def job(folder, *overrides):
     folder.mkdir(exist_ok=True)
-    return SimpleNamespace(config=load_config("smoke", overrides), folder=folder, start_folder=None)
+    return SimpleNamespace(config=TrainConfig.load("smoke", overrides), folder=folder, start_folder=None)
 
 
 def test_a_job_that_goes_on_reads_the_clusters_that_it_wrote(tmp_path):

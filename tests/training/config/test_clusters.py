@@ -13,16 +13,16 @@ from cspace.worlds.planar.simulator import PlanarSimulator
 from cspace.worlds.planar.world import PlanarWorld
 from training import path_train, search
 from training.cluster_train import COMMAND
-from training.config import TrainConfig, load_config, load_path_config, presets
+from training.config import PathTrainConfig, TrainConfig
 
 
-@pytest.mark.parametrize("preset", presets())
+@pytest.mark.parametrize("preset", TrainConfig.presets())
 def test_every_preset_that_ships_is_valid(preset):
-    assert load_config(preset).preset == preset
+    assert TrainConfig.load(preset).preset == preset
 
 
 def test_the_paper_preset_is_the_papers_numbers():
-    config = load_config("paper")
+    config = TrainConfig.load("paper")
     assert (config.data.scenario_count, config.data.free_per_scenario) == (100, 10_000)
     assert (config.local.means, config.local.sigma, config.local.smooth_maximum) == (4, 0.025, 0.1)
     assert (config.global_.means, config.global_.sigma, config.global_.local_critic_weight) == (1, 0.0, 1.0)
@@ -38,7 +38,7 @@ def test_the_papers_columns_differ_from_its_preset_only_where_they_must():
         return rows
 
     def changes(preset):
-        base, column = (flat(load_config(name).to_dict()) for name in ("paper", preset))
+        base, column = (flat(TrainConfig.load(name).to_dict()) for name in ("paper", preset))
         return {key: value for key, value in column.items() if base[key] != value and key != "preset"}
 
     alone = {"clusters.count": 1, "global.local_critic_weight": 0.0}
@@ -49,10 +49,10 @@ def test_the_papers_columns_differ_from_its_preset_only_where_they_must():
 
 
 def test_local_trials_run_unless_there_is_one_cluster_and_nobody_asks_its_critic():
-    assert load_config("paper").local_trials == 2
-    assert load_config("paper_single").local_trials == 0
-    assert load_config("paper_single", ["global.local_critic_weight=0.5"]).local_trials == 1
-    assert load_config("smoke", ["global.local_critic_weight=0"]).local_trials == 2
+    assert TrainConfig.load("paper").local_trials == 2
+    assert TrainConfig.load("paper_single").local_trials == 0
+    assert TrainConfig.load("paper_single", ["global.local_critic_weight=0.5"]).local_trials == 1
+    assert TrainConfig.load("smoke", ["global.local_critic_weight=0"]).local_trials == 2
 
 
 @pytest.mark.parametrize(
@@ -66,14 +66,16 @@ def test_local_trials_run_unless_there_is_one_cluster_and_nobody_asks_its_critic
 )
 def test_a_joint_encoder_refuses_what_it_can_not_be_with(overrides, says):
     with pytest.raises(ConfigError, match=says):
-        load_config("paper_joint", overrides)
+        TrainConfig.load("paper_joint", overrides)
 
 
 def test_an_override_reaches_its_key_and_leaves_its_neighbours():
-    config = load_config("quickstart", ["global.steps=7", "data.robot.link_lengths_m=[1, 1, 1]", "seed=3"])
+    config = TrainConfig.load(
+        "quickstart", ["global.steps=7", "data.robot.link_lengths_m=[1, 1, 1]", "seed=3"]
+    )
     assert (config.global_.steps, config.seed) == (7, 3)
     assert config.data.world.body.dim == 3
-    assert config.local.steps == load_config("quickstart").local.steps
+    assert config.local.steps == TrainConfig.load("quickstart").local.steps
 
 
 @pytest.mark.parametrize(
@@ -88,29 +90,29 @@ def test_an_override_reaches_its_key_and_leaves_its_neighbours():
 )
 def test_a_wrong_override_is_an_error_that_names_it(override, says):
     with pytest.raises(ConfigError, match=says.replace(".", r"\.")):
-        load_config("quickstart", [override])
+        TrainConfig.load("quickstart", [override])
 
 
 @pytest.mark.parametrize("preset", ["nothing", "../presets/quickstart"])
 def test_an_unknown_preset_is_an_error_that_lists_the_known_ones(preset):
     with pytest.raises(ConfigError, match="quickstart"):
-        load_config(preset)
+        TrainConfig.load(preset)
 
 
 def test_the_free_share_is_the_worlds_unless_it_is_given(monkeypatch, tmp_path):
     # As the jobs that are on disk have it: by it they are known again.
-    assert load_config("quickstart").to_dict()["validity"]["free_share"] == 0.69
+    assert TrainConfig.load("quickstart").to_dict()["validity"]["free_share"] == 0.69
     assert TrainConfig() == TrainConfig(validity={})
     other = replace(simulator_of(PlanarWorld()).measures, free_share=0.25)
     monkeypatch.setattr(PlanarSimulator, "measures", property(lambda _: other))
-    assert load_config("quickstart").validity.free_share == 0.25
-    given = load_config("quickstart", ["validity.free_share=0.5"])
+    assert TrainConfig.load("quickstart").validity.free_share == 0.25
+    given = TrainConfig.load("quickstart", ["validity.free_share=0.5"])
     assert given.validity.free_share == 0.5
     assert TrainConfig.model_validate(given.to_dict()) == given
     # What does not fit is told by its own name: a folder where it is used, a robot here.
-    assert load_config("smoke", [f"data_folder={tmp_path}"]).validity.free_share == 0.25
+    assert TrainConfig.load("smoke", [f"data_folder={tmp_path}"]).validity.free_share == 0.25
     with pytest.raises(ConfigError, match=r"data\.robot") as raised:
-        load_config("smoke", ["data.robot.link_lengths_m=[]"])
+        TrainConfig.load("smoke", ["data.robot.link_lengths_m=[]"])
     assert "free_share" not in str(raised.value)
 
 
@@ -121,8 +123,8 @@ def test_the_free_share_of_own_data_is_that_of_their_world(monkeypatch, tmp_path
     planar = simulator_of(arm).measures
     shares = property(lambda one: replace(planar, free_share=0.1 * one.world.dim))
     monkeypatch.setattr(PlanarSimulator, "measures", shares)
-    assert load_config("smoke").validity.free_share == pytest.approx(0.2)
-    own = load_config("smoke", [f"data_folder={folder}"])
+    assert TrainConfig.load("smoke").validity.free_share == pytest.approx(0.2)
+    own = TrainConfig.load("smoke", [f"data_folder={folder}"])
     assert own.validity.free_share == pytest.approx(0.3)
 
 
@@ -143,24 +145,27 @@ def test_the_command_ends_with_two_on_settings_that_are_wrong_missing_or_too_man
 
 
 def test_a_trial_claims_what_the_configuration_says_and_no_memory_unless_it_does():
-    assert load_config("smoke").resources.of_a_task() == {"num_cpus": 1.0, "num_gpus": 0.0}
+    assert TrainConfig.load("smoke").resources.of_a_task() == {"num_cpus": 1.0, "num_gpus": 0.0}
     half = [
         "resources.gpus_per_trial=0.5",
         "resources.cpus_per_trial=2",
         "resources.memory_mb_per_trial=1500",
     ]
-    claimed = load_config("smoke", half).resources.of_a_task()
+    claimed = TrainConfig.load("smoke", half).resources.of_a_task()
     assert claimed == {"num_cpus": 2.0, "num_gpus": 0.5, "memory": 1500 * 1024 * 1024}
     # It computes on as many threads.
     for cpus, threads in ((0.5, 1), (3.5, 3)):
-        assert load_config("smoke", [f"resources.cpus_per_trial={cpus}"]).resources.threads == threads
+        assert TrainConfig.load("smoke", [f"resources.cpus_per_trial={cpus}"]).resources.threads == threads
 
 
 OWN_ROBOT = "data.robot.link_lengths_m=[1.0, 1.0]"
 
 
 def test_a_robots_name_is_recorded_where_it_is_given_and_changes_no_data_set():
-    plain, named = load_config("smoke", [OWN_ROBOT]), load_config("smoke", [OWN_ROBOT, "robot_name=arm-7"])
+    plain, named = (
+        TrainConfig.load("smoke", [OWN_ROBOT]),
+        TrainConfig.load("smoke", [OWN_ROBOT, "robot_name=arm-7"]),
+    )
     assert "robot_name" not in plain.to_dict()
     assert named.to_dict() == {**plain.to_dict(), "robot_name": "arm-7"}
     assert named.data.key == plain.data.key
@@ -172,7 +177,7 @@ def test_a_robots_name_is_recorded_where_it_is_given_and_changes_no_data_set():
 )
 def test_a_name_of_another_robot_is_refused(overrides):
     with pytest.raises(ConfigError, match="another robot"):
-        load_config("smoke", overrides)
+        TrainConfig.load("smoke", overrides)
 
 
 @pytest.mark.parametrize(
@@ -195,7 +200,7 @@ def test_a_path_that_is_not_absolute_is_refused_before_anything_starts(command, 
 
 @pytest.mark.parametrize("source", ["panda-sampler@champion", "cspace-sampler/3", "/somewhere/bundle"])
 def test_the_source_of_paths_is_a_registered_version_or_an_absolute_folder(source):
-    assert load_path_config("paths", [f"source={source}"]).source == source
+    assert PathTrainConfig.load("paths", [f"source={source}"]).source == source
 
 
 @pytest.mark.parametrize(
@@ -209,24 +214,24 @@ def test_the_source_of_paths_is_a_registered_version_or_an_absolute_folder(sourc
 )
 def test_look_ups_that_the_arm_cannot_have_are_refused_before_anything_starts(preset, part, lookups):
     with pytest.raises(ConfigError, match=rf"{re.escape(part)}\.(groups|points_per_link)"):
-        load_config(preset, [f"{part}={lookups}", "clusters.form=mixture"])
+        TrainConfig.load(preset, [f"{part}={lookups}", "clusters.form=mixture"])
 
 
 def test_settings_are_held_against_the_robot_of_a_data_set_too(tmp_path):
-    world = load_config("panda").data.world
+    world = TrainConfig.load("panda").data.world
     images = np.zeros((1, *world.sensor.picture_shape), dtype=np.uint8)
     folder = tmp_path / "panda"
     free = [world.space.sample_uniform(np.random.default_rng(0), 1)]
     write_dataset(folder, world=world, images=images, free=free, generator={})
     with pytest.raises(ConfigError, match=r"local\.critic_lookups\.points_per_link does not fit the robot"):
-        load_config("panda", [f"data_folder={folder}", "local.critic_lookups.points_per_link=4"])
+        TrainConfig.load("panda", [f"data_folder={folder}", "local.critic_lookups.points_per_link=4"])
     with pytest.raises(ConfigError, match="not read along links"):
-        load_config("smoke", [f"data_folder={folder}"])
+        TrainConfig.load("smoke", [f"data_folder={folder}"])
 
 
 def test_what_reads_pictures_of_a_plane_is_refused_for_an_arm_in_space(capsys):
     joint = ["clusters.count=1", "clusters.form=guided", "gate.cells=0", "global.local_critic_weight=0"]
     with pytest.raises(ConfigError, match="pictures of a plane"):
-        load_config("panda", [*joint, "global.encoder=joint", "global.critic_condition=projection"])
+        TrainConfig.load("panda", [*joint, "global.encoder=joint", "global.critic_condition=projection"])
     assert search.main(["--preset", "panda_quick"]) == 2
     assert "not read along links" in capsys.readouterr().err

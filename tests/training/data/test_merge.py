@@ -6,7 +6,7 @@ import pytest
 from cspace.dataset import open_dataset
 from cspace.errors import DatasetError
 from cspace.worlds.planar.arm import THREE_LINK
-from training.config import load_config
+from training.config import TrainConfig
 from training.data.__main__ import main
 from training.data.config import DatasetConfig, PathDatasetConfig
 from training.data.configurations import ConfigurationRecipe
@@ -99,4 +99,4 @@ def test_the_command_merges_and_says_what_it_left_out(first, other, tmp_path, ca
     assert open_dataset(out).digest in printed
     assert main(["merge", str(first.folder), str(other.folder), str(out)]) == 1
     assert "folder exists" in capsys.readouterr().err
-    assert load_config("smoke", [f"data_folder={out}"]).world.to_dict() == first.world.to_dict()
+    assert TrainConfig.load("smoke", [f"data_folder={out}"]).world.to_dict() == first.world.to_dict()

@@ -11,14 +11,14 @@ from inference_api.settings import PRETRAINED_FOLDER
 from services.registry.ports import ModelVersion
 from tests.fakes.registry import FakeTracking
 from tests.training.models.builders import tiny_module
-from training.config import CLUSTERS_FILE, TrainConfig, load_config, load_path_config
+from training.config import CLUSTERS_FILE, PathTrainConfig, TrainConfig
 from training.jobs.environment import RECORD, Environment, job_folder
 from training.jobs.job import TAG_START, Job
 from training.models.checkpoint import Progress, save_checkpoint, start_from
 from training.trials.launch import TrialRequest
 
 EARLIER, CHILD = "a" * 32, "c" * 32
-SMOKE = load_config("smoke")
+SMOKE = TrainConfig.load("smoke")
 
 
 class Registry:
@@ -58,7 +58,7 @@ def environment(tmp_path):
 
 
 def start(environment, text, *overrides, name=None):
-    config = load_config("smoke", [f"start_from={text}", *overrides])
+    config = TrainConfig.load("smoke", [f"start_from={text}", *overrides])
     return Job.start(config, environment, {"preset": "smoke"}, name=name)
 
 
@@ -120,7 +120,7 @@ def test_other_sizes_and_other_robots_are_refused_by_their_setting(overrides, me
 
 def test_scenarios_by_their_ids_cannot_be_gone_on_with():
     with pytest.raises(ConfigError, match="critic_condition=latent"):
-        load_config("smoke", [f"start_from={EARLIER}", "global.critic_condition=projection"])
+        TrainConfig.load("smoke", [f"start_from={EARLIER}", "global.critic_condition=projection"])
 
 
 @pytest.mark.parametrize("text", ["cspace-sampler", "../.."])
@@ -131,7 +131,7 @@ def test_what_is_no_reference_is_refused(text, environment, tracking):
 
 def test_what_a_job_unfinished_or_of_another_kind_did_not_leave_is_named(environment, tracking):
     with pytest.raises(ConfigError, match="another kind"):
-        Job.start(load_path_config("paths", [f"start_from={EARLIER}"]), environment, {})
+        Job.start(PathTrainConfig.load("paths", [f"start_from={EARLIER}"]), environment, {})
     folder = job_folder(environment, EARLIER)
     (folder / "bundle" / "bundle.json").unlink()
     with pytest.raises(ConfigError, match="has not finished"):

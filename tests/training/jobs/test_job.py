@@ -6,11 +6,11 @@ import pytest
 from cspace.errors import ConfigError, JobError, RegistryUnavailableError, StorageError
 from services.names import TAG_KEY
 from tests.fakes.registry import FakeTracking
-from training.config import TrainConfig, load_config
+from training.config import TrainConfig
 from training.jobs.environment import RECORD, Environment, job_environment, job_folder, run_of, submission_id
 from training.jobs.job import Job, kept_bundle
 
-SMOKE = load_config("smoke", ["seed=4"])
+SMOKE = TrainConfig.load("smoke", ["seed=4"])
 
 
 @pytest.fixture
@@ -69,7 +69,7 @@ def test_a_driver_that_is_killed_before_it_could_note_its_run_finds_it(environme
 def test_a_name_of_other_settings_is_refused_with_the_difference(environment, tracking):
     Job.start(SMOKE, environment, {}, name="arm-1")
     with pytest.raises(ConfigError, match=r"seed=4; got seed=5; .*--resume"):
-        Job.start(load_config("smoke", ["seed=5"]), environment, {}, name="arm-1")
+        Job.start(TrainConfig.load("smoke", ["seed=5"]), environment, {}, name="arm-1")
 
 
 @pytest.mark.parametrize("name", ["", "-a", "../a", "a b", "ä", "x" * 64])

@@ -17,7 +17,7 @@ from tests.bundles import write_tiny_bundle
 from tests.fakes.registry import FakeRegistry
 from tests.space_bundle import WORLD, write_space_bundle
 from tests.training.clusters.test_pipeline import bundle_of, submit
-from training.config import UNGUIDED, load_path_config
+from training.config import UNGUIDED, PathTrainConfig
 from training.paths.writing import source_bundle
 from training.trials.paths import find_guides
 
@@ -134,12 +134,12 @@ def test_a_source_is_a_folder_or_a_registered_version(tmp_path):
 )
 def test_a_configuration_that_cannot_be_is_refused(override, message):
     with pytest.raises(ConfigError, match=message):
-        load_path_config("paths", [override])
+        PathTrainConfig.load("paths", [override])
 
 
 def test_every_preset_is_a_configuration():
     for preset in ("paths", "smoke", "paper", "panda"):
-        assert load_path_config(preset).preset == preset
+        assert PathTrainConfig.load(preset).preset == preset
 
 
 @runs_jobs

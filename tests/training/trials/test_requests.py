@@ -3,7 +3,7 @@ from types import SimpleNamespace
 
 import torch
 
-from training.config import load_config
+from training.config import TrainConfig
 from training.models.checkpoint import seeded_initialisation
 from training.trials.launch import TrialRequest
 from training.trials.search import claimed
@@ -19,7 +19,7 @@ STAGES = {
 
 def requests(seed: int, folder: Path) -> list[TrialRequest]:
     job = SimpleNamespace(
-        config=load_config("smoke", [f"seed={seed}"]),
+        config=TrainConfig.load("smoke", [f"seed={seed}"]),
         folder=folder,
         start_folder=None,
         name=None,
@@ -37,7 +37,9 @@ def test_no_two_trials_have_one_seed_in_whatever_job(tmp_path: Path) -> None:
 
 
 def test_a_trial_of_a_search_claims_no_gpu_that_it_would_not_use() -> None:
-    resources = load_config("smoke", ["resources.gpus_per_trial=1", "resources.cpus_per_trial=2"]).resources
+    resources = TrainConfig.load(
+        "smoke", ["resources.gpus_per_trial=1", "resources.cpus_per_trial=2"]
+    ).resources
     assert claimed(resources) == {"cpu": 2.0, "gpu": 0.0}
 
 
