@@ -17,7 +17,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from cspace.bundle import Bundle, BundleSpec, Provenance, RandomInput, write_bundle
+from cspace.bundle import Bundle, BundleSpec, RandomInput, write_bundle
 from cspace.errors import ConfigError, CspaceError, InputError
 from cspace.world import World
 from cspace.worlds import robot_digest
@@ -25,7 +25,7 @@ from services.command_errors import report_error
 from services.names import label, model_name
 from training.clusters.bundling import FALLBACK_THRESHOLD, head_graphs, with_choices
 from training.config import HeadConfig, TrainConfig
-from training.jobs.environment import command_line, now, source_state
+from training.jobs.environment import provenance
 from training.jobs.registration import ALIASES, register_untrained, registry_uri
 from training.models.autoencoders import network_size
 from training.models.export import blind_encoder_graph, uniform_graph
@@ -103,19 +103,12 @@ def made_or_found(folder: Path, world: World, config: HeadConfig) -> Bundle:
         same_arm = robot_digest(found.spec.world) == robot_digest(world)
         if same_arm and dict(found.spec.provenance.config) == recipe:
             return found
-    state = source_state()
     spec = BundleSpec(
         world=world,
         latent_dim=1,
         random_inputs=(RandomInput("base", "uniform", (world.dim,), -math.pi, math.pi),),
         confidence_threshold=config.threshold or FALLBACK_THRESHOLD,
-        provenance=Provenance(
-            git_commit=state.commit,
-            git_dirty=state.dirty,
-            config=recipe,
-            created=now(),
-            command=command_line(),
-        ),
+        provenance=provenance(recipe),
     )
     graphs = {
         "encoder": blind_encoder_graph(network_size(world.sensor)),

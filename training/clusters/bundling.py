@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from cspace.bundle import Bundle, BundleSpec, Provenance, RandomInput, write_bundle
+from cspace.bundle import Bundle, BundleSpec, RandomInput, write_bundle
 from cspace.dataset import Dataset
 from cspace.files import discard
 from cspace.space import Standardisation
@@ -23,7 +23,7 @@ from training.clusters.calibration import (
 )
 from training.clusters.proposals import Choice, choose_proposals, proposal_costs, proposal_pools
 from training.config import HeadConfig, TrainConfig
-from training.jobs.environment import command_line, now, source_state
+from training.jobs.environment import provenance
 from training.jobs.job import TAG_START
 from training.models.autoencoders import network_size
 from training.models.belief import belief_graph
@@ -112,7 +112,11 @@ def make_bundle(folder: Path, config: TrainConfig, dataset: Dataset, parts: Trai
         uniform_share=(config.validity.uniform_share or 0.0) if has_head else 0.0,
         novelty_quantiles=known,
         standardisation=scale if gan.generator == "means" else None,
-        provenance=_provenance(config, dataset, parts.start_run_id),
+        provenance=provenance(
+            config.to_dict() | ({TAG_START: parts.start_run_id} if parts.start_run_id else {}),
+            data_digest=dataset.digest,
+            seeds={"train": config.seed, "data": config.data.seed},
+        ),
     )
     if has_head and dataset.generator_seed is not None:
         spec = with_choices(folder.with_name(folder.name + "-draft"), config.validity, spec, graphs)
@@ -235,17 +239,3 @@ def _sampler_graph(config: TrainConfig, parts: TrainedParts) -> bytes:
         plain = LookupSampler(torus_generator(generators[0]), lookups)
         return lookup_graph(plain, arrays.world.dim, latent_dim, gan.noise_dim, pixels)
     return generator_graph(generators[0], arrays.world.dim, latent_dim, gan.noise_dim)
-
-
-def _provenance(config: TrainConfig, dataset: Dataset, start_run_id: str | None) -> Provenance:
-    source = source_state()
-    started = {} if start_run_id is None else {TAG_START: start_run_id}
-    return Provenance(
-        git_commit=source.commit,
-        git_dirty=source.dirty,
-        data_digest=dataset.digest,
-        seeds={"train": config.seed, "data": config.data.seed},
-        config=config.to_dict() | started,
-        created=now(),
-        command=command_line(),
-    )

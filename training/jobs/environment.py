@@ -4,11 +4,13 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
+from cspace.bundle import Provenance
 from cspace.errors import ConfigError
 
 
@@ -99,11 +101,13 @@ def source_state() -> SourceState:
     that it was copied from, the copy is compared with that; else ``CSPACE_GIT_COMMIT`` names the commit.
     """
     folder = Path(__file__).resolve().parents[2]
-    return (
-        _checkout(("-C", str(folder)))
-        or _copy(os.environ.get("CSPACE_GIT_DIR"), folder)
-        or SourceState(os.environ.get("CSPACE_GIT_COMMIT", UNKNOWN), None)
-    )
+    found = _compared(["-C", str(folder)], ["status", "--porcelain", "--untracked-files=no"])
+    history = os.environ.get("CSPACE_GIT_DIR")
+    if found is None and history:
+        # What was not uploaded is missing from the copy and no change.
+        where = ["--no-optional-locks", f"--git-dir={history}", f"--work-tree={folder}"]
+        found = _compared(where, ["diff", "--name-only", "--diff-filter=M", "HEAD"])
+    return found or SourceState(os.environ.get("CSPACE_GIT_COMMIT", UNKNOWN), None)
 
 
 def job_tags(preset: str, seed: int, script: str) -> dict[str, str]:
@@ -126,20 +130,10 @@ def job_tags(preset: str, seed: int, script: str) -> dict[str, str]:
     }
 
 
-def _checkout(where: tuple[str, ...]) -> SourceState | None:
-    commit = _git(*where, "rev-parse", "HEAD")
-    changes = _git(*where, "status", "--porcelain", "--untracked-files=no")
-    return None if commit is None or changes is None else SourceState(commit, bool(changes))
-
-
-def _copy(history: str | None, folder: Path) -> SourceState | None:
-    if not history:
-        return None
-    where = ("--no-optional-locks", f"--git-dir={history}", f"--work-tree={folder}")
-    commit = _git(*where, "rev-parse", "HEAD")
-    # What was not uploaded is missing from the copy and no change.
-    changes = _git(*where, "diff", "--name-only", "--diff-filter=M", "HEAD")
-    return None if commit is None or changes is None else SourceState(commit, bool(changes))
+def _compared(where: Sequence[str], changes: Sequence[str]) -> SourceState | None:
+    """The state of a source tree, by git's commands that name its commit and list changes; None without."""
+    commit, changed = _git(*where, "rev-parse", "HEAD"), _git(*where, *changes)
+    return None if commit is None or changed is None else SourceState(commit, bool(changed))
 
 
 def command_line() -> str:
@@ -154,9 +148,22 @@ def command_line() -> str:
     return " ".join(["python", *program, *sys.argv[1:]])
 
 
-def now() -> str:
-    """The time in UTC, ISO 8601."""
-    return datetime.now(UTC).isoformat(timespec="seconds")
+def provenance(config: Mapping[str, Any], **known: Any) -> Provenance:
+    """How a bundle was made that this process makes now.
+
+    Args:
+        config: how it was made; plain values.
+        known: further fields of the provenance: ``data_digest``, ``seeds``, ``metrics``.
+    """
+    source = source_state()
+    return Provenance(
+        git_commit=source.commit,
+        git_dirty=source.dirty,
+        config=config,
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        command=command_line(),
+        **known,
+    )
 
 
 def _git(*arguments: str) -> str | None:

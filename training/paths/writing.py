@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from cspace.bundle import Bundle, BundleSpec, Provenance, RandomInput, write_bundle
+from cspace.bundle import Bundle, BundleSpec, RandomInput, write_bundle
 from cspace.bundle.files import ENCODER_FILE, MAP_FILE, NOVELTY_FILE, VALIDITY_FILE
 from cspace.bundle.spec import WAYS
 from cspace.bundle.verification import load_verified
 from cspace.errors import BundleError, ConfigError
 from services.registry.ports import ModelReference, ModelRegistry
-from training.jobs.environment import command_line, now, source_state
+from training.jobs.environment import provenance
 
 
 def source_bundle(source: str, registry: ModelRegistry, folder: Path) -> Bundle:
@@ -104,7 +104,6 @@ def write_path_bundle(
         del found["map"]
     graphs = {name: file.read_bytes() for name, file in found.items() if file.is_file()}
     graphs |= {} if graph.model is None else {"generator": graph.model}
-    state = source_state()
     spec = replace(
         source.spec,
         kind="path",
@@ -117,16 +116,7 @@ def write_path_bundle(
         # A planner drops what collides by itself, and a passage that the head closes keeps its samples.
         confidence_threshold=0.0 if source.has_validity else None,
         uniform_share=0.0,
-        provenance=Provenance(
-            git_commit=state.commit,
-            git_dirty=state.dirty,
-            data_digest=data_digest,
-            seeds=seeds,
-            config=recipe,
-            metrics=metrics or {},
-            created=now(),
-            command=command_line(),
-        ),
+        provenance=provenance(recipe, data_digest=data_digest, seeds=seeds, metrics=metrics or {}),
     )
     return Bundle.load(write_bundle(folder, spec, graphs))
 
