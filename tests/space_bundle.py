@@ -62,7 +62,7 @@ def _exported() -> dict[str, bytes]:
         head = GridHead.of(HEAD, WORLD).eval()
     return {
         "encoder": encoder_graph(encoder, size),
-        "generator": generator_graph(generator, WORLD.dim, LATENT, 2),
+        "generator": generator_graph(generator, LATENT),
         "novelty": novelty_graph(GridNovelty(decoder).eval(), size, LATENT),
         "map": map_graph(head),
         "validity": grid_validity_graph(head, WORLD.dim),

@@ -31,8 +31,6 @@ from training.models.checkpoint import load_scene_model, trained
 from training.models.export import (
     encoder_graph,
     generator_graph,
-    lookup_graph,
-    mixture_graph,
     novelty_graph,
     validity_graph,
 )
@@ -157,24 +155,18 @@ def with_choices(
     discard(folder)
     try:
         draft = Bundle.load(write_bundle(folder, spec, graphs))
-        return _with_plan_calibration(draft, config, _with_threshold(draft, config, spec))
+        fitted = spec if chosen else _with_threshold(draft, config, spec)
+        if not config.plan_problems:
+            return fitted
+        _LOG.info("plans: %d problems", config.plan_problems)
+        found = fit_plan_calibration(planned(draft, spec.world, config.plan_problems))
+        return fitted if found is None else found.stated_in(fitted)
     finally:
         discard(folder)
 
 
-def _with_plan_calibration(draft: Bundle, config: HeadConfig, spec: BundleSpec) -> BundleSpec:
-    """By :mod:`training.clusters.calibration`, where that is wanted."""
-    if not config.plan_problems:
-        return spec
-    _LOG.info("plans: %d problems", config.plan_problems)
-    found = fit_plan_calibration(planned(draft, spec.world, config.plan_problems))
-    return spec if found is None else found.stated_in(spec)
-
-
 def _with_threshold(draft: Bundle, config: HeadConfig, spec: BundleSpec) -> BundleSpec:
     threshold, share, bound = config.threshold, config.uniform_share, config.promise
-    if threshold is not None and share is not None and bound is None:
-        return spec
     scenarios = THRESHOLD_SCENARIOS if bound is None else bound.scenarios
     learned, uniform = validation_scores(draft, spec.world, scenarios)
     fixed = threshold is not None or bound is not None
@@ -230,12 +222,12 @@ def _sampler_graph(config: TrainConfig, parts: TrainedParts) -> bytes:
     gan, arrays = generator_config(config), parts.arrays
     latent_dim, pixels = config.vae.latent_dim, arrays.world.sensor.pixels
     generators = [load_generator(gan, arrays, folder) for folder in parts.generators]
-    lookups = make_lookups(gan.generator_lookups, arrays.world)
     if parts.gate is not None:
         gate = load_gate(config, parts.gate)
-        sampler = gated_sampler(gate, arrays, generators, gan.generator_lookups)
-        return mixture_graph(sampler, latent_dim, gan.noise_dim, pixels)
+        mixture = gated_sampler(gate, arrays, generators, gan.generator_lookups)
+        return generator_graph(mixture, latent_dim, pixels)
+    lookups = make_lookups(gan.generator_lookups, arrays.world)
     if lookups is not None:
-        plain = LookupSampler(torus_generator(generators[0]), lookups)
-        return lookup_graph(plain, arrays.world.dim, latent_dim, gan.noise_dim, pixels)
-    return generator_graph(generators[0], arrays.world.dim, latent_dim, gan.noise_dim)
+        looking = LookupSampler(torus_generator(generators[0]), lookups)
+        return generator_graph(looking, latent_dim, pixels)
+    return generator_graph(generators[0], latent_dim)

@@ -107,26 +107,31 @@ class _FromTorus(nn.Module):
         return samples
 
 
-def _from_torus(sampler: nn.Module, joints: Joints) -> nn.Module:
-    return sampler if joints.is_torus else _FromTorus(sampler, joints)
-
-
 def generator_graph(
-    generator: TorusGenerator | MeansGenerator, dim: int, latent_dim: int, noise_dim: int
+    sampler: TorusGenerator | MeansGenerator | LookupSampler | GatedSampler, latent_dim: int, pixels: int = 0
 ) -> bytes:
-    """ONNX bytes: ``latent`` (m, L) and its random inputs to ``samples`` (m, K, d) rad.
+    """ONNX bytes: ``latent`` (m, L) and the sampler's random inputs to ``samples`` (m, K, d) rad.
 
-    ``base`` is uniform on the torus whatever the limits are.
+    ``base`` is uniform on the torus whatever the limits are. With look-ups it also takes ``image``
+    (1, 3, P, P).
     """
-    latent = torch.zeros(2, latent_dim)
-    sampler: nn.Module = generator
-    if isinstance(generator, MeansGenerator):
-        inputs: tuple[Tensor, ...] = (latent, torch.zeros(2, generator.means, dim))
-        names = ["latent", "noise"]
+    whole: nn.Module = sampler
+    if isinstance(sampler, MeansGenerator):
+        shapes: dict[str, tuple[int, ...]] = {"noise": (sampler.means, sampler.joints.dim)}
+    elif isinstance(sampler, GatedSampler):
+        dim = sampler.experts.joints.dim
+        shapes = {"cell": (1,), "place": (1,), "jitter": (dim,), "noise": (sampler.noise_dim,)}
     else:
-        inputs = (latent, torch.zeros(2, dim), torch.zeros(2, noise_dim))
-        names, sampler = ["latent", "base", "noise"], _from_torus(generator, generator.joints)
-    return exported(sampler, inputs, names, ["samples"], batched("latents", len(inputs)))
+        joints = (sampler.generator if isinstance(sampler, LookupSampler) else sampler).joints
+        shapes = {"base": (joints.dim,), "noise": (sampler.noise_dim,)}
+        whole = sampler if joints.is_torus else _FromTorus(sampler, joints)
+    inputs = [torch.zeros(2, latent_dim), *(torch.zeros(2, *shape) for shape in shapes.values())]
+    names, axes = ["latent", *shapes], batched("latents", len(inputs))
+    if getattr(sampler, "lookups", None) is not None:
+        inputs.append(pictures(1, pixels))
+        names.append("image")
+        axes = (*axes, {})
+    return exported(whole, tuple(inputs), names, ["samples"], axes)
 
 
 class _Uniform(nn.Module):
@@ -145,35 +150,6 @@ def uniform_graph(space: JointSpace) -> bytes:
     """
     inputs = (torch.zeros(2, 1), torch.zeros(2, space.dim))
     return exported(_Uniform(Joints(space)), inputs, ["latent", "base"], ["samples"], batched("latents", 2))
-
-
-def mixture_graph(sampler: GatedSampler, latent_dim: int, noise_dim: int, pixels: int) -> bytes:
-    """ONNX bytes: ``latent`` (m, L) and the random inputs to ``samples`` (m, 1, d) rad.
-
-    With look-ups it also takes ``image`` (1, 3, P, P).
-    """
-    dim = sampler.points.shape[2]
-    latent = torch.zeros(2, latent_dim)
-    rows = tuple(torch.zeros(2, size) for size in (1, 1, dim, noise_dim))
-    names = ["latent", "cell", "place", "jitter", "noise"]
-    return _with_picture(sampler, (latent, *rows), names, pixels if sampler.lookups is not None else None)
-
-
-def lookup_graph(sampler: LookupSampler, dim: int, latent_dim: int, noise_dim: int, pixels: int) -> bytes:
-    """ONNX bytes: ``latent`` (m, L), ``base``, ``noise``, ``image`` (1, 3, P, P) to ``samples`` (m, 1, d)."""
-    inputs = tuple(torch.zeros(2, size) for size in (latent_dim, dim, noise_dim))
-    whole = _from_torus(sampler, sampler.generator.joints)
-    return _with_picture(whole, inputs, ["latent", "base", "noise"], pixels)
-
-
-def _with_picture(
-    sampler: nn.Module, inputs: tuple[Tensor, ...], names: list[str], pixels: int | None
-) -> bytes:
-    axes = batched("latents", len(inputs))
-    if pixels is None:
-        return exported(sampler, inputs, names, ["samples"], axes)
-    picture = torch.zeros(1, 3, pixels, pixels)
-    return exported(sampler, (*inputs, picture), [*names, "image"], ["samples"], (*axes, {}))
 
 
 def batched(axis: str, count: int) -> tuple[dict[int, Any], ...]:

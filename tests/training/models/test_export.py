@@ -51,13 +51,13 @@ def test_the_torus_generators_graph_answers_as_the_network():
         {"latent": torch.randn(count, 6), "base": torch.randn(count, 3), "noise": torch.randn(count, 2)}
         for count in (1, 33)
     ]
-    check(generator_graph(generator, 3, 6, 2), generator, *feeds)
+    check(generator_graph(generator, 6), generator, *feeds)
 
 
 def test_the_means_generators_graph_answers_as_the_network():
     generator = MeansGenerator(Sizes(circles(2), 6, 16, 2), 4, 0.1, (torch.zeros(2), torch.ones(2)))
     feeds = {"latent": torch.randn(9, 6), "noise": torch.randn(9, 4, 2)}
-    check(generator_graph(generator, 2, 6, 1), generator, feeds)
+    check(generator_graph(generator, 6), generator, feeds)
 
 
 def test_the_validity_heads_graph_answers_as_the_network():

@@ -11,7 +11,7 @@ from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from training.models.cells import CellBase, CellPoints
 from training.models.checkpoint import seeded_initialisation
-from training.models.export import lookup_graph, mixture_graph
+from training.models.export import generator_graph
 from training.models.lookups import ArmLookups
 from training.models.mixture import (
     Experts,
@@ -87,10 +87,10 @@ def test_a_sample_costs_the_network_of_its_own_cluster_alone():
     sampler = GatedSampler(gate, CELLS, mixture, None)
     # The first cell is the first generator's alone, and 0 draws it.
     feeds = random_inputs(9, lookups=False) | {"cell": torch.zeros(9, 1)}
-    wanted = answer(mixture_graph(sampler, 4, 2, 48), feeds)
+    wanted = answer(generator_graph(sampler, 4, 48), feeds)
     for part in mixture.networks[1].parameters():
         torch.nn.init.constant_(part, float("nan"))
-    found = answer(mixture_graph(sampler, 4, 2, 48), feeds)
+    found = answer(generator_graph(sampler, 4, 48), feeds)
     assert np.isfinite(found).all()
     np.testing.assert_array_equal(found, wanted)
 
@@ -102,7 +102,7 @@ def test_the_mixtures_graph_answers_as_the_network(lookups):
         gate = Gate(4, 8, 2, 3)
     _, mixture = experts(looked_up=look.values if look else 0)
     sampler = GatedSampler(gate, CELLS, mixture, look)
-    graph = mixture_graph(sampler, 4, 2, 48)
+    graph = generator_graph(sampler, 4, 48)
     for count in (1, 33):
         feeds = random_inputs(count, lookups)
         with torch.no_grad():
@@ -116,7 +116,7 @@ def test_a_graph_with_lookups_answers_as_the_network():
     look = ArmLookups(PlanarWorld(TWO_LINK, Camera()), 3, 0.0)
     (generator, *_), _ = experts(looked_up=look.values)
     sampler = LookupSampler(generator, look)
-    graph = lookup_graph(sampler, 2, 4, 2, 48)
+    graph = generator_graph(sampler, 4, 48)
     for count in (1, 33):
         drawn = random_inputs(count, lookups=True)
         feeds = {
