@@ -4,7 +4,7 @@ import argparse
 import logging
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -148,19 +148,18 @@ def import_recording(
     if folder.exists():
         raise StorageError("the folder exists", expected="a new folder", got=str(folder))
     settings = options or RecordingOptions()
-    skipped: Counter[str] = Counter()
-    warnings: Counter[str] = Counter()
     digest = None
     with replacing(folder, "the import") as beside:
         (beside / "views").mkdir(parents=True)
         with opened(source, settings.time_limit_s) as bag:
-            taking = _Taking(bag, settings, world, skipped, warnings)
+            taking = _Taking(bag, settings, world)
             views = taking.views(beside / "views")
         if not views:
             raise DatasetError(
                 f"{source} holds no complete picture",
                 expected="depth images with a joint state and transforms of nearly the same stamp",
-                got="; ".join(f"{count} times {reason}" for reason, count in skipped.items()) or "no picture",
+                got="; ".join(f"{count} times {reason}" for reason, count in taking.skipped.items())
+                or "no picture",
                 remedy="look at --base, --tolerance and the topics",
             )
         (beside / "preview.png").write_bytes(preview(views))
@@ -174,22 +173,16 @@ def import_recording(
                 generator={"recording": source.name, "stamps_ns": [view.stamp_ns for view in views]},
             )
             digest = written.digest
-    return Imported(folder, len(views), skipped, warnings, digest)
+    return Imported(folder, len(views), taking.skipped, taking.warnings, digest)
 
 
 class _Taking:
-    """The pictures that are taken out of a recording."""
+    """The pictures that are taken out of a recording, with what :class:`Imported` tells of the others."""
 
-    def __init__(
-        self,
-        bag: Bag,
-        options: RecordingOptions,
-        world: SpatialWorld | None,
-        skipped: Counter[str],
-        warnings: Counter[str],
-    ) -> None:
+    def __init__(self, bag: Bag, options: RecordingOptions, world: SpatialWorld | None) -> None:
         self._bag, self._options, self._world = bag, options, world
-        self._skipped, self._warnings = skipped, warnings
+        self.skipped: Counter[str] = Counter()
+        self.warnings: Counter[str] = Counter()
         self._within_ns = 1e9 * options.tolerance_s
         self._tree = TransformTree(options.base)
         # Those that differ from the one before.
@@ -214,7 +207,7 @@ class _Taking:
                     continue
                 view = self._view(message, stamp, folder / f"{len(taken):04d}-{stamp}.view")
                 if isinstance(view, str):
-                    self._skipped[view] += 1
+                    self.skipped[view] += 1
                     continue
                 taken.append(view)
                 if len(taken) == self._options.most:
@@ -319,7 +312,7 @@ class _Taking:
             if self._world is not None:
                 examined = self._world.examine_picture(file)
                 image = np.asarray(examined.images[0])
-                self._warnings.update({one.code for one in examined.findings})
+                self.warnings.update({one.code for one in examined.findings})
             spheres = None if self._world is None or state is None else self._world.spheres_at(state)
             tile = _tile(undistorted(picture, camera, distortion), camera, spheres)
             path.write_bytes(file)
@@ -376,25 +369,14 @@ def add_recording_options(parser: argparse.ArgumentParser) -> None:
         ("tolerance", "how far the stamps of a picture, a joint state and a transform may differ"),
         ("time-limit", "for the import"),
     ):
-        default = getattr(usual, f"{name.replace('-', '_')}_s")
-        parser.add_argument(
-            f"--{name}", type=finite, default=default, metavar="S", help=f"{words}; default {default:g} s"
-        )
+        key = f"{name.replace('-', '_')}_s"
+        default = getattr(usual, key)
+        told = f"{words}; default {default:g} s"
+        parser.add_argument(f"--{name}", dest=key, type=finite, default=default, metavar="S", help=told)
     parser.add_argument("--most", type=int, default=usual.most, help="pictures; default %(default)s")
     parser.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> Imported:
-    recording_options = RecordingOptions(
-        base=options.base,
-        depth=options.depth,
-        camera_info=options.camera_info,
-        joint_states=options.joint_states,
-        every_s=options.every,
-        tolerance_s=options.tolerance,
-        most=options.most,
-        time_limit_s=options.time_limit,
-    )
-    return import_recording(
-        options.source, options.folder, world=described(options), options=recording_options
-    )
+    settings = RecordingOptions(**{one.name: getattr(options, one.name) for one in fields(RecordingOptions)})
+    return import_recording(options.source, options.folder, world=described(options), options=settings)

@@ -18,6 +18,17 @@ class Held:
         return type(self)(*(getattr(self, field.name).to(device) for field in fields(self)))
 
 
+def rows_of(offsets: Tensor, ids: Tensor, shares: Tensor) -> Tensor:
+    """Rows of scenarios (p,) at shares (p, c) in [0, 1) of each one's own, (p, c).
+
+    Scenario i owns rows offsets[i] to offsets[i + 1].
+    """
+    first, size = offsets[ids], offsets[ids + 1] - offsets[ids]
+    # float32 rounds shares just below 1 up; the row behind the last belongs to the next scenario.
+    inside = torch.minimum((shares * size.unsqueeze(1)).long(), size.unsqueeze(1) - 1)
+    return first.unsqueeze(1) + inside
+
+
 @dataclass(frozen=True, slots=True)
 class Batch:
     """Real configurations with the scenario that each belongs to.

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from cspace.world import GridArm, World
-from training.models.data import Held
+from training.models.data import Held, rows_of
 from training.models.export import exported
 from training.models.grid_head import GridHead, HeadPrediction, counts_of
 from training.models.modules import TrialModule
@@ -50,9 +50,7 @@ class GridSamples(Held):
         """So many pictures with so many configurations each, with replacement."""
         device = self.offsets.device
         ids = torch.randint(len(self.images), (pictures,), generator=rng, device=device)
-        first, size = self.offsets[ids].unsqueeze(1), self.offsets[ids + 1].unsqueeze(1)
-        shares = torch.rand(pictures, count, generator=rng, device=device)
-        rows = torch.minimum(first + (shares * (size - first)).long(), size - 1)
+        rows = rows_of(self.offsets, ids, torch.rand(pictures, count, generator=rng, device=device))
         if isinstance(self.images, Tensor):
             shown = self.images[ids]
         else:

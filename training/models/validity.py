@@ -7,7 +7,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from cspace.world import World
-from training.models.data import Held
+from training.models.data import Held, rows_of
 from training.models.lookups import ArmLookups
 from training.models.modules import TrialModule
 from training.models.networks import mlp
@@ -76,17 +76,10 @@ class OccupancySamples(Held):
         device = self.images.device
         ids = self.scenarios[torch.randint(len(self.scenarios), (pictures,), generator=rng, device=device)]
         shares = torch.rand(pictures, free_count + collision_count, generator=rng, device=device)
-        free = self.free[_rows(self.free_offsets, ids, shares[:, :free_count])]
-        collision = self.collision[_rows(self.collision_offsets, ids, shares[:, free_count:])]
+        free = self.free[rows_of(self.free_offsets, ids, shares[:, :free_count])]
+        collision = self.collision[rows_of(self.collision_offsets, ids, shares[:, free_count:])]
         labels = torch.cat([torch.ones_like(free[..., 0]), torch.zeros_like(collision[..., 0])], dim=1)
         return self.images[ids].float() / 127.5 - 1.0, torch.cat([free, collision], dim=1), labels
-
-
-def _rows(offsets: Tensor, ids: Tensor, shares: Tensor) -> Tensor:
-    first, size = offsets[ids], offsets[ids + 1] - offsets[ids]
-    # float32 rounds shares just below 1 up; the row behind the last belongs to the next scenario.
-    inside = torch.minimum((shares * size.unsqueeze(1)).long(), size.unsqueeze(1) - 1)
-    return first.unsqueeze(1) + inside
 
 
 class ValidityModule(TrialModule):

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from cspace.errors import JobError
 from training.config import TrainConfig
+from training.models.autoencoders import shown
 from training.models.checkpoint import seeded_initialisation, trained
 from training.models.joint import JointModule
 from training.models.lookups import make_lookups, values_read
@@ -180,13 +181,9 @@ def joint_trial(
             train.global_,
             train.vae,
             arrays.samples(None),
-            _channels_first(images),
+            torch.tensor(shown(arrays.world.sensor, images)),
             arrays.scale,
             trial.seed,
             arrays.world.space,
         )
     return fit_tracked(trial, module, train.global_, train.resources, tracking_uri)
-
-
-def _channels_first(images: NDArray[np.uint8]) -> torch.Tensor:
-    return torch.tensor(np.ascontiguousarray(images.transpose(0, 3, 1, 2)))
