@@ -82,7 +82,7 @@ class Joints(nn.Module):
 
     @property
     def embedded_size(self) -> int:
-        """How many values :meth:`embed` gives."""
+        """How many values :meth:`unembed` takes."""
         return 2 * self.dim - self.limits
 
     def features(self, angles: Tensor) -> Tensor:
@@ -120,15 +120,11 @@ class Joints(nn.Module):
             return wrapped
         return torch.where(self.limited, losses.straight_interpolation(end, start, share), wrapped)
 
-    def embed(self, angles: Tensor) -> Tensor:
-        """Cosines of the circles, their sines, places within the limits: (m, d) to (m, embedded_size)."""
-        if self.is_torus:
-            return torch.cat([torch.cos(angles), torch.sin(angles)], dim=1)
-        turning = angles[:, ~self.limited]
-        return self._with_places(torch.cat([torch.cos(turning), torch.sin(turning)], dim=1), angles)
-
     def unembed(self, embedded: Tensor) -> Tensor:
-        """The inverse: (m, embedded_size), cosines and sines of any length above 0, to (m, d) rad."""
+        """Cosines of the circles, their sines, places within the limits: (m, embedded_size) to (m, d) rad.
+
+        Cosines and sines may have any length above 0.
+        """
         if self.is_torus:
             return on_torus(embedded)
         turning = self.dim - self.limits
@@ -168,18 +164,6 @@ class Points:
         numbers = torch.arange(places.shape[0], device=places.device) if scenes is None else scenes
         self.rows = numbers[:, None] * (channels * self.voxels)
 
-    @property
-    def inside(self) -> Tensor:
-        """(p, n): which lie in the grid."""
-        low = self.places.amin(dim=1) >= 0.0
-        sides = [self.places[:, axis] < float(self.counts[axis]) for axis in range(3)]
-        return low & sides[0] & sides[1] & sides[2]
-
-    def nearest(self, channel: int = 0) -> Tensor:
-        """(p, n): rows of a channel for the voxels that they lie in, or for the nearest ones."""
-        x, y, z = (self.places[:, axis].clamp(0.0, float(self.counts[axis] - 1)).long() for axis in range(3))
-        return self._number(x, y, z) + channel * self.voxels
-
     def interpolate(
         self, table: Tensor, channel: int = 0, transform: Callable[[Tensor], Tensor] | None = None
     ) -> Tensor:
@@ -196,7 +180,7 @@ class Points:
             first = middle.long()
             firsts.append(first)
             shares.append((middle - first).unsqueeze(-1))
-        start = self._number(firsts[0], firsts[1], firsts[2])
+        start = (firsts[0] * self.counts[1] + firsts[1]) * self.counts[2] + firsts[2] + self.rows
         start = start + channel * self.voxels if channel else start
         steps = (self.counts[1] * self.counts[2], self.counts[2], 1)
 
@@ -208,9 +192,6 @@ class Points:
             return low + shares[axis] * (along(axis + 1, at + steps[axis]) - low)
 
         return along(0, start)
-
-    def _number(self, x: Tensor, y: Tensor, z: Tensor) -> Tensor:
-        return (x * self.counts[1] + y) * self.counts[2] + z + self.rows
 
 
 def table_of(features: Tensor) -> Tensor:

@@ -74,11 +74,6 @@ FINER = 1.5
 Look = Callable[[Tensor], Tensor | None]
 
 
-def blind(configurations: Tensor) -> None:
-    """No look-ups."""
-    del configurations
-
-
 class PathFlow(nn.Module):
     """Velocity from a uniform draw on the torus to a point of the path, and the way along it.
 

@@ -11,7 +11,7 @@ from cspace.worlds.planar.world import PlanarWorld
 from tests.training.models.path_builders import LATENT, arrays
 from training.config import PathTrainConfig
 from training.models.lookups import make_lookups
-from training.models.paths import Condition, PathGanModule, blind, swept
+from training.models.paths import Condition, PathGanModule, swept
 from training.models.settings import FlowConfig, LookupConfig, PathGanConfig
 from training.paths.bundling import PointSampler, point_graph
 from training.trials.paths import make_path_module
@@ -32,6 +32,10 @@ def trained(name, steps=None, given=None, train=SMALL):
         module.training_step(step, 0)
         first = first or module.metrics()
     return module.eval(), first
+
+
+def blind(configurations):
+    """No look-ups."""
 
 
 def places_along(module, given, count=ROWS):

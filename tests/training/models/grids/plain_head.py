@@ -43,7 +43,7 @@ def at_spheres(head: GridHead, arm: GridArm, picture: Tensor, spheres: Tensor) -
     points = grid_points(arm, spheres, head.counts, arm.voxel_m, 2)
     table = picture.reshape(-1, 1)
     near = points.interpolate(table).reshape(len(spheres), -1) * 255.0 * arm.distance_step_m
-    codes = table[points.nearest(1)].reshape(len(spheres), -1)
+    codes = table[nearest(points, 1)].reshape(len(spheres), -1)
     radii = buffer(arm.spheres_m[arm.links > 0, 3])
     return near - radii, (codes > 0.5 / 255.0).float()
 
@@ -55,7 +55,7 @@ def at_groups(head: GridHead, arm: GridArm, picture: Tensor, spheres: Tensor, gr
     features = coarse.interpolate(head.encode(picture)).reshape(rows, head.groups, -1)
     inside = (coarse.places - coarse.places.floor() - 0.5).reshape(3, rows, -1).permute(1, 2, 0)
     fine = grid_points(arm, groups, head.counts, arm.voxel_m, 2)
-    code = picture.reshape(-1)[fine.nearest(1)].reshape(rows, -1, 1)
+    code = picture.reshape(-1)[nearest(fine, 1)].reshape(rows, -1, 1)
     free, out = (code < 0.5 / 255.0).float(), (code > 254.5 / 255.0).float()
     unread = ((code - arm.no_reading / 255.0).abs() < 0.5 / 255.0).float()
     hidden = 1.0 - free - out - unread
@@ -73,6 +73,15 @@ def grid_points(
     """Points (n, 3, k) in a grid."""
     places = (points - buffer(arm.low_m)[:, None]) / voxel_m
     return Points(places.transpose(0, 1).reshape(1, 3, -1), counts, channels)
+
+
+def nearest(points: Points, channel: int) -> Tensor:
+    """(p, n): rows of a channel for the voxels that points lie in, or for the nearest ones."""
+    x, y, z = (
+        points.places[:, axis].clamp(0.0, float(count - 1)).long() for axis, count in enumerate(points.counts)
+    )
+    numbers = (x * points.counts[1] + y) * points.counts[2] + z
+    return numbers + points.rows + channel * points.voxels
 
 
 def scales(margins: Tensor) -> Tensor:
