@@ -22,7 +22,6 @@ from training.models.settings import (
     GlobalConfig,
     LookupConfig,
     PathGanConfig,
-    PointConfig,
     VaeConfig,
     ValidityConfig,
 )
@@ -408,7 +407,7 @@ class PathTrainConfig(JobConfig):
             raise ValueError("wgan_guided needs guides: the folder of a job with local critics")
         return self
 
-    def points_of(self, name: PathModel) -> PointConfig:
+    def points_of(self, name: PathModel) -> FlowConfig | PathGanConfig:
         """Sizes and look-ups of a model that gives points."""
-        found: PointConfig = getattr(self, name)
+        found: FlowConfig | PathGanConfig = getattr(self, name)
         return found

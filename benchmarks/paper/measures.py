@@ -24,7 +24,7 @@ from services.planner.samples import BundleSampler
 from training.clusters.bundling import TrainedParts, make_bundle
 from training.config import TrainConfig
 from training.models.checkpoint import read_progress
-from training.trials.arrays import Latents, TrainingArrays
+from training.trials.arrays import TrainingArrays
 
 Measured = dict[str, Any]
 MEASURES = ("precision", "coverage", "edr")
@@ -81,8 +81,7 @@ def plain_arrays(config: TrainConfig, dataset: Dataset) -> TrainingArrays:
     """What an export needs of the training's arrays: the data, without clusters and with empty latents."""
     count = dataset.scenario_count
     free, ids = np.asarray(dataset.free), np.repeat(np.arange(count), np.diff(dataset.free_offsets))
-    latents = Latents.none(count, config.vae.latent_dim)
-    return TrainingArrays(free, ids, 0 * ids, latents.mu, latents.sigma, dataset.world)
+    return TrainingArrays.unencoded(dataset, free, ids, 0 * ids, config.vae.latent_dim)
 
 
 def learning_curve(study: Study, column: Column, made: Mapping[int, Bundle], effort: Effort) -> Measured:

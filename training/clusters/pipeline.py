@@ -31,14 +31,7 @@ from training.jobs.job import TAG_START, Job, kept_bundle, log_configuration, re
 from training.models.autoencoders import shown
 from training.models.checkpoint import read_progress
 from training.models.mixture import gate_probabilities
-from training.trials.arrays import (
-    GatedCells,
-    Latents,
-    TrainingArrays,
-    encode,
-    has_occupancy,
-    load_encoder,
-)
+from training.trials.arrays import TrainingArrays, has_occupancy, load_encoder
 from training.trials.launch import TrialOutcome, TrialRequest, run_trials
 from training.trials.trainables import (
     GATE,
@@ -146,24 +139,7 @@ def train_on_pictures(
     return outcomes.get(VAE), outcomes.get(VALIDITY)
 
 
-@dataclass(frozen=True, slots=True)
-class ClusteredData:
-    """Free configurations in their clusters.
-
-    Args:
-        free: (M, d) float32 rad.
-        ids: (M,) int64 scenario of each.
-        labels: (M,) int64 cluster of each.
-        cells: of the gate; None without one.
-    """
-
-    free: NDArray[np.float32]
-    ids: NDArray[np.int64]
-    labels: NDArray[np.int64]
-    cells: GatedCells | None
-
-
-def cluster_data(job: Job[TrainConfig], dataset: Dataset) -> ClusteredData:
+def cluster_data(job: Job[TrainConfig], dataset: Dataset) -> TrainingArrays:
     """Stage 2: k-means over the configuration space, and cells for the gate; before anything is trained.
 
     A job that goes on reads the clusters that it wrote.
@@ -179,38 +155,27 @@ def cluster_data(job: Job[TrainConfig], dataset: Dataset) -> ClusteredData:
         parted.save(path)
     sizes = np.bincount(parted.labels, minlength=config.clusters.count)
     _LOG.info("clusters: sizes %s", ", ".join(map(str, sizes)))
-    return ClusteredData(free, ids, parted.labels, parted.gated(config.gate, config.seed))
+    cells = parted.gated(config.gate, config.seed)
+    return TrainingArrays.unencoded(dataset, free, ids, parted.labels, config.vae.latent_dim, cells)
 
 
 def encode_data(
-    job: Job[TrainConfig], dataset: Dataset, vae: TrialOutcome | None, data: ClusteredData
+    job: Job[TrainConfig], dataset: Dataset, vae: TrialOutcome | None, arrays: TrainingArrays
 ) -> TrainingArrays:
     """Stage 4: latents of the scenarios beside the clustered configurations.
 
     An encoder that is yet to be trained with the generator leaves the latents at zero.
     """
     config, images = job.config, dataset.images
-    if config.joint:
-        latents = Latents.none(len(images), config.vae.latent_dim)
-    else:
-        sensor = dataset.world.sensor
-        encoder = load_encoder(config.vae, sensor, encoder_checkpoint(job, vae))
-        latents = encode(encoder, sensor, images)
+    if not config.joint:
+        encoder = load_encoder(config.vae, dataset.world.sensor, encoder_checkpoint(job, vae))
+        arrays = arrays.encoded(encoder, images)
     looked_up = any(
         part.points_per_link
         for gan in (config.local, config.global_)
         for part in (gan.generator_lookups, gan.critic_lookups)
     )
-    return TrainingArrays(
-        data.free,
-        data.ids,
-        data.labels,
-        latents.mu,
-        latents.sigma,
-        dataset.world,
-        np.asarray(images) if looked_up else None,
-        data.cells,
-    )
+    return replace(arrays, images=np.asarray(images)) if looked_up else arrays
 
 
 def uniform_free(dataset: Dataset) -> tuple[NDArray[np.float32], NDArray[np.int64]]:

@@ -1,6 +1,6 @@
 """The arrays that trials read, shared through the object store."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -32,20 +32,6 @@ from training.models.settings import GridConfig, VaeConfig, ValidityConfig
 from training.models.validity import OccupancySamples, ValidityModule
 
 
-@dataclass(frozen=True, slots=True)
-class Latents:
-    """Mean and standard deviation of each picture's latent, (S, L) each."""
-
-    mu: NDArray[np.float32]
-    sigma: NDArray[np.float32]
-
-    @classmethod
-    def none(cls, scenarios: int, latent_dim: int) -> "Latents":
-        """Zeros for ``scenarios`` pictures whose encoder does not exist yet."""
-        empty = np.zeros((scenarios, latent_dim), dtype=np.float32)
-        return cls(empty, empty)
-
-
 def load_encoder(config: VaeConfig, sensor: Sensor, checkpoint: Path) -> Encoder | GridVaeEncoder:
     """The encoder of a VAE trial's checkpoint, ready to be asked."""
     return trained(lambda: make_encoder(config, shown_size(sensor)), checkpoint, "encoder")
@@ -57,17 +43,6 @@ def load_scores(config: VaeConfig, sensor: Sensor, checkpoint: Path) -> nn.Modul
     if isinstance(decoder, GridVaeDecoder):
         return GridNovelty(decoder).eval()
     return NoveltyScores(decoder, sensor.pixels).eval()
-
-
-def encode(encoder: nn.Module, sensor: Sensor, images: NDArray[np.uint8]) -> Latents:
-    """Latents of (S, ...) pictures of a sensor."""
-    means, deviations = [], []
-    with torch.inference_mode():
-        for rows in blocks(sensor, len(images)):
-            mu, log_variance = encoder(torch.from_numpy(sensor.to_network(np.asarray(images[rows]))))
-            means.append(mu.numpy())
-            deviations.append((log_variance / 2.0).exp().numpy())
-    return Latents(np.concatenate(means), np.concatenate(deviations))
 
 
 # Keeps a row of probabilities from vanishing where the gate gives a scenario none of a cluster's cells.
@@ -114,6 +89,30 @@ class TrainingArrays:
     world: World
     images: NDArray[np.uint8] | None = None
     cells: GatedCells | None = None
+
+    @classmethod
+    def unencoded(
+        cls,
+        dataset: Dataset,
+        configurations: NDArray[np.float32],
+        ids: NDArray[np.int64],
+        labels: NDArray[np.int64],
+        latent_dim: int,
+        cells: GatedCells | None = None,
+    ) -> "TrainingArrays":
+        """With latents of zeros, for pictures whose encoder does not exist yet."""
+        nothing = np.zeros((dataset.scenario_count, latent_dim), dtype=np.float32)
+        return cls(configurations, ids, labels, nothing, nothing, dataset.world, cells=cells)
+
+    def encoded(self, encoder: nn.Module, images: NDArray[np.uint8]) -> "TrainingArrays":
+        """With the latents of the scenarios' pictures, (S, ...)."""
+        means, deviations, sensor = [], [], self.world.sensor
+        with torch.inference_mode():
+            for rows in blocks(sensor, len(images)):
+                mu, log_variance = encoder(torch.from_numpy(sensor.to_network(np.asarray(images[rows]))))
+                means.append(mu.numpy())
+                deviations.append((log_variance / 2.0).exp().numpy())
+        return replace(self, mu=np.concatenate(means), sigma=np.concatenate(deviations))
 
     @property
     def scale(self) -> tuple[torch.Tensor, torch.Tensor]:

@@ -30,7 +30,7 @@ from training.models.paths import (
     equal_paths,
     point_sizes,
 )
-from training.models.settings import FlowConfig, LookupConfig, PathGanConfig, PointConfig
+from training.models.settings import FlowConfig, LookupConfig
 from training.trials.fit import fit_tracked
 from training.trials.launch import TrialFolder, TrialRequest
 
@@ -192,7 +192,7 @@ def path_trial(
     name = cast("PathModel", trial.name)
     with seeded_initialisation(trial.seed):
         module = make_path_module(name, train, arrays, trial.seed, guides)
-    return fit_tracked(trial, module, getattr(train, name), train.resources, tracking_uri)
+    return fit_tracked(trial, module, train.points_of(name), train.resources, tracking_uri)
 
 
 def make_path_module(
@@ -214,16 +214,16 @@ def make_path_module(
     Raises:
         JobError: there are no guides for a guided model.
     """
-    samples, space = arrays.samples(), arrays.world.space
-    if name == "flow":
-        return FlowModule(train.flow, samples, _scenes(train.flow, arrays), seed, space)
-    config: PathGanConfig = getattr(train, name)
+    samples, space, config = arrays.samples(), arrays.world.space, train.points_of(name)
+    scenes = arrays.scenes() if config.lookups.wanted else None
+    if isinstance(config, FlowConfig):
+        return FlowModule(config, samples, scenes, seed, space)
     if config.guide_weight == 0.0:
-        return PathGanModule(config, samples, _scenes(config, arrays), seed, space)
+        return PathGanModule(config, samples, scenes, seed, space)
     if guides is None:
         raise JobError("a guided model needs local critics", expected="guides", got="none")
     reader = make_reader(guides.lookups, arrays.scenes())
-    return PathGanModule(config, samples, _scenes(config, arrays), seed, space, guides.critics(), reader)
+    return PathGanModule(config, samples, scenes, seed, space, guides.critics(), reader)
 
 
 def load_points(
@@ -237,10 +237,6 @@ def load_points(
     def fresh() -> PathFlow | PathGenerator:
         if isinstance(config, FlowConfig):
             return PathFlow(sizes, config.evaluations, place=config.place)
-        return PathGenerator(sizes, getattr(train, name).noise_dim, place=config.place)
+        return PathGenerator(sizes, config.noise_dim, place=config.place)
 
     return trained(fresh, checkpoint, "net")
-
-
-def _scenes(config: PointConfig, arrays: PathArrays) -> Scenes | None:
-    return arrays.scenes() if config.lookups.wanted else None
