@@ -1,7 +1,8 @@
 """From a trained path model to ONNX graphs and a bundle."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import torch
@@ -10,13 +11,14 @@ from torch import Tensor, nn
 from cspace.bundle import Bundle, RandomInput
 from cspace.dataset import Dataset
 from training.config import PathModel, PathTrainConfig
-from training.jobs.job import TAG_START
+from training.jobs.job import TAG_START, Job
 from training.models.autoencoders import network_size
 from training.models.export import batched, exported, pictures
 from training.models.lookups import Lookups, make_lookups
 from training.models.mixture import look
 from training.models.paths import Condition, PathFlow, PathGenerator, swept
 from training.paths.writing import PathGraph, write_path_bundle
+from training.trials.launch import TrialOutcome
 from training.trials.paths import PathArrays, load_points
 
 PointNetwork = PathFlow | PathGenerator
@@ -88,32 +90,32 @@ def point_graph(sampler: PointSampler, latent_dim: int, pixels: int | Sequence[i
     return PathGraph(model, tuple(random), sampler.lookups is not None)
 
 
-def path_graph(
-    name: PathModel, train: PathTrainConfig, arrays: PathArrays, source: Bundle, checkpoint: Path
-) -> PathGraph:
-    """The graph of a trial's network."""
-    spec = source.spec
-    config = train.points_of(name)
-    net = load_points(name, train, arrays, checkpoint)
-    lookups = make_lookups(config.lookups, spec.world)
-    points = PointSampler(net, lookups, place=config.place, sweep=train.sweep, jitter_rad=config.jitter_rad)
-    return point_graph(points.eval(), spec.latent_dim, network_size(spec.world.sensor))
-
-
 def trained_bundle(
     folder: Path,
-    name: PathModel,
-    train: PathTrainConfig,
+    job: Job[PathTrainConfig],
+    outcome: TrialOutcome,
     arrays: PathArrays,
     source: Bundle,
     dataset: Dataset,
-    checkpoint: Path,
-    metrics: Mapping[str, float],
-    start_run_id: str | None = None,
 ) -> Bundle:
-    """The bundle of one trial, which started from the weights of the job of ``start_run_id``, if any."""
-    graph = path_graph(name, train, arrays, source, checkpoint)
+    """The bundle of one of a job's trials, which is named after its model.
+
+    Args:
+        folder: of the bundle.
+        job: of the trial.
+        outcome: of the trial.
+        arrays: that it learned from.
+        source: whose encoder and head it sees with.
+        dataset: of the arrays.
+    """
+    train, spec, name = job.config, source.spec, cast("PathModel", outcome.name)
+    config = train.points_of(name)
+    net = load_points(name, train, arrays, outcome.checkpoint)
+    lookups = make_lookups(config.lookups, spec.world)
+    points = PointSampler(net, lookups, place=config.place, sweep=train.sweep, jitter_rad=config.jitter_rad)
+    graph = point_graph(points.eval(), spec.latent_dim, network_size(spec.world.sensor))
     seeds = {"training": train.seed, "data": dataset.generator_seed}
     recipe = {"path_model": name, "source_digest": source.digest, **train.to_dict()}
-    recipe |= {} if start_run_id is None else {TAG_START: start_run_id}
+    recipe |= {} if job.start_run_id is None else {TAG_START: job.start_run_id}
+    metrics = {**outcome.metrics, "training_s": outcome.ended_s - outcome.started_s}
     return write_path_bundle(folder, source, graph, dataset.digest, seeds, recipe, metrics)

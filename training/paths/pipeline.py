@@ -136,18 +136,7 @@ def _bundles(
         folder = job.folder / "bundles" / name
         kept = kept_bundle(folder)
         if kept is None:
-            metrics = {**outcome.metrics, "training_s": outcome.ended_s - outcome.started_s}
-            kept = trained_bundle(
-                folder,
-                name,
-                job.config,
-                arrays,
-                source,
-                dataset,
-                outcome.checkpoint,
-                metrics,
-                job.start_run_id,
-            )
+            kept = trained_bundle(folder, job, outcome, arrays, source, dataset)
         bundles[name] = kept
     return bundles
 

@@ -19,7 +19,7 @@ from training.config import PathModel, PathTrainConfig, TrainConfig
 from training.jobs.environment import RECORD as JOB_RECORD
 from training.models.checkpoint import seeded_initialisation, trained
 from training.models.lookups import Scenes, make_lookups, make_reader, values_read
-from training.models.modules import Metrics, TrialModule, make_critic
+from training.models.modules import Metrics, TrialModule
 from training.models.networks import Critic
 from training.models.paths import (
     FlowModule,
@@ -33,6 +33,7 @@ from training.models.paths import (
 from training.models.settings import FlowConfig, LookupConfig
 from training.trials.fit import fit_tracked
 from training.trials.launch import TrialFolder, TrialRequest
+from training.trials.trainables import load_critic
 
 _LOG = logging.getLogger("training")
 # Pictures of more bytes stay on disk: those of space are a megabyte each.
@@ -134,14 +135,10 @@ class Guides:
     def critics(self) -> list[Critic]:
         """The critics, as they were trained."""
         spec = Bundle.load(self.bundle).spec
-        looked_up = values_read(make_lookups(self.lookups, spec.world))
-        # The angles' mean and deviation are among the weights.
-        scale = (torch.zeros(spec.dim), torch.ones(spec.dim))
-
-        def fresh() -> Critic:
-            return make_critic(self.train.local, spec.world.space, spec.latent_dim, 0, scale, looked_up)
-
-        return [trained(fresh, checkpoint, "critic") for checkpoint in self.checkpoints]
+        return [
+            load_critic(self.train.local, spec.world, spec.latent_dim, 0, checkpoint)
+            for checkpoint in self.checkpoints
+        ]
 
 
 def find_guides(folder: Path, digest: str) -> Guides:

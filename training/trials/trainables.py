@@ -8,6 +8,7 @@ import torch
 from numpy.typing import NDArray
 
 from cspace.errors import JobError
+from cspace.world import World
 from training.config import TrainConfig
 from training.models.autoencoders import shown
 from training.models.checkpoint import seeded_initialisation, trained
@@ -95,12 +96,13 @@ def torus_generator(generator: TorusGenerator | MeansGenerator) -> TorusGenerato
     return generator
 
 
-def load_critic(config: GanConfig, arrays: TrainingArrays, checkpoint: Path) -> Critic:
-    """The critic of a trial's checkpoint."""
-    looked_up, space = values_read(make_lookups(config.critic_lookups, arrays.world)), arrays.world.space
-    scenarios, latent_dim = arrays.mu.shape
+def load_critic(config: GanConfig, world: World, latent_dim: int, scenarios: int, checkpoint: Path) -> Critic:
+    """The critic of a trial's checkpoint; ``scenarios`` as of :func:`make_critic`."""
+    looked_up = values_read(make_lookups(config.critic_lookups, world))
+    # The angles' mean and deviation are among the weights.
+    scale = torch.zeros(world.dim), torch.ones(world.dim)
     return trained(
-        lambda: make_critic(config, space, latent_dim, scenarios, arrays.scale, looked_up),
+        lambda: make_critic(config, world.space, latent_dim, scenarios, scale, looked_up),
         checkpoint,
         "critic",
     )
@@ -162,7 +164,11 @@ def global_trial(
     tracking_uri: str,
 ) -> Metrics | None:
     """Train the global WGAN-GP on all data, guided by the frozen local critics (eq. multiDirector)."""
-    critics = [load_critic(train.local, arrays, Path(folder)) for folder in local_checkpoints]
+    scenarios, latent_dim = arrays.mu.shape
+    critics = [
+        load_critic(train.local, arrays.world, latent_dim, scenarios, Path(folder))
+        for folder in local_checkpoints
+    ]
     weight = train.global_.local_critic_weight
     module = make_wgan(train.global_, arrays, None, trial.seed, critics, weight)
     return fit_tracked(trial, module, train.global_, train.resources, tracking_uri)
