@@ -65,20 +65,17 @@ class PointSampler(nn.Module):
 def point_graph(sampler: PointSampler, latent_dim: int, pixels: int | Sequence[int]) -> PathGraph:
     """The graph of a flow or a generator; pictures of a side, or of a whole size."""
     net, dim = sampler.net, sampler.net.joints.dim
-    rows = [torch.zeros(2, size) for size in (latent_dim, dim, dim, net.noise_dim)]
-    names = ["latent", "start", "goal", "noise"]
     if isinstance(net, PathFlow):
         random = [RandomInput("noise", "uniform", (dim,), -float(np.pi), float(np.pi))]
     else:
         random = [RandomInput("noise", "normal", (net.noise_dim,))]
     if sampler.place:
-        rows.append(torch.zeros(2, 1))
-        names.append("place")
         random.append(RandomInput("place", "uniform", (1,), 0.0, 1.0))
     if sampler.jitter_rad > 0.0:
-        rows.append(torch.zeros(2, dim))
-        names.append("jitter")
         random.append(RandomInput("jitter", "normal", (dim,)))
+    shapes: dict[str, tuple[int, ...]] = {"latent": (latent_dim,), "start": (dim,), "goal": (dim,)}
+    shapes |= {one.name: one.shape for one in random}
+    rows, names = [torch.zeros(2, *shape) for shape in shapes.values()], list(shapes)
     axes = batched("latents", len(rows))
     if sampler.lookups is not None:
         rows.append(pictures(1, pixels))
