@@ -23,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
+from scipy.stats import binomtest
 
 from benchmarks.command import arguments
 from benchmarks.machine import machine
@@ -295,11 +296,8 @@ def is_found(codes: set[str], kind: Kind) -> bool:
 
 def wilson(hits: int, total: int) -> str:
     """A share with its interval of 95 %."""
-    share, z = hits / total, 1.96
-    middle = (share + z * z / (2 * total)) / (1 + z * z / total)
-    half = z * np.sqrt(share * (1 - share) / total + z * z / (4 * total**2)) / (1 + z * z / total)
-    ends = f"{100 * max(0.0, middle - half):.1f} to {100 * (middle + half):.1f}"
-    return f"{hits} of {total}, {100 * share:.1f} % ({ends})"
+    ends = binomtest(hits, total).proportion_ci(method="wilson")
+    return f"{hits} of {total}, {100 * hits / total:.1f} % ({100 * ends.low:.1f} to {100 * ends.high:.1f})"
 
 
 def measured(

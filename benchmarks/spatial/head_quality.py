@@ -26,11 +26,10 @@ import numpy as np
 
 from benchmarks.command import arguments
 from benchmarks.machine import machine
-from benchmarks.spatial.problem_options import panda
 from cspace.bundle.runtime import Graph
 from cspace.simulator import Split
 from cspace.worlds.spatial.arm import SerialArm
-from cspace.worlds.spatial.benchmark import BenchProblem, problems
+from cspace.worlds.spatial.benchmark import LIMITS_RAD, BenchProblem, problems
 from cspace.worlds.spatial.checks import CollisionChecker
 from cspace.worlds.spatial.distances import clearance_m
 from cspace.worlds.spatial.furniture import FAMILIES, Layout, SpatialScenes
@@ -228,7 +227,8 @@ def main() -> int:
     options = parser.parse_args()
     if options.arm != "panda" and not options.own:
         parser.error("MotionBenchMaker's problems are those of the Panda: name --own as well")
-    head = Head(options.graphs, usual(panda() if options.arm == "panda" else shipped(options.arm)))
+    arm = shipped(options.arm)
+    head = Head(options.graphs, usual(arm.with_limits(LIMITS_RAD) if options.arm == "panda" else arm))
     found: Sequence[BenchProblem | OwnProblem]
     if options.own:
         found = own_problems(head.world, Split(options.split), options.own, options.seed)
