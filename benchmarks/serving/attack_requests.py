@@ -12,14 +12,16 @@ import json
 import socket
 import struct
 import sys
-import threading
 import time
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from typing import Any
 
 import numpy as np
+
+from cspace.worlds.spatial.camera import encode_depth
 
 HOST = "127.0.0.1"
 # Another address than that of whoever else asks, so that the server can tell them apart.
@@ -192,15 +194,30 @@ def dispositions(count: int) -> bytes:
     return request("/sample", (part * count + "--edge--\r\n").encode(), "multipart/form-data; boundary=edge")
 
 
+def tensors(model: str, arrays: Mapping[str, np.ndarray], **parameters: float) -> bytes:
+    """A request of the Open Inference Protocol, with its arrays as bytes behind the JSON object."""
+    inputs = [
+        {
+            "name": name,
+            "datatype": _DATATYPES[array.dtype.str[1:]],
+            "shape": list(array.shape),
+            "parameters": {"binary_data_size": array.nbytes},
+        }
+        for name, array in arrays.items()
+    ]
+    head = json.dumps({"inputs": inputs, "parameters": parameters}).encode()
+    body = head + b"".join(array.tobytes() for array in arrays.values())
+    length = f"Inference-Header-Content-Length: {len(head)}"
+    return request(f"/v2/models/{model}/infer", body, "application/octet-stream", length)
+
+
+_DATATYPES = {"u1": "UINT8", "u2": "UINT16", "f8": "FP64"}
+
+
 def many_pictures(turn: int) -> bytes:
     """As many pictures as a request may hold, none seen before."""
     images = np.random.default_rng(turn).integers(0, 256, (256, 48, 48, 3), dtype=np.uint8)
-    tensor: dict[str, Any] = {"name": "image", "datatype": "UINT8", "shape": list(images.shape)}
-    tensor["parameters"] = {"binary_data_size": images.nbytes}
-    head = json.dumps({"inputs": [tensor], "parameters": {"n": 70, "min_confidence": 1.0}}).encode()
-    length = f"Inference-Header-Content-Length: {len(head)}"
-    path = "/v2/models/cspace-sampler/infer"
-    return request(path, head + images.tobytes(), "application/octet-stream", length)
+    return tensors("cspace-sampler", {"image": images}, n=70, min_confidence=1.0)
 
 
 # Of a depth camera whose pixels are as wide as a hand.
@@ -217,27 +234,25 @@ _ASIDE = [
 
 def depth_png(side: int, mm: int = 300, block_mm: int = 0) -> bytes:
     """A depth picture of one distance, with a block in the middle where one is told."""
-    pixels = np.full((side, side), mm, dtype=">u2")
+    pixels = np.full((side, side), mm, dtype=np.uint16)
     if block_mm:
         pixels[side // 3 : side // 2, side // 3 : side // 2] = block_mm
-    rows = np.concatenate([np.zeros((side, 1), np.uint8), pixels.view(np.uint8).reshape(side, -1)], axis=1)
-    header = chunk(b"IHDR", struct.pack(">IIBBBBB", side, side, 16, 0, 0, 0, 0))
-    return b"\x89PNG\r\n\x1a\n" + header + chunk(b"IDAT", zlib.compress(rows.tobytes())) + chunk(b"IEND", b"")
+    return encode_depth(pixels)
 
 
-def pinholes(turn: int, side: int = SIDE) -> list[dict[str, Any]]:
-    """Cameras of four pictures; another turn's are others, so that nothing is known of what they show."""
+def pinholes(turn: int, side: int = SIDE, count: int = 4) -> list[dict[str, Any]]:
+    """Cameras of some pictures; another turn's are others, so that nothing is known of what they show."""
     focal = 0.134 * side
-    middles = (side / 2 + 0.001 * (4 * turn + number) for number in range(4))
+    middles = (side / 2 + 1e-5 * (count * turn + number) for number in range(count))
     return [{"fx": focal, "fy": focal, "cx": cx, "cy": side / 2, "pose": POSE} for cx in middles]
 
 
-def depth_pictures(page: str, side: int = SIDE, **fields: str) -> Callable[[int], bytes]:
+def depth_pictures(page: str, side: int = SIDE, count: int = 4, **fields: str) -> Callable[[int], bytes]:
     """Depth pictures that are never known."""
-    pictures = [depth_png(side)] * 4
+    pictures = [depth_png(side)] * count
 
     def data(turn: int) -> bytes:
-        cameras = [json.dumps(one) for one in pinholes(turn, side)]
+        cameras = [json.dumps(one) for one in pinholes(turn, side, count)]
         return form(page, pictures, model=PANDA, camera=cameras, **fields)
 
     return data
@@ -268,27 +283,15 @@ def known_bodies(turn: int) -> bytes:
     return request("/validity", json.dumps(body).encode(), "application/json")
 
 
-def depth_tensors(turn: int) -> bytes:
+def depth_tensors(turn: int, side: int = SIDE, count: int = 4) -> bytes:
     """The same as tensors."""
-    cameras = pinholes(turn)
+    cameras = pinholes(turn, side, count)
     arrays = {
-        "depth": np.full((4, SIDE, SIDE), 300, "<u2"),
+        "depth": np.full((count, side, side), 300, "<u2"),
         "intrinsics": np.array([[one[name] for name in ("fx", "fy", "cx", "cy")] for one in cameras]),
-        "poses": np.array([POSE] * 4, dtype="<f8"),
+        "poses": np.array([POSE] * count, dtype="<f8"),
     }
-    inputs = [
-        {
-            "name": name,
-            "datatype": "UINT16" if name == "depth" else "FP64",
-            "shape": list(array.shape),
-            "parameters": {"binary_data_size": array.nbytes},
-        }
-        for name, array in arrays.items()
-    ]
-    head = json.dumps({"inputs": inputs, "parameters": {"n": 1, "min_confidence": 0.0}}).encode()
-    body = head + b"".join(array.tobytes() for array in arrays.values())
-    length = f"Inference-Header-Content-Length: {len(head)}"
-    return request(f"/v2/models/{PANDA}/infer", body, "application/octet-stream", length)
+    return tensors(PANDA, arrays, n=1, min_confidence=0.0)
 
 
 def configurations() -> bytes:
@@ -299,9 +302,9 @@ def configurations() -> bytes:
 
 
 def plan(seed: int, **fields: str | Sequence[str]) -> bytes:
-    """A plan from where the arm stands to somewhere near, past a block."""
+    """A plan from where the arm stands to somewhere near, past a block; each seed has its own picture."""
     goal = (np.array(READY) + np.random.default_rng(seed).uniform(-0.5, 0.5, 7)).tolist()
-    camera = {"fx": 114.25, "fy": 114.25, "cx": 79.5, "cy": 79.5, "pose": _ASIDE}
+    camera = {"fx": 114.25, "fy": 114.25, "cx": 79.5 + 1e-5 * seed, "cy": 79.5, "pose": _ASIDE}
     given: dict[str, str | Sequence[str]] = {
         "start": json.dumps(READY),
         "goal": json.dumps(goal),
@@ -334,11 +337,8 @@ def at_once(attack: Attack, connections: int) -> Attack:
     """The same attack on several connections."""
 
     def attacking(port: int, until: float) -> None:
-        links = [threading.Thread(target=attack, args=(port, until)) for _ in range(connections)]
-        for link in links:
-            link.start()
-        for link in links:
-            link.join()
+        with ThreadPoolExecutor(connections) as pool:
+            list(pool.map(attack, [port] * connections, [until] * connections))
 
     return attacking
 
@@ -355,11 +355,8 @@ def plans_of_addresses(port: int, until: float) -> None:
                 exchange(port, data, max(0.1, left_s), f"127.0.3.{1 + number // 2}")
             turn += 32
 
-    links = [threading.Thread(target=attack, args=(number,)) for number in range(32)]
-    for link in links:
-        link.start()
-    for link in links:
-        link.join()
+    with ThreadPoolExecutor(32) as pool:
+        list(pool.map(attack, range(32)))
 
 
 _PUNYCODE = "multipart/form-data; boundary=edge; charset=punycode"

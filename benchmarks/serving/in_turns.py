@@ -8,7 +8,6 @@ seconds that change as well. Ratios are of the other checkout's, request by requ
 """
 
 import asyncio
-import http.client
 import os
 import sys
 import time
@@ -20,8 +19,8 @@ import numpy as np
 
 from benchmarks.command import arguments
 from benchmarks.machine import ROOT, machine
+from benchmarks.serving.attack_requests import exchange, plan
 from benchmarks.serving.load import Client, capacity
-from benchmarks.serving.memory import arm_plan
 from benchmarks.serving.served import CLIENT_CORE, Asker, new_pictures, served
 from cspace.query import DEFAULT_PATHS
 from services.evaluator.tables import markdown
@@ -56,16 +55,12 @@ def plans(ports: list[int], count: int) -> Took:
         while httpx.get(f"http://127.0.0.1:{port}/health/ready", timeout=60).status_code != 200:
             time.sleep(1)
     for turn in range(count + 2):
-        path, headers, body = arm_plan(np.random.default_rng(turn), DEFAULT_PATHS, 2)
+        data = plan(turn, ways=str(DEFAULT_PATHS), time_limit_s="2", alternatives="true", next_view="true")
         for which in in_order(turn):
-            connection = http.client.HTTPConnection("127.0.0.1", ports[which], timeout=60)
             began = time.perf_counter()
-            connection.request("POST", path, body, headers)
-            answer = connection.getresponse()
-            content = answer.read()
-            connection.close()
-            if answer.status != 200:
-                raise RuntimeError(content)
+            answer = exchange(ports[which], data, 60.0)
+            if b" 200 " not in answer[:16]:
+                raise RuntimeError(answer)
             if turn >= 2:
                 took[which].append(1e3 * (time.perf_counter() - began))
     return took

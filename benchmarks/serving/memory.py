@@ -9,168 +9,89 @@ and its children is read from ``/proc`` ten times a second: resident, and of tha
 and cannot be taken back.
 """
 
-import http.client
 import json
-import struct
 import sys
 import threading
 import time
-import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cache
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.command import arguments
 from benchmarks.machine import machine
-from benchmarks.serving.attack_requests import chunk, png
+from benchmarks.serving.attack_requests import (
+    READY,
+    connect,
+    depth_pictures,
+    depth_tensors,
+    form,
+    plan,
+    png,
+    read_answer,
+    request,
+    sample,
+)
 from benchmarks.serving.served import Served, served
 from cspace.png import encode_png
 
 CLIENTS = 20
-ARM = "pretrained-panda"
-REST = [0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785]
-POSE = [
-    [-0.7071, -0.3714, -0.6018, 1.3],
-    [-0.7071, 0.3714, 0.6018, -0.8],
-    [0.0, 0.8510, -0.5252, 1.0],
-    [0, 0, 0, 1],
-]
-Ask = tuple[str, dict[str, str], bytes]
+LONGEST = {"ways": "64", "time_limit_s": "10", "alternatives": "true"}
 
 
-def form(files: list[bytes], fields: list[tuple[str, object]]) -> tuple[dict[str, str], bytes]:
-    """Headers and body: pictures, then fields, those of bytes as files."""
-    body = b""
-    for name, value in [*(("image", one) for one in files), *fields]:
-        of_file = '; filename="a"' if isinstance(value, bytes) else ""
-        body += f'--B\r\nContent-Disposition: form-data; name="{name}"{of_file}\r\n\r\n'.encode()
-        body += (value if isinstance(value, bytes) else str(value).encode()) + b"\r\n"
-    return {"Content-Type": "multipart/form-data; boundary=B"}, body + b"--B--\r\n"
-
-
-def depth(side: int, rng: np.random.Generator, *, rough: bool) -> bytes:
-    """A PNG of 16 bits: a plane with boxes before it, or noise."""
-    rows = np.full((side, side), 1800, dtype=">u2")
-    if rough:
-        rows[:] = rng.integers(300, 2500, rows.shape)
-    for _ in range(6):
-        x, y = rng.integers(0, side, 2)
-        rows[y : y + side // 5, x : x + side // 5] = rng.integers(500, 1700)
-    data = b"".join(b"\0" + row.tobytes() for row in rows)
-    head = struct.pack(">IIBBBBB", side, side, 16, 0, 0, 0, 0)
-    return (
-        b"\x89PNG\r\n\x1a\n"
-        + chunk(b"IHDR", head)
-        + chunk(b"IDAT", zlib.compress(data, 1))
-        + chunk(b"IEND", b"")
-    )
+def pictures(turn: int) -> bytes:
+    """Depth pictures of one of four sizes."""
+    side, count = ((160, 4), (640, 4), (1024, 2), (2048, 1))[turn % 4]
+    return _depth_pictures(side, count)(turn)
 
 
 @cache
-def pool(side: int, number: int, *, rough: bool) -> bytes:
-    return depth(side, np.random.default_rng(number), rough=rough)
+def _depth_pictures(side: int, count: int) -> Callable[[int], bytes]:
+    return depth_pictures("/sample", side, count, n="1", min_confidence="0")
 
 
-def camera(side: int, rng: np.random.Generator, focal: float = 0.7) -> str:
-    centre = side / 2 + rng.random()
-    return json.dumps({"fx": focal * side, "fy": focal * side, "cx": centre, "cy": centre, "pose": POSE})
+def many_samples(turn: int) -> bytes:
+    return depth_pictures("/sample", count=1, n="20000", min_confidence=str(turn % 2))(turn)
 
 
-def seen(rng: np.random.Generator, side: int, count: int, *, rough: bool = False) -> tuple[list[bytes], list]:
-    """Pictures with cameras that no server has seen, and so new to it, with their fields."""
-    pictures = [pool(side, int(rng.integers(4)), rough=rough) for _ in range(count)]
-    return pictures, [("model", ARM), *(("camera", camera(side, rng)) for _ in pictures)]
-
-
-def pictures(rng: np.random.Generator) -> Ask:
-    side, count = ((160, 4), (640, 4), (1024, 2), (2048, 1))[rng.integers(4)]
-    files, fields = seen(rng, side, count, rough=side == 160)
-    return ("/sample", *form(files, [*fields, ("n", 1), ("min_confidence", 0)]))
-
-
-def many_samples(rng: np.random.Generator) -> Ask:
-    files, fields = seen(rng, 160, 1)
-    return ("/sample", *form(files, [*fields, ("n", 20000), ("min_confidence", rng.choice([0.0, 1.0]))]))
-
-
-def flat_samples(rng: np.random.Generator) -> Ask:
-    return ("/sample", *form([flat_picture(int(rng.integers(6)))], [("n", 20000)]))
+def flat_samples(turn: int) -> bytes:
+    return sample(_flat_picture(turn % 6), n="20000")
 
 
 @cache
-def flat_picture(seed: int) -> bytes:
+def _flat_picture(seed: int) -> bytes:
     return png(2048, 6, seed=seed)
 
 
-def confidences(rng: np.random.Generator) -> Ask:
-    files, fields = seen(rng, 160, 1)
-    rows = BytesIO()
-    np.save(rows, np.array(REST) + rng.uniform(-0.1, 0.1, (20000, 7)))
-    return ("/validity", *form(files, [*fields, ("configurations", rows.getvalue())]))
+def confidences(turn: int) -> bytes:
+    return depth_pictures("/validity", count=1, configurations=_rows())(turn)
 
 
-def arm_plan(rng: np.random.Generator, ways: int = 64, limit_s: float = 10) -> Ask:
-    files, fields = seen(rng, 160, 1)
-    goal = (np.array(REST) + rng.uniform(-0.9, 0.9, 7)).clip(-2.6, 2.6)
-    goal[3] = min(goal[3], -0.2)
-    goal[5] = max(goal[5], 0.1)
-    query_fields = [
-        ("start", json.dumps(REST)),
-        ("goal", json.dumps(goal.tolist())),
-        ("ways", ways),
-        ("time_limit_s", limit_s),
-    ]
-    return ("/plan", *form(files, [*fields, *query_fields, ("alternatives", "true"), ("next_view", "true")]))
+@cache
+def _rows() -> str:
+    rows = np.array(READY) + np.random.default_rng(0).uniform(-0.1, 0.1, (20_000, len(READY)))
+    return json.dumps(rows.tolist())
 
 
-def flat_plan(rng: np.random.Generator) -> Ask:
-    picture = encode_png(rng.integers(0, 256, (48, 48, 3), dtype=np.uint8))
-    ends = [("start", "[1.5, 0.5]"), ("goal", "[-1.5, 0.5]"), ("ways", 64), ("time_limit_s", 10)]
-    return ("/plan", *form([picture], [*ends, ("alternatives", "true")]))
+def flat_plan(turn: int) -> bytes:
+    picture = encode_png(np.random.default_rng(turn).integers(0, 256, (48, 48, 3), dtype=np.uint8))
+    return form("/plan", [picture], start="[1.5, 0.5]", goal="[-1.5, 0.5]", **LONGEST)
 
 
-def noise(_: np.random.Generator) -> Ask:
-    return ("/sample", {"Content-Type": "application/json"}, b"[" + b"[]," * 2_000_000 + b"1]")
-
-
-def tensors(rng: np.random.Generator) -> Ask:
-    """Depth pictures by the Open Inference Protocol, as bytes behind the JSON object."""
-    side = 1024
-    depths = rng.integers(800, 1800, (2, side, side)).astype("<u2")
-    lens = np.array([[0.7 * side, 0.7 * side, side / 2 + rng.random(), side / 2]] * 2)
-    inputs = (
-        ("depth", "UINT16", depths),
-        ("intrinsics", "FP64", lens),
-        ("poses", "FP64", np.array([POSE] * 2)),
-    )
-    described = [
-        {
-            "name": name,
-            "datatype": kind,
-            "shape": array.shape,
-            "parameters": {"binary_data_size": array.nbytes},
-        }
-        for name, kind, array in inputs
-    ]
-    head = json.dumps({"inputs": described, "parameters": {"n": 1, "min_confidence": 0}}).encode()
-    headers = {"Inference-Header-Content-Length": str(len(head))}
-    return f"/v2/models/{ARM}/infer", headers, head + b"".join(array.tobytes() for *_, array in inputs)
-
-
-KINDS: dict[str, Callable[[np.random.Generator], Ask]] = {
+KINDS: dict[str, Callable[[int], bytes]] = {
     "depth pictures": pictures,
-    "depth pictures as tensors": tensors,
+    "depth pictures as tensors": lambda turn: depth_tensors(turn, 1024, 2),
     "samples of the arm": many_samples,
     "samples of flat pictures": flat_samples,
     "confidences": confidences,
-    "plans of the arm": arm_plan,
+    "plans of the arm": lambda turn: plan(turn, next_view="true", **LONGEST),
     "flat plans": flat_plan,
-    "bodies that are no request": noise,
+    "bodies that are no request": lambda _: request(
+        "/sample", b"[" + b"[]," * 2_000_000 + b"1]", "application/json"
+    ),
 }
 
 
@@ -179,23 +100,18 @@ def ask(port: int, number: int, kinds: list[str], until: float, answers: Counter
     rng, turn = np.random.default_rng(number), number
     while time.monotonic() < until:
         kind = kinds[turn % len(kinds)]
+        # No two requests are alike, so that no picture is known.
+        data = KINDS[kind](int(rng.integers(2**20)))
         turn += 1
-        path, headers, body = KINDS[kind](rng)
-        link = http.client.HTTPConnection(
-            "127.0.0.1", port, timeout=120, source_address=(f"127.0.4.{number + 1}", 0)
-        )
         outcome = "no answer"
-        with suppress(OSError, http.client.HTTPException):
-            link.request("POST", path, body, headers)
+        with suppress(OSError), connect(port, 120.0, f"127.0.4.{number + 1}") as link:
+            link.sendall(data)
             if rng.random() < 0.1:
                 time.sleep(0.05)
                 outcome = "left"
-            else:
-                answer = link.getresponse()
-                answer.read()
-                outcome = str(answer.status)
+            elif answer := read_answer(link):
+                outcome = answer.split()[1].decode()
         answers[kind, outcome] += 1
-        link.close()
 
 
 def processes(api: Served) -> Iterator[int]:
