@@ -8,14 +8,15 @@ folder, on a GPU where there is one; then writes bundles, figures and the table.
 1 failed, 2 bad input.
 """
 
-import argparse
 import logging
 import os
 import signal
 import sys
+from argparse import ArgumentParser
 from collections.abc import Sequence
 from pathlib import Path
 
+from benchmarks.command import arguments
 from benchmarks.paper.columns import COLUMNS, CONTROLS, Scale
 from benchmarks.paper.jobs import Study, train_columns
 from benchmarks.paper.measures import Effort
@@ -25,12 +26,8 @@ from cspace.files import make_output_folder
 from services.command_errors import report_error
 
 
-def parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.paper",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def parser() -> ArgumentParser:
+    parser = arguments(__doc__)
     parser.add_argument("--out", type=Path, required=True, help="folder of checkpoints and results")
     parser.add_argument("--share", type=float, default=0.1, help="of the paper's steps (0.1)")
     parser.add_argument("--hidden", type=int, default=128, help="width of generators and critics (128)")
@@ -45,8 +42,8 @@ def parser() -> argparse.ArgumentParser:
     return parser
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    options = parser().parse_args(arguments)
+def main(given: Sequence[str] | None = None) -> int:
+    options = parser().parse_args(given)
     os.environ.update({"RAY_AUTH_MODE": "disabled", "RAY_USAGE_STATS_ENABLED": "0"})
     os.environ.update({"MLFLOW_DISABLE_TELEMETRY": "true", "ORT_DISABLE_TELEMETRY": "1"})
     logging.basicConfig(level=logging.WARNING, format="%(message)s")

@@ -5,8 +5,6 @@ from pathlib import Path
 
 from training.config import TrainConfig
 
-BASE = "single"
-
 
 @dataclass(frozen=True, slots=True)
 class Column:
@@ -25,10 +23,11 @@ class Column:
     changes: tuple[str, ...] = ()
 
 
-# The second one trains the encoder that all but the first take.
+# Trains the encoder that all take that do not train one jointly, and so comes before them.
+BASE = Column("single", "encoder apart, no means", "paper_single")
 COLUMNS = (
     Column("joint", "encoder trained jointly", "paper_joint"),
-    Column(BASE, "encoder apart, no means", "paper_single"),
+    BASE,
     Column("means", "K = 4 means, one cluster", "paper_means"),
     Column("clusters", "two clusters, local critics", "paper"),
 )

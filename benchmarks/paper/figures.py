@@ -5,11 +5,9 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from cspace.errors import EvaluationError
 from services.evaluator.evaluation.report import COLLISION_COLOUR, FREE_COLOUR, SHOWN_SAMPLES, free_map
 from services.evaluator.measures.scenes import Scene, Stage, unfiltered
 from services.evaluator.measures.topology import scene_topology
@@ -32,7 +30,6 @@ def convergence(curves: Mapping[str, Measured], uniform: Mapping[str, float]) ->
         uniform: what uniform samples reach, by measure.
     """
     figure = Figure(figsize=(11.0, 6.2), layout="constrained")
-    FigureCanvasAgg(figure)
     panels = figure.subplots(2, 3)
     for axes, (name, title) in zip(panels[0], LOSSES.items(), strict=False):
         _loss_panel(axes, curves, name)
@@ -57,15 +54,15 @@ def reconstruction(scenes: Sequence[Scene], samplers: Mapping[str, SampleSource]
     """
     count = len(samplers) + 2
     figure = Figure(figsize=(2.15 * count, 2.75 * len(scenes) + 0.4), layout="constrained")
-    FigureCanvasAgg(figure)
     panels = figure.subplots(len(scenes), count, squeeze=False)
     for row, scene in zip(panels, scenes, strict=True):
         _picture(row[0], scene)
         real, floor = scene.free(SHOWN_SAMPLES, scene.rng(7)), 0.0
         for axes, sampler in zip(row[2:], samplers.values(), strict=True):
             samples = unfiltered(sampler, scene.image, SHOWN_SAMPLES, scene.sampler_seed())
-            score, floor = _complement_score(scene, sampler, draws)
-            _cloud(axes, scene, samples, score)
+            found = scene_topology(scene, sampler, draws).gsc_boundary
+            floor = found.floor
+            _cloud(axes, scene, samples, found.score)
         _cloud(row[1], scene, real, floor)
         row[1].set_ylabel("theta2 [rad]")
     for axes, label in zip(panels[0], ("picture", "real samples", *samplers), strict=True):
@@ -85,14 +82,6 @@ def typical(stage: Stage, among: int = 21) -> Scene:
         for scene in scenes
     ]
     return scenes[int(np.argsort(shares, kind="stable")[among // 2])]
-
-
-def _complement_score(scene: Scene, sampler: SampleSource, draws: int) -> tuple[float, float]:
-    """GS-C of the sampler, and of further real samples."""
-    found = scene_topology(scene, sampler, draws).gsc_boundary
-    if found is None:
-        raise EvaluationError("GS-C needs two joints", got=str(scene.space.dim))
-    return found.score, found.floor
 
 
 def _loss_panel(axes: Axes, curves: Mapping[str, Measured], name: str) -> None:

@@ -57,7 +57,7 @@ def dataset_of(study: Study, column: Column) -> Dataset:
     return open_dataset(study.data / "datasets" / study.scale.config(column, None).data.folder_name)
 
 
-def bundles(study: Study, column: Column, base: Column, dataset: Dataset) -> dict[int, Bundle]:
+def bundles(study: Study, column: Column, dataset: Dataset) -> dict[int, Bundle]:
     """Bundle by generator step, from each of the column's snapshots; the last is the registered one."""
     folder, config = study.job_folder(column), study.scale.config(column, None)
     if folder is None:
@@ -68,9 +68,9 @@ def bundles(study: Study, column: Column, base: Column, dataset: Dataset) -> dic
         if step == config.global_.steps:
             target = folder / "bundle"
         elif not target.exists():
-            encoder = checkpoint if config.joint else study.encoder(base)
+            encoder = checkpoint if config.joint else study.encoder()
             if encoder is None:
-                raise EvaluationError("the shared encoder is not trained", got=base.name)
+                raise EvaluationError("the shared encoder is not trained", got=BASE.name)
             parts = TrainedParts(encoder, (checkpoint,), None, None, plain_arrays(config, dataset))
             make_bundle(target, config, dataset, parts)
         made[step] = Bundle.load(target)
@@ -136,11 +136,6 @@ def table(columns: Sequence[Column], found: Mapping[str, Measured]) -> Table:
         any_column = found[columns[0].name][split]
         rows += [[name, split, *_cells(any_column[name]), ""] for name in ("uniform", "real")]
     return rows
-
-
-def base_of(columns: Sequence[Column]) -> Column:
-    """The column whose encoder the others take."""
-    return next(column for column in columns if column.name == BASE)
 
 
 def _stage(bundle: Bundle, split: Split, seed: int) -> Stage:

@@ -6,13 +6,12 @@ import shutil
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from benchmarks.paper.columns import Column
+from benchmarks.paper.columns import BASE, Column
 from benchmarks.paper.figures import convergence, reconstruction, typical
 from benchmarks.paper.jobs import Study
 from benchmarks.paper.measures import (
     MEASURES,
     Effort,
-    base_of,
     bundles,
     dataset_of,
     final_quality,
@@ -41,13 +40,12 @@ def compare_columns(
     trained = [column for column in columns if study.result(column) is not None]
     if not trained:
         raise EvaluationError("no column is trained yet", got=str(study.out))
-    base = base_of(columns)
-    dataset = dataset_of(study, base)
+    dataset = dataset_of(study, BASE)
     seed = dataset.generator_seed or 0
     curves, found, last = {}, {}, {}
     for column in trained:
         say(f"judging: {column.label}")
-        made = bundles(study, column, base, dataset)
+        made = bundles(study, column, dataset)
         curves[column.label] = learning_curve(study, column, made, effort)
         last[column] = made[max(made)]
         found[column.name] = final_quality(study, column, last[column], seed, effort)

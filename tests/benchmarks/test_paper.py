@@ -1,7 +1,9 @@
 """The paper's comparison on tiny bundles: what it asks of the jobs, its table, its pictures."""
 
 import json
+from functools import partial
 from types import SimpleNamespace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -9,9 +11,10 @@ import pytest
 from benchmarks.paper import jobs
 from benchmarks.paper.columns import COLUMNS, CONTROLS, Scale
 from benchmarks.paper.figures import convergence, reconstruction, typical
-from benchmarks.paper.jobs import Pace, Study, steps_of
+from benchmarks.paper.jobs import Study, train_columns
 from benchmarks.paper.measures import Effort, final_quality, learning_curve, table
 from cspace.bundle import Bundle
+from cspace.errors import JobError
 from cspace.simulator import Split
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.camera import Camera
@@ -65,7 +68,7 @@ def test_the_snapshots_are_spread_over_all_steps_and_all_kept():
 
 def test_the_whole_budget_is_the_presets():
     whole = Scale(share=1.0, hidden=512).config(CLUSTERS, None)
-    assert steps_of(whole) == 156_300 + 2 * 78_200
+    assert (whole.global_.steps, whole.local_trials, whole.local.steps) == (156_300, 2, 78_200)
     assert whole.global_.hidden == 512
 
 
@@ -82,28 +85,57 @@ def test_a_column_has_a_result_once_its_job_has_printed_one(study):
 
 def test_the_encoder_is_there_only_when_it_is_trained_to_its_end(study):
     begun(study, SINGLE, trial="vae", steps=(30,))
-    assert study.encoder(SINGLE) is None
+    assert study.encoder() is None
     begun(study, SINGLE, trial="vae", steps=(30, 60))
-    assert study.encoder(SINGLE) == study.checkpoints(SINGLE, "vae")[60]
+    assert study.encoder() == study.checkpoints(SINGLE, "vae")[60]
 
 
-def test_a_columns_job_works_inside_the_studys_folder(study, monkeypatch):
-    started = {}
-    monkeypatch.setattr(jobs.subprocess, "Popen", lambda command, **options: started.update(options))
-    monkeypatch.setattr(jobs.ray, "get_runtime_context", lambda: SimpleNamespace(gcs_address="here:1"))
-    study.log(JOINT).parent.mkdir(parents=True)
-    jobs._start(study, JOINT, SINGLE)
-    assert started["cwd"] == study.out
-    assert started["env"]["CSPACE_DATA_DIR"] == str(study.data)
-    assert started["env"]["RAY_ADDRESS"] == "here:1"
+class Job:
+    """A job's process that ends at once; ``printed`` is what it leaves in its log."""
+
+    started: ClassVar[list["Job"]] = []
+
+    def __init__(self, command, stdout, printed, **options):
+        self.command, self.options = command, options
+        stdout.write(printed)
+        Job.started.append(self)
+
+    def wait(self):
+        return 0
+
+    def terminate(self):
+        pass
 
 
-def test_the_time_left_is_told_by_the_pace_of_this_start(monkeypatch):
-    clock = iter([100.0, 110.0, 120.0])
-    monkeypatch.setattr("benchmarks.paper.jobs.time.monotonic", lambda: next(clock))
-    pace = Pace(total=1000)
-    assert pace.left_s(400) is None
-    assert pace.left_s(600) == pytest.approx(20.0)
+def run_jobs(monkeypatch, study, columns, printed):
+    """What train_columns starts where every job prints this."""
+    monkeypatch.setattr(Job, "started", [])
+    monkeypatch.setattr(jobs.subprocess, "Popen", partial(Job, printed=printed))
+    here = SimpleNamespace(gcs_address="here:1")
+    cluster = SimpleNamespace(init=dict, shutdown=dict, get_runtime_context=lambda: here)
+    monkeypatch.setattr(jobs, "ray", cluster)
+    train_columns(study, columns, say=str)
+    return Job.started
+
+
+def test_columns_are_trained_in_turn_inside_the_studys_folder(study, monkeypatch):
+    begun(study, SINGLE, "RESULT {}", trial="vae", steps=(60,))
+    started = run_jobs(monkeypatch, study, [JOINT, SINGLE, MEANS], b"RESULT {}\n")
+    assert [job.command[job.command.index("--preset") + 1] for job in started] == [
+        "paper_joint",
+        "paper_means",
+    ]
+    assert [f"vae.checkpoint={study.encoder()}" in job.command for job in started] == [False, True]
+    assert started[0].options["cwd"] == study.out
+    assert started[0].options["env"]["CSPACE_DATA_DIR"] == str(study.data)
+    assert started[0].options["env"]["RAY_ADDRESS"] == "here:1"
+
+
+def test_a_job_without_a_result_ends_the_study_and_is_resumed_by_the_next(study, monkeypatch):
+    begun(study, JOINT)
+    with pytest.raises(JobError, match="the column joint failed"):
+        run_jobs(monkeypatch, study, [JOINT, SINGLE], b"no result\n")
+    assert [job.command[2:] for job in Job.started] == [["--resume", "abc"]]
 
 
 def test_the_table_has_every_column_seen_and_unseen_and_measures_nothing_twice(study, bundle, monkeypatch):
