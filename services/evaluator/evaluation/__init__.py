@@ -1,4 +1,4 @@
 """An evaluation: its units of work, its gate, its record and its report.
 
-``units`` are measured by ``execution``, ``gate`` decides, ``report`` tells, ``job`` records.
+``units`` are what is measured, ``gate`` decides, ``report`` presents it, ``job`` records.
 """

@@ -7,14 +7,13 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, cast
 
-from cspace.bundle import Bundle
 from cspace.bundle.verification import load_verified
 from cspace.dataset import open_dataset
 from cspace.errors import RegistryError, RegistryUnavailableError
 from cspace.world import World
 from cspace.worlds import simulator_of
 from services.evaluator.cluster import on_cluster, spread
-from services.evaluator.evaluation.gate import Bar, Comparison, Verdict, compare_paths, compare_samplers
+from services.evaluator.evaluation.gate import Comparison, Verdict, compare_paths, compare_samplers
 from services.evaluator.evaluation.report import (
     comparison_note,
     decide,
@@ -101,7 +100,7 @@ def evaluate_version(
     tags = {TAG_STAGE: STAGE, TAG_MODEL: str(version), "model_digest": version.digest}
     tags |= {TAG_PRESET: version.tags.get(TAG_PRESET, "")}
     with tempfile.TemporaryDirectory(prefix="cspace-evaluation-") as folder:
-        bundle = _load(registry, version, Path(folder))
+        bundle = load_verified(registry.download(version, Path(folder) / "bundle"))
         # Training registers under its parent run, which the trials are shown under as well.
         with tracking.start(EXPERIMENT, name, parent_run_id=version.run_id, tags=tags) as run:
             spec = bundle.spec
@@ -111,17 +110,15 @@ def evaluate_version(
             setting = Setting(world, request.seed, request.budget, spec.kind == "path")
             progress(f"evaluating {version}, digest {bundle.digest[:12]}")
             progress(scenes_text(setting))
-            field = find_rivals(registry, version, bundle, request.shipped, Path(folder) / "rivals")
-            simulator = simulator_of(world)
-            work = units(request.budget, simulator.families, paths=setting.paths, there=simulator.count)
+            rivals, bar = find_rivals(registry, version, bundle, request.shipped, Path(folder) / "rivals")
+            work = units(setting)
             results = _measure(execute, work, setting, PackedBundle.pack(bundle), progress)
             evaluation = assemble(results, setting)
-            compared = tuple(_beside(rival, evaluation, execute, work, progress) for rival in field.rivals)
-            verdict = decide(evaluation, Bar(compared, field.recorded, field.notes, field.against))
-            evidence = shadow_evidence(version, field.against, tracking, summary_rng(request.seed))
+            compared = tuple(_beside(rival, evaluation, execute, work, progress) for rival in rivals)
+            verdict = decide(evaluation, replace(bar, comparisons=compared))
+            evidence = shadow_evidence(version, bar.against, tracking, summary_rng(request.seed))
             verdict = with_evidence(verdict, evidence)
-            title = str(version)
-            figures = log_evaluation(run, evaluation, verdict, bundle_sampler(bundle), title)
+            figures = log_evaluation(run, evaluation, verdict, bundle_sampler(bundle), str(version))
         if request.promote:
             record(registry, version, evaluation, verdict)
             _show(registry, version, evaluation, verdict, progress)
@@ -166,10 +163,6 @@ def _show(
 def _among(world: World, folder: Path) -> World:
     data = open_dataset(folder, verify=False)
     return world.among(data.world, data.arrays)
-
-
-def _load(registry: ModelRegistry, version: ModelVersion, folder: Path) -> Bundle:
-    return load_verified(registry.download(version, folder / "bundle"))
 
 
 def _measure(

@@ -21,7 +21,7 @@ from cspace.errors import (
 )
 from cspace.world import World
 from cspace.worlds import robot_digest, simulator_of
-from services.evaluator.evaluation.gate import SMALLER_IS_BETTER, Champion
+from services.evaluator.evaluation.gate import SMALLER_IS_BETTER, Bar, Champion
 from services.evaluator.measures.scenes import PackedBundle
 from services.names import ALIAS_CHAMPION, TAG_ROLLED_BACK
 from services.registry.ports import SHIPPED, ModelRegistry, ModelVersion
@@ -37,20 +37,10 @@ class Rival:
     packed: PackedBundle
 
 
-@dataclass(frozen=True)
-class Field:
-    """The rivals to be measured; the rest as in :class:`services.evaluator.evaluation.gate.Bar`."""
-
-    rivals: tuple[Rival, ...]
-    recorded: tuple[Champion, ...]
-    notes: tuple[str, ...]
-    against: int | None
-
-
 def find_rivals(
     registry: ModelRegistry, version: ModelVersion, bundle: Bundle, shipped: Path | None, folder: Path
-) -> Field:
-    """The rivals of a candidate's robot and kind.
+) -> tuple[tuple[Rival, ...], Bar]:
+    """The rivals of a candidate's robot and kind to be measured, and the bar that lacks their comparisons.
 
     Args:
         registry: of the champions.
@@ -86,7 +76,7 @@ def find_rivals(
             del earlier[champion.version]
             break
     found.add_shipped(shipped)
-    return Field(tuple(found.rivals), tuple(earlier.values()), tuple(found.notes), against)
+    return tuple(found.rivals), Bar((), tuple(earlier.values()), tuple(found.notes), against)
 
 
 def _rolled_back(registry: ModelRegistry, name: str) -> list[tuple[int, str]]:

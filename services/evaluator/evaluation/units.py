@@ -1,7 +1,7 @@
 """Units of work of an evaluation: cut by a budget, measured one by one, and put together with intervals."""
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -92,20 +92,26 @@ class Unit:
     family: str | None = None
 
 
-def units(
-    budget: Budget,
-    families: Families,
-    *,
-    paths: bool = False,
-    there: Callable[[Split], int | None] = lambda split: None,  # noqa: ARG005
-) -> list[Unit]:
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """What an evaluation is about: arm, camera, seed, how much, and whether of a path model."""
+
+    world: World
+    seed: int
+    budget: Budget
+    paths: bool = False
+
+
+def units(setting: Setting) -> list[Unit]:
     """All units of an evaluation, the long ones first, so that workers end together.
 
-    Path models are evaluated by planning alone. Of given scenes, no more are taken than ``there`` are.
+    Path models are evaluated by planning alone. Of given scenes, no more are taken than there are.
     """
+    budget, simulator = setting.budget, simulator_of(setting.world)
+    families = simulator.families
 
     def at_most(count: int, split: Split) -> int:
-        known = there(split)
+        known = simulator.count(split)
         return count if known is None else min(count, known)
 
     problems = {Split.VALIDATION: budget.validation_problems, Split.TEST: budget.test_problems}
@@ -113,7 +119,7 @@ def units(
     for family in planned(families):
         for split in EVALUATED_SPLITS:
             work += [Unit(Kind.PLANNING, split, *part, family) for part in _parts(problems[split], 5)]
-    if paths:
+    if setting.paths:
         return work
     for family in families.unsolvable:
         for split in EVALUATED_SPLITS:
@@ -193,16 +199,6 @@ def make_request(
 
 
 Row = SceneQuality | SceneTopology | PlanningTrial
-
-
-@dataclass(frozen=True, slots=True)
-class Setting:
-    """What an evaluation is about: arm, camera, seed, how much, and whether of a path model."""
-
-    world: World
-    seed: int
-    budget: Budget
-    paths: bool = False
 
 
 @dataclass(frozen=True, slots=True)

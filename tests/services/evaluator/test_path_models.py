@@ -9,7 +9,6 @@ import pytest
 from cspace.bundle import Bundle
 from cspace.errors import EvaluationError
 from cspace.simulator import Split
-from cspace.worlds import simulator_of
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.problems import Family, draw_problem
@@ -126,9 +125,7 @@ def test_a_filter_is_asked_for_only_where_there_is_a_head(tmp_path):
 
 
 def test_path_models_have_planning_units_alone(made):
-    assert {unit.kind for unit in units(FEW, simulator_of(PlanarWorld()).families, paths=True)} == {
-        Kind.PLANNING
-    }
+    assert {unit.kind for unit in units(Setting(PlanarWorld(), 0, FEW, paths=True))} == {Kind.PLANNING}
     setting = Setting(PlanarWorld(TWO_LINK, Camera()), 0, FEW, paths=True)
     with pytest.raises(EvaluationError, match="evaluated by planning"):
         run_unit(Unit(Kind.RECONSTRUCTION, Split.TEST, 0, 1), setting, BundleSampler(made))

@@ -6,14 +6,13 @@ import pytest
 
 from cspace.bundle import Bundle
 from cspace.errors import EvaluationError, ModelNotFoundError, RegistryError
-from cspace.worlds import simulator_of
 from cspace.worlds.planar.arm import THREE_LINK
 from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator import __main__ as command
 from services.evaluator.evaluation import report
 from services.evaluator.evaluation.job import evaluate_version, executor, run_here, run_on_ray
 from services.evaluator.evaluation.measured import MAX_HEADLINE, MAX_METRICS, flat_metrics
-from services.evaluator.evaluation.units import Budget, make_request, units
+from services.evaluator.evaluation.units import Budget, Setting, make_request, units
 from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, MODEL_NAME
 from services.registry.promotion import decisions
 from tests.bundles import write_tiny_bundle
@@ -132,7 +131,7 @@ def test_a_refused_version_is_recorded_and_the_champion_stays(refused):
 
 
 def test_progress_tells_every_unit(refused):
-    count, lines = len(units(TINY, simulator_of(PlanarWorld()).families)), refused.lines
+    count, lines = len(units(Setting(PlanarWorld(), 0, TINY))), refused.lines
     assert len(lines) == 2 + count
     assert f"{MODEL_NAME}/1" in lines[0]
     assert lines[1].startswith("evaluated on scenes of the planar world with 3 discs of radius 1.0 m (robot ")

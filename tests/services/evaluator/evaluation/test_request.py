@@ -1,9 +1,8 @@
 import pytest
 
 from cspace.errors import ConfigError
-from cspace.worlds import simulator_of
 from cspace.worlds.planar.world import PlanarWorld
-from services.evaluator.evaluation.units import FULL, QUICK, make_request, units
+from services.evaluator.evaluation.units import FULL, QUICK, Setting, make_request, units
 
 
 @pytest.mark.parametrize("text", ["", "cspace-sampler", "a/0", "a/x", "a@", "@b", "a@b/1", "../a/1", "a/1\n"])
@@ -26,7 +25,7 @@ def test_values_out_of_range_are_errors(changes):
 
 
 def test_units_cover_every_scenario_and_problem_once():
-    work = units(QUICK, simulator_of(PlanarWorld()).families)
+    work = units(Setting(PlanarWorld(), 0, QUICK))
     seen = [
         (unit.kind, unit.split, unit.family, index)
         for unit in work

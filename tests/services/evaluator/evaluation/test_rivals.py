@@ -65,8 +65,8 @@ def rivals_of(registry, tmp_path):
     return find
 
 
-def names(field):
-    return [rival.name for rival in field.rivals]
+def names(rivals):
+    return [rival.name for rival in rivals]
 
 
 def test_the_present_champion_and_the_best_before_it_are_measured_and_the_others_recorded(
@@ -74,11 +74,11 @@ def test_the_present_champion_and_the_best_before_it_are_measured_and_the_others
 ):
     for number, precision in ((1, 0.8), (2, 0.9), (3, 0.7), (4, 0.85), (5, None)):
         register(number, precision)
-    field = rivals_of(5)
-    assert names(field) == ["version 4, the present champion", "version 2, the best before it"]
-    assert [champion.version for champion in field.recorded] == [1, 3]
-    assert field.against == 4
-    assert field.notes == ("not compared with the shipped model, as requested",)
+    rivals, bar = rivals_of(5)
+    assert names(rivals) == ["version 4, the present champion", "version 2, the best before it"]
+    assert [champion.version for champion in bar.recorded] == [1, 3]
+    assert bar.against == 4
+    assert bar.notes == ("not compared with the shipped model, as requested",)
 
 
 @pytest.mark.parametrize("damage", [None, b"no graph"])
@@ -98,9 +98,9 @@ def test_a_champion_whose_bundle_is_gone_or_damaged_is_compared_by_its_record_wh
         return found
 
     registry.download = failing
-    field = rivals_of(2)
-    assert (names(field), [one.version for one in field.recorded], field.against) == ([], [1], 1)
-    assert "version 1, the present champion, can not be measured again" in field.notes[0]
+    rivals, bar = rivals_of(2)
+    assert (names(rivals), [one.version for one in bar.recorded], bar.against) == ([], [1], 1)
+    assert "version 1, the present champion, can not be measured again" in bar.notes[0]
 
 
 def test_a_registry_that_goes_away_ends_the_search(registry, register, tiny, tmp_path):
@@ -116,8 +116,8 @@ def test_a_champion_that_was_deleted_is_no_rival(registry, register, rivals_of):
     for number, precision in ((1, 0.9), (2, 0.8), (3, None)):
         register(number, precision)
     registry.delete(MODEL_NAME, 1)
-    field = rivals_of(3)
-    assert (names(field), field.recorded) == (["version 2, the present champion"], ())
+    rivals, bar = rivals_of(3)
+    assert (names(rivals), bar.recorded) == (["version 2, the present champion"], ())
 
 
 def test_a_version_that_was_rolled_back_is_no_bar_any_more(registry, register, rivals_of):
@@ -125,13 +125,13 @@ def test_a_version_that_was_rolled_back_is_no_bar_any_more(registry, register, r
         register(number, precision)
     roll_back(registry, MODEL_NAME, "worse in the field")
     register(4)
-    field = rivals_of(4)
-    assert names(field) == ["version 2, the present champion", "version 1, the best before it"]
-    assert field.recorded == ()
-    (note,) = (note for note in field.notes if "version 3" in note)
+    rivals, bar = rivals_of(4)
+    assert names(rivals) == ["version 2, the present champion", "version 1, the best before it"]
+    assert bar.recorded == ()
+    (note,) = (note for note in bar.notes if "version 3" in note)
     assert note.startswith("not compared with version 3, which was rolled back on 20")
     promote(registry, registry.version(MODEL_NAME, 3), "it was the camera")
-    assert names(rivals_of(4)) == ["version 3, the present champion", "version 2, the best before it"]
+    assert names(rivals_of(4)[0]) == ["version 3, the present champion", "version 2, the best before it"]
 
 
 def test_the_present_champion_is_a_rival_whatever_was_said_of_it(registry, register, rivals_of):
@@ -140,23 +140,23 @@ def test_the_present_champion_is_a_rival_whatever_was_said_of_it(registry, regis
     roll_back(registry, MODEL_NAME, "worse in the field")
     registry.set_alias(MODEL_NAME, "champion", 2)
     register(3)
-    field = rivals_of(3)
-    assert names(field) == ["version 2, the present champion", "version 1, the best before it"]
-    assert not any("rolled back" in note for note in field.notes)
+    rivals, bar = rivals_of(3)
+    assert names(rivals) == ["version 2, the present champion", "version 1, the best before it"]
+    assert not any("rolled back" in note for note in bar.notes)
 
 
 def test_an_alias_that_somebody_moved_makes_a_champion_as_well(registry, register, rivals_of):
     register(1)
     registry.set_alias(MODEL_NAME, "champion", 1)
     register(2)
-    assert (names(rivals_of(2)), rivals_of(2).against) == (["version 1, the present champion"], 1)
+    assert (names(rivals_of(2)[0]), rivals_of(2)[1].against) == (["version 1, the present champion"], 1)
 
 
 def test_champions_of_other_robots_are_no_rivals(register, rivals_of):
     register(1, 0.9, THREE_LINK)
     register(2)
-    field = rivals_of(2)
-    assert (field.rivals, field.recorded, field.against) == ((), (), None)
+    rivals, bar = rivals_of(2)
+    assert (rivals, bar.recorded, bar.against) == ((), (), None)
 
 
 @pytest.mark.parametrize(
@@ -164,20 +164,20 @@ def test_champions_of_other_robots_are_no_rivals(register, rivals_of):
 )
 def test_the_shipped_model_is_a_rival_of_its_robot_and_kind_alone(register, rivals_of, how, expected):
     register(1, **how)
-    field = rivals_of(1, PRETRAINED_FOLDER)
-    assert names(field) == expected
-    assert (field.notes == ("no model of this robot and kind is shipped",)) is (not expected)
+    rivals, bar = rivals_of(1, PRETRAINED_FOLDER)
+    assert names(rivals) == expected
+    assert (bar.notes == ("no model of this robot and kind is shipped",)) is (not expected)
 
 
 def test_no_bundle_is_its_own_rival_or_one_twice(registry, register, rivals_of, tiny):
     register(1, 0.9)
     shipped = tiny(1, TWO_LINK)
     registry.register(MODEL_NAME, shipped.folder, "another run", shipped.digest, {})
-    field = rivals_of(2, shipped.folder)
-    assert field.rivals == ()
-    assert field.notes[-1] == "the shipped model, is this very bundle"
+    rivals, bar = rivals_of(2, shipped.folder)
+    assert rivals == ()
+    assert bar.notes[-1] == "the shipped model, is this very bundle"
     register(3)
-    assert names(rivals_of(3, shipped.folder)) == ["version 1, the present champion"]
+    assert names(rivals_of(3, shipped.folder)[0]) == ["version 1, the present champion"]
 
 
 def test_a_shipped_model_that_is_not_there_is_an_error_that_names_the_option(register, rivals_of, tmp_path):

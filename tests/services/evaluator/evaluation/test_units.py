@@ -49,7 +49,6 @@ TINY = Budget(
 FAMILIES = ["narrow", "disconnected"]
 # One whose problems are found soon: drawing them takes longer than all that is measured on them.
 SEED = 12
-PROBLEMS, PROBLEMS_OF_THREE = (simulator_of(PlanarWorld(arm)).families for arm in (TWO_LINK, THREE_LINK))
 
 
 def setting(robot=TWO_LINK, budget=TINY):
@@ -64,7 +63,7 @@ def timeless(evaluation):
 
 @pytest.fixture(scope="module")
 def results():
-    return [run_unit(unit, setting(), UniformSampler(TWO_LINK.space)) for unit in units(TINY, PROBLEMS)]
+    return [run_unit(unit, setting(), UniformSampler(TWO_LINK.space)) for unit in units(setting())]
 
 
 @pytest.fixture(scope="module")
@@ -212,9 +211,9 @@ def test_the_terminal_table_is_aligned(evaluation):
 def test_three_joints_are_evaluated_with_planning_and_with_both_scores():
     budget = replace(TINY, scenarios=2, disconnected_scenarios=0)
     sampler = UniformSampler(THREE_LINK.space)
-    work = units(budget, PROBLEMS_OF_THREE)
+    work = units(setting(THREE_LINK, budget))
     # Their grid tells of no narrow passages.
-    assert {unit.family for unit in units(QUICK, PROBLEMS_OF_THREE)} == {None, "uniform", "disconnected"}
+    assert {unit.family for unit in units(setting(THREE_LINK, QUICK))} == {None, "uniform", "disconnected"}
     evaluation = assemble(
         [run_unit(unit, setting(THREE_LINK, budget), sampler) for unit in work], setting(THREE_LINK)
     )
