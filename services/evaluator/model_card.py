@@ -1,20 +1,22 @@
 """Model cards: what a version is for, on what it was measured, what it promises, and where it comes from."""
 
 import argparse
-import json
 import tempfile
 from collections.abc import Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, metadata
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
 from cspace.bundle.spec import BundleSpec
 from cspace.bundle.verification import load_verified
+from cspace.errors import ConfigError
 from cspace.files import replacing
 from cspace.worlds import robot_digest, simulator_of
-from services.evaluator.evaluation.report import MEASURES_TABLE
+from services.evaluator import compare
 from services.evaluator.tables import markdown
-from services.names import TAG_MODEL, TAG_PRESET, recorded_name, shown_name
+from services.names import TAG_PRESET, recorded_name, shown_name
 from services.registry.ports import ModelReference, ModelRegistry, ModelVersion, Tracking
 from services.registry.promotion import decisions_of, utc
 
@@ -38,7 +40,7 @@ def make_card(model: ModelReference, registry: ModelRegistry, tracking: Tracking
     version = model.look_up(registry)
     with tempfile.TemporaryDirectory(prefix="cspace-card-") as folder:
         spec = load_verified(registry.download(version, Path(folder) / "bundle"), version.digest).spec
-        figures = _figures(version, tracking, Path(folder))
+    figures = _figures(version, registry, tracking)
     decisions = [
         f"- {utc(one.created_ms)}: {'promoted' if one.promoted else 'not promoted'}\n"
         + "\n".join(f"  - {reason}" for reason in one.reasons)
@@ -141,17 +143,14 @@ def _limits(spec: BundleSpec) -> list[str]:
     return found
 
 
-def _figures(version: ModelVersion, tracking: Tracking, folder: Path) -> list[str]:
-    for run in tracking.children(version.run_id):
-        if run.tags.get(TAG_MODEL) == str(version):
-            path = tracking.file(run.run_id, f"tables/{MEASURES_TABLE}.json", folder / run.run_id)
-            if path is not None:
-                table = json.loads(path.read_bytes())
-                rows = (dict(zip(table["columns"], row, strict=True)) for row in table["data"])
-                shown = [cells for row in rows if (cells := _cells(row)) is not None]
-                note = f"Evaluation {run.run_id}; intervals of 95 % by bootstrap over scenes or problems."
-                return [markdown([("measure", "value"), *shown]), note]
-    return ["Not evaluated yet."]
+def _figures(version: ModelVersion, registry: ModelRegistry, tracking: Tracking) -> list[str]:
+    try:
+        found = compare.find(str(version), tracking, registry)
+    except ConfigError:
+        return ["Not evaluated yet."]
+    shown = [cells for row in found.rows.to_dict("records") if (cells := _cells(row)) is not None]
+    note = f"Evaluation {found.run.run_id}; intervals of 95 % by bootstrap over scenes or problems."
+    return [markdown([("measure", "value"), *shown]), note]
 
 
 def _cells(row: Mapping[str, Any]) -> tuple[str, str] | None:
@@ -160,8 +159,8 @@ def _cells(row: Mapping[str, Any]) -> tuple[str, str] | None:
         return None
     of = filter(None, (row["split"], row["family"], _SAMPLERS[sampler]))
     name = "head accuracy" if measure == "accuracy" else measure.replace("_", " ")
-    limits = "" if row["low"] is None else f" [{row['low']:.3f}, {row['high']:.3f}]"
-    count = "" if row["n"] is None else f", n {row['n']:.0f}"
+    limits = "" if pd.isna(row["low"]) else f" [{row['low']:.3f}, {row['high']:.3f}]"
+    count = "" if pd.isna(row["n"]) else f", n {row['n']}"
     return f"{name}, {', '.join(of)}", f"{row['value']:.3f}{limits}{count}"
 
 
