@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from cspace.worlds import picture_file_of, robot_digest, simulator_of
 from services.evaluator.measures.scenes import PackedBundle
 from services.planner.client import RetryPolicy, SamplingClient, ServedPlan
 from services.planner.planning import between_ends
-from services.planner.samples import LocalSampler, SampleBatch, SampleSource
+from services.planner.samples import BundleSampler, SampleBatch, SampleSource
 
 _END = struct.pack(">I", 0) + b"IEND" + struct.pack(">I", zlib.crc32(b"IEND"))
 # A server's first plan may wait for its compiler.
@@ -148,9 +147,7 @@ def opened(specs: Sequence[SourceSpec], world: World) -> Iterator[Mapping[str, S
         found: dict[str, SampleSource] = {}
         for spec in specs:
             if spec.packed is not None:
-                # The sampler keeps what it needs in memory; an ended worker would leave the folder behind.
-                with TemporaryDirectory(prefix="cspace-bundle-") as folder:
-                    found[spec.name] = LocalSampler(spec.packed.unpack(Path(folder)), name=spec.name)
+                found[spec.name] = BundleSampler(spec.packed.load(), name=spec.name)
             else:
                 found[spec.name] = stack.enter_context(SamplingClient(spec.url or ""))
             ask(found[spec.name], spec, _example(world), SampleQuery(10, 1, min_confidence=0.0))

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
@@ -86,7 +85,6 @@ def gallery(
     name is followed by its note.
     """
     figure = Figure(figsize=(9.0, 0.7 + 2.9 * len(scenes)), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
     panels = figure.subplots(len(scenes), 3, squeeze=False)
     for row, scene, note in zip(panels, scenes, notes or [""] * len(scenes), strict=True):
         _picture(row[0], scene, note)
@@ -105,7 +103,6 @@ def gallery(
 def completions(scenes: Sequence[Scene], bundle: Bundle, title: str) -> Figure:
     """One row a scenario from the side: what cameras see, and what the bundle expects among the obstacles."""
     figure = Figure(figsize=(7.5, 0.7 + 2.9 * len(scenes)), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
     panels = figure.subplots(len(scenes), 2, squeeze=False)
     for row, scene in zip(panels, scenes, strict=True):
         _picture(row[0], scene, "red is seen, grey is not")

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -133,7 +132,6 @@ def _reliability(sums: NDArray[np.float64]) -> tuple[tuple[float, float, int], .
 def reliability_diagram(head: OccupancySummary, title: str) -> Figure:
     """Free share over mean confidence by bin, with how many configurations each bin holds below it."""
     figure = Figure(figsize=(4.6, 5.4), layout="constrained")
-    FigureCanvasAgg(figure)
     shares, sizes = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
     confidence, free, counts = zip(*head.reliability, strict=True)
     shares.plot([0.0, 1.0], [0.0, 1.0], color="#999999", linewidth=1.0, label="calibrated")

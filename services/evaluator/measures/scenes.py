@@ -104,15 +104,11 @@ class PackedBundle:
             BundleError: it did not survive the journey, or answers differently on this machine.
         """
         with TemporaryDirectory(prefix="cspace-bundle-") as folder:
-            return Bundle.load(self.unpack(Path(folder)))
-
-    def unpack(self, folder: Path) -> Path:
-        """Write the files into a folder, and return it."""
-        for name, data in self.files.items():
-            target = folder / name
-            target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_bytes(data)
-        return folder
+            for name, data in self.files.items():
+                target = Path(folder) / name
+                target.parent.mkdir(parents=True, exist_ok=True)
+                target.write_bytes(data)
+            return Bundle.load(Path(folder))
 
 
 SAMPLES = 1000
