@@ -50,7 +50,6 @@ def bootstrap_interval(
     statistic: Statistic,
     rng: np.random.Generator,
     *,
-    confidence: float = CONFIDENCE,
     resamples: int = RESAMPLES,
 ) -> Interval:
     """Percentile bootstrap over the rows of a table (Efron 1979).
@@ -59,7 +58,6 @@ def bootstrap_interval(
         table: (n,) or (n, k), one row per scenario; the columns of a row stay together.
         statistic: (..., n, k) to (...,).
         rng: source of the resampling.
-        confidence: of the interval.
         resamples: number of bootstrap tables.
 
     Raises:
@@ -67,9 +65,9 @@ def bootstrap_interval(
     """
     rows = _rows(table)
     picks = rng.integers(0, rows.shape[0], size=(resamples, rows.shape[0]))
-    tail = (1.0 - confidence) / 2.0
+    tail = (1.0 - CONFIDENCE) / 2.0
     low, high = np.quantile(statistic(rows[picks]), [tail, 1.0 - tail])
-    return Interval(float(statistic(rows)), float(low), float(high), rows.shape[0], confidence)
+    return Interval(float(statistic(rows)), float(low), float(high), rows.shape[0])
 
 
 def mean_interval(values: ArrayLike, rng: np.random.Generator) -> Interval:
@@ -111,7 +109,7 @@ def _ratio_interval(
     return bootstrap_interval(_pairs(numerator, denominator), ratio, rng)
 
 
-def clopper_pearson(successes: int, trials: int, confidence: float = CONFIDENCE) -> Interval:
+def clopper_pearson(successes: int, trials: int) -> Interval:
     """Exact binomial limits of a success probability (Clopper and Pearson 1934).
 
     Raises:
@@ -123,8 +121,8 @@ def clopper_pearson(successes: int, trials: int, confidence: float = CONFIDENCE)
             expected="0 <= successes <= trials, trials >= 1",
             got=f"{successes} of {trials}",
         )
-    limits = binomtest(int(successes), int(trials)).proportion_ci(confidence, method="exact")
-    return Interval(successes / trials, float(limits.low), float(limits.high), trials, confidence)
+    limits = binomtest(int(successes), int(trials)).proportion_ci(CONFIDENCE, method="exact")
+    return Interval(successes / trials, float(limits.low), float(limits.high), trials)
 
 
 @dataclass(frozen=True, slots=True)

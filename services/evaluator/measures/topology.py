@@ -272,14 +272,12 @@ def geometry_score(first: RelativeLivingTimes, second: RelativeLivingTimes) -> f
 POINTS_PER_CELL = 4.0
 
 
-def occupancy(
-    points: NDArray[np.floating[Any]], space: JointSpace, points_per_cell: float = POINTS_PER_CELL
-) -> NDArray[np.int64]:
+def occupancy(points: NDArray[np.floating[Any]], space: JointSpace) -> NDArray[np.int64]:
     """Points per cell of a regular grid inside the joint limits, (B, ..., B) for d joints.
 
-    The cells are sized so that one holds ``points_per_cell`` points on average if they were uniform.
+    The cells are sized so that one holds four points on average if they were uniform.
     """
-    bins = max(2, int((len(points) / points_per_cell) ** (1.0 / space.dim)))
+    bins = max(2, int((len(points) / POINTS_PER_CELL) ** (1.0 / space.dim)))
     ranges = list(zip(space.lower, space.upper, strict=True))
     counts, _ = np.histogramdd(np.asarray(points, dtype=np.float64), bins=bins, range=ranges)
     return counts.astype(np.int64)
@@ -307,21 +305,20 @@ def sample_complement(
     space: JointSpace,
     rng: np.random.Generator,
     count: int,
-    points_per_cell: float = POINTS_PER_CELL,
 ) -> NDArray[np.float64]:
     """``count`` configurations from the regions that the points leave empty, weighted by area.
 
     Returns:
         (count, d) rad, or (0, d) when no region is empty.
     """
-    cells = np.argwhere(boundary_cells(occupancy(points, space, points_per_cell), space.periodic))
+    counts = occupancy(points, space)
+    cells = np.argwhere(boundary_cells(counts, space.periodic))
     if len(cells) == 0:
         return np.empty((0, space.dim))
-    bins = max(2, int((len(points) / points_per_cell) ** (1.0 / space.dim)))
     low, high = np.asarray(space.lower), np.asarray(space.upper)
     # All cells have the same area, so drawing them evenly weights every region by its own.
     corners = cells[rng.integers(0, len(cells), size=count)]
-    return np.asarray(low + (corners + rng.random((count, space.dim))) * (high - low) / bins)
+    return np.asarray(low + (corners + rng.random((count, space.dim))) * (high - low) / len(counts))
 
 
 QUARTER_TURNS = 4
@@ -405,7 +402,6 @@ def complement_score(
     second: TurnedTimes,
     first_complement: TurnedTimes,
     second_complement: TurnedTimes,
-    t_max: int = I_MAX,
 ) -> float:
     """GS-C of two clouds with their complements; 0 is equal.
 
@@ -413,7 +409,7 @@ def complement_score(
         EvaluationError: clouds of two joints and of another number.
     """
     both = largest_score(first, second) + largest_score(first_complement, second_complement)
-    return both / (2.0 * (t_max - 1))
+    return both / (2.0 * (I_MAX - 1))
 
 
 Cloud = NDArray[np.float64]
