@@ -14,6 +14,7 @@ import signal
 import sys
 from argparse import ArgumentParser
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from benchmarks.command import arguments
@@ -53,18 +54,15 @@ def main(given: Sequence[str] | None = None) -> int:
     columns = [*COLUMNS, *(control for control in CONTROLS if control.name in options.controls)]
     # Ends the jobs that run, too; they go on with the next call.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
+    say = partial(print, flush=True)
     try:
         if options.only != "judge":
-            train_columns(study, columns, say=_say)
+            train_columns(study, columns, say)
         if options.only != "train":
-            compare_columns(study, columns, Effort(scenarios=options.scenarios), say=_say)
+            compare_columns(study, columns, Effort(scenarios=options.scenarios), say)
     except CspaceError as error:
         return report_error(error, InputError, program="paper")
     return 0
-
-
-def _say(text: str) -> None:
-    print(text, flush=True)
 
 
 if __name__ == "__main__":

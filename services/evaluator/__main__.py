@@ -12,6 +12,7 @@ import argparse
 import os
 import sys
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 from cspace.errors import ConfigError, CspaceError, EvaluationError, InputError, ModelNotFoundError
@@ -56,7 +57,8 @@ def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] 
         )
         uri = _tracking_uri(environment)
         tracking, registry = MlflowTracking(uri), MlflowRegistry(uri)
-        outcome = evaluate_version(request, tracking, registry, executor(environment), _progress)
+        show = partial(print, flush=True)
+        outcome = evaluate_version(request, tracking, registry, executor(environment), show)
     except CspaceError as error:
         return report_error(error, ConfigError, ModelNotFoundError)
     _print(outcome)
@@ -168,10 +170,6 @@ def _parser() -> argparse.ArgumentParser:
         help="let a version become the champion that may be worse than the shipped model",
     )
     return parser
-
-
-def _progress(line: str) -> None:
-    print(line, flush=True)
 
 
 def _print(outcome: Outcome) -> None:

@@ -4,6 +4,7 @@ import argparse
 import os
 import sys
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 from cspace.errors import ConfigError, CspaceError, ScenarioError
@@ -66,7 +67,8 @@ def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] 
             return 0
         tracking = None if options.no_mlflow else _tracking(environment)
         request = make_request(options)
-        results = run_benchmark(request, executor(environment, options.processes), _show, tracking)
+        show = partial(print, flush=True)
+        results = run_benchmark(request, executor(environment, options.processes), show, tracking)
     except CspaceError as error:
         return report_error(error, ConfigError)
     print(f"{results.terminal()}\n{options.out / REPORT}", flush=True)
@@ -83,10 +85,6 @@ def _tracking(environment: Mapping[str, str]) -> Tracking:
     from services.registry.mlflow_tracking import MlflowTracking  # noqa: PLC0415
 
     return MlflowTracking(uri)
-
-
-def _show(line: str) -> None:
-    print(line, flush=True)
 
 
 def parser() -> argparse.ArgumentParser:
