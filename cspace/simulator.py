@@ -2,6 +2,7 @@
 
 import hashlib
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
@@ -360,39 +361,48 @@ def near_contact(
     return space.bound(rows + rng.normal(size=rows.shape) * sigma_rad)
 
 
-class Simulator(Protocol):
-    """Makes scenes of a world, shows and checks them."""
+class Simulator(ABC):
+    """Makes scenes of a world, shows and checks them; each kind has a frozen dataclass of its world."""
+
+    world: World
 
     @property
-    def world(self) -> World:
-        """Whose."""
-
-    @property
+    @abstractmethod
     def families(self) -> Families:
         """Of its planning problems."""
 
     @property
+    @abstractmethod
     def measures(self) -> Measures:
         """What fits it."""
 
+    @abstractmethod
     def scene(self, rng: np.random.Generator, split: Split, index: int) -> Scene:
         """A scene of a split; where scenes are given, the index-th of them."""
 
     def scenes(self, split: Split, seed: int, count: int) -> Sequence[Scene]:
-        """The first ``count`` of a split under a seed; a longer list starts with the shorter one."""
+        """The first ``count`` of a split under a seed, no given one twice; a longer list starts alike."""
+        there = self.count(split)
+        count = count if there is None else min(count, there)
+        return [self.scene(scenario_rng(split, seed, index), split, index) for index in range(count)]
 
+    @abstractmethod
     def arrays_of(self, scene: Scene) -> dict[str, NDArray[Any]]:
         """A scene's geometry as rows of a data set's arrays, by their names."""
 
+    @abstractmethod
     def render(self, scene: Scene) -> Image:
         """Its picture."""
 
+    @abstractmethod
     def picture_file(self, scene: Scene) -> bytes:
         """The file that :meth:`cspace.world.World.read_picture` reads as its picture."""
 
+    @abstractmethod
     def checker(self, scene: Scene) -> Checker:
         """Its collision checks."""
 
+    @abstractmethod
     def proposals(self, scene: Scene, rng: np.random.Generator, count: int) -> Proposals:
         """So many configurations of a scene that a head learns from, uniform ones first."""
 
@@ -409,6 +419,9 @@ class Simulator(Protocol):
         Raises:
             ConfigError: the robot has no spheres.
         """
+        del arrays, configurations
+        self.world.grid_arm(groups)
+        raise NotImplementedError
 
     def require(self, family: str) -> None:
         """Refuse a family that the robot has no problems of.
@@ -416,10 +429,21 @@ class Simulator(Protocol):
         Raises:
             ScenarioError: there is no such family, or its problems cannot be told here.
         """
+        names = self.families.names
+        if family not in names:
+            raise ScenarioError(
+                "there is no such family", expected=f"one of {', '.join(names)}", got=repr(family)
+            )
 
     def narrow_pairs(self, scene: Scene, configurations: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Pairs of free configurations (n, d) rad that a narrow passage joins and nothing wider, (k, 2)."""
+        """Pairs of free configurations (n, d) rad that a narrow passage joins and nothing wider, (k, 2).
 
+        There are none where the world does not tell narrow passages.
+        """
+        del scene, configurations
+        return np.empty((0, 2), dtype=np.int64)
+
+    @abstractmethod
     def ends(
         self, scene: Scene, free: NDArray[np.float64], rng: np.random.Generator, count: int
     ) -> Iterable[NDArray[np.float64]]:
@@ -432,9 +456,11 @@ class Simulator(Protocol):
             count: how many are tried.
         """
 
+    @abstractmethod
     def path_search(self, scene: Scene) -> PathSearch:
         """Near-optimal paths of a scene that is known in full."""
 
+    @abstractmethod
     def problem(self, family: str, split: Split, seed: int, index: int = 0) -> Problem:
         """A planning problem.
 
@@ -444,19 +470,30 @@ class Simulator(Protocol):
 
     def obstruction(self, problem: Problem) -> str | None:
         """Why a problem has no solution, in words; None where that is not known."""
+        clearances = self.checker(problem.scenario).clearance([problem.start, problem.goal])
+        for name, clearance_m in zip(("start", "goal"), clearances, strict=True):
+            if clearance_m <= 0.0:
+                return f"the {name} is {-clearance_m:.3f} m deep in collision"
+        return None
 
     def count(self, split: Split) -> int | None:
         """How many scenes a split has; None where they are drawn without end."""
+        del split
+        return None
 
+    @abstractmethod
     def draw_picture(self, axes: Any, picture: Image) -> None:
         """What a picture shows, on axes of matplotlib, with their labels."""
 
+    @abstractmethod
     def draw_scene(self, axes: Any, scene: Scene, colour: str) -> None:
         """Obstacles and frame, on axes of matplotlib."""
 
+    @abstractmethod
     def draw_robot(self, axes: Any, configuration: ArrayLike, colour: str, order: int) -> None:
         """The robot at a configuration (d,) rad."""
 
+    @abstractmethod
     def drawn_joints_m(self, configurations: ArrayLike) -> NDArray[np.float64]:
         """Where base, joints and tip are drawn at configurations (N, d) rad, (N, k, 2)."""
 

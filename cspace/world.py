@@ -5,13 +5,15 @@ and is all that a server knows. What makes and checks scenes is a :class:`cspace
 of worlds are registered in :mod:`cspace.worlds`.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol, Self, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cspace.errors import ConfigError, ScenarioError
 from cspace.space import JointSpace
 
 Image = NDArray[np.uint8]
@@ -170,7 +172,7 @@ class Examined:
     """Pictures that were read, and what is to be said of them.
 
     Args:
-        images: uint8 (b, ...), as :meth:`World.read_tensors` has them.
+        images: uint8 (b, ...).
         findings: that answers carry.
         without_state: whether it is not known where the robot stands in them.
         known: beside the pictures; None where they are all.
@@ -291,40 +293,35 @@ class GridArm:
     out_of_view: int
 
 
-class World(Protocol):
-    """A robot and how it is seen."""
+class World(ABC):
+    """A robot and how it is seen; each kind is a frozen dataclass of these fields.
 
-    def __hash__(self) -> int:
-        """Equal worlds are one."""
+    Attributes:
+        kind: its name among the kinds.
+        body: the robot.
+        sensor: how scenes are seen.
+        scenes: where they come from: a family, or given ones; None where nobody knows.
+        scene_files: names of a data set's arrays that hold scenes, where their geometry is known.
+    """
 
-    @property
-    def kind(self) -> str:
-        """Its name among the kinds."""
-
-    @property
-    def body(self) -> Body:
-        """The robot."""
-
-    @property
-    def sensor(self) -> Sensor:
-        """How scenes are seen."""
-
-    @property
-    def scenes(self) -> Any:
-        """Where its scenes come from: a family, or given ones; None where nobody knows."""
+    __slots__ = ()
+    kind: ClassVar[str]
+    body: Body
+    sensor: Sensor
+    scenes: Any
+    scene_files: ClassVar[tuple[str, ...]]
 
     @property
     def space(self) -> JointSpace:
         """The robot's joint space."""
+        return self.body.space
 
     @property
     def dim(self) -> int:
         """d, number of joints."""
+        return self.body.dim
 
-    @property
-    def scene_files(self) -> tuple[str, ...]:
-        """Names of a data set's arrays that hold scenes, where their geometry is known."""
-
+    @abstractmethod
     def pixels_of(self, data: bytes) -> int:
         """How many pixels an untrusted file says that it has, by its headers alone.
 
@@ -341,14 +338,27 @@ class World(Protocol):
 
         Raises:
             ImageError: it is none that is accepted.
+            InputError: what is known beside it does not fit.
+        """
+        return np.asarray(self.examine_picture(data, check_cancelled).images[0])
+
+    @abstractmethod
+    def examine_picture(self, data: bytes, check_cancelled: CheckCancelled | None = None) -> Examined:
+        """:meth:`read_picture`, one image, with its findings.
+
+        Raises:
+            ImageError: as there.
+            InputError: likewise.
         """
 
     @property
+    @abstractmethod
     def tensors(self) -> tuple[TensorInput, ...]:
-        """The arrays that :meth:`read_tensors` takes."""
+        """The arrays that :meth:`examine_tensors` takes."""
 
-    def read_tensors(self, tensors: Arrays, check_cancelled: CheckCancelled | None = None) -> Image:
-        """Pictures (b, ...) of arrays that follow :attr:`tensors`.
+    @abstractmethod
+    def examine_tensors(self, tensors: Arrays, check_cancelled: CheckCancelled | None = None) -> Examined:
+        """Pictures (b, ...) of arrays that follow :attr:`tensors`, with their findings.
 
         Args:
             tensors: by name.
@@ -358,29 +368,19 @@ class World(Protocol):
             ImageError: their contents are none that are accepted.
         """
 
-    def examine_picture(self, data: bytes, check_cancelled: CheckCancelled | None = None) -> Examined:
-        """:meth:`read_picture`, one image, with its findings.
-
-        Raises:
-            ImageError: as there.
-        """
-
-    def examine_tensors(self, tensors: Arrays, check_cancelled: CheckCancelled | None = None) -> Examined:
-        """:meth:`read_tensors` with its findings.
-
-        Raises:
-            ImageError: as there.
-        """
-
     def diagnosis(self, data: bytes, check_cancelled: CheckCancelled | None = None) -> Diagnosis:
         """A closer look at the file of a picture than :meth:`examine_picture` takes, some 100 ms.
 
         Raises:
             ImageError: it is none that can be read.
         """
+        self.examine_picture(data, check_cancelled)
+        return Diagnosis()
 
     def least_novelty(self, image: Image) -> float:
         """How novel a picture is at least, 0 to 1, whatever a model holds of it: 1 where it shows nothing."""
+        del image
+        return 0.0
 
     def state_findings(
         self,
@@ -396,7 +396,10 @@ class World(Protocol):
             start: (d,) rad, of a plan.
             colliding: share of many configurations that are held to collide.
         """
+        del image, start, colliding
+        return ()
 
+    @abstractmethod
     def contact(
         self, configuration: NDArray[np.floating], image: Image, known: Known | None
     ) -> Contact | None:
@@ -405,6 +408,7 @@ class World(Protocol):
         None where nothing is; in worlds that are seen whole only what is known is.
         """
 
+    @abstractmethod
     def blank_picture(self) -> bytes:
         """The file of a picture that shows nothing."""
 
@@ -418,6 +422,11 @@ class World(Protocol):
         Raises:
             ConfigError: pictures of this world are no pictures of a plane.
         """
+        raise ConfigError(
+            f"pictures of the {self.kind} world are not read along links",
+            expected="look-ups of the planar world for the planar world alone",
+            got=f"{points_per_link} points a link, {side_m} m beside it",
+        )
 
     def grid_arm(self, groups: int) -> GridArm:
         """What a network that reads arrays of space has to know of the robot.
@@ -429,7 +438,13 @@ class World(Protocol):
             ConfigError: pictures of this world are no arrays of space.
             ScenarioError: no such number of groups is possible, or networks cannot halve the grid so often.
         """
+        raise ConfigError(
+            f"pictures of the {self.kind} world are no arrays of space",
+            expected="a head that reads along links",
+            got=f"one of {groups} groups of spheres",
+        )
 
+    @abstractmethod
     def check_scenes(self, arrays: Arrays, count: int) -> None:
         """Check those of the arrays that hold scenes.
 
@@ -437,7 +452,7 @@ class World(Protocol):
             DatasetError: they do not fit ``count`` scenarios.
         """
 
-    def among(self, data: "World", arrays: Arrays) -> "World":
+    def among(self, data: "World", arrays: Arrays) -> Self:
         """The same robot and sensor in the scenes of a data set.
 
         Args:
@@ -447,7 +462,25 @@ class World(Protocol):
         Raises:
             ScenarioError: the data set holds no scenes, or its robot is another.
         """
+        if data.kind != self.kind or data.body != self.body:
+            raise ScenarioError(
+                "the data set is another robot's", expected=str(self.body)[:200], got=str(data.body)[:200]
+            )
+        scenes = self.held_out(arrays) if data.scenes is None else data.scenes
+        if scenes is None:
+            raise ScenarioError(
+                "the data set holds no scenes",
+                expected="obstacles, by which samples can be checked",
+                got="pictures and configurations alone",
+            )
+        found: Self = replace(cast("Any", self), scenes=scenes)
+        return found
 
+    def held_out(self, arrays: Arrays) -> Any:
+        """The scenes in a data set's arrays, as :attr:`scenes` has given ones; None where it has none."""
+        del arrays
+
+    @abstractmethod
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON, the kind among them."""
 

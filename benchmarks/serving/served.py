@@ -10,10 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.machine import ROOT
-from cspace.png import encode_png
 from cspace.simulator import Split
-from cspace.worlds.planar.render import render
-from cspace.worlds.planar.world import random_scenarios
+from cspace.worlds import default_world, simulator_of
 
 BUNDLE = ROOT / "inference_api" / "pretrained"
 SERVER_CORE, CLIENT_CORE = 0, 1
@@ -72,7 +70,8 @@ def served(
 
 def new_pictures(count: int, seed: int = 99) -> list[bytes]:
     """So many PNG files, each of a scenario of its own."""
-    return [encode_png(render(one)) for one in random_scenarios(Split.DEMO, seed, count)]
+    simulator = simulator_of(default_world())
+    return [simulator.picture_file(one) for one in simulator.scenes(Split.DEMO, seed, count)]
 
 
 def form(png: bytes, samples: int) -> tuple[bytes, dict[str, str]]:

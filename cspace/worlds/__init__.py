@@ -47,7 +47,7 @@ def read_world(values: object) -> World:
 
 
 def _read_or_given(value: object) -> World:
-    return cast("World", value) if hasattr(value, "space") else read_world(value)
+    return value if isinstance(value, World) else read_world(value)
 
 
 # A field of a pydantic model or dataclass.
@@ -243,12 +243,7 @@ def best_view(
 @lru_cache(maxsize=256)
 def robot_digest(world: World) -> str:
     """SHA-256 of the kind of a world and its robot, however it is seen and wherever it stands."""
-    return _digest(world.kind, world.body)
-
-
-@lru_cache(maxsize=64)
-def _digest(kind: str, body: Body) -> str:
-    content = {"kind": kind, "robot": body.to_dict()}
+    content = {"kind": world.kind, "robot": world.body.to_dict()}
     return sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 

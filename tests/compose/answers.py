@@ -9,9 +9,9 @@ from cspace.png import encode_png
 from cspace.simulator import Split
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.render import render
-from cspace.worlds.planar.world import random_scenarios
 from services.local.quickstart import wait_served
 from tests.compose.stack import Stack
+from tests.scenarios import random_scenarios
 
 
 def ask_for_samples(stack: Stack, **fields: str) -> httpx.Response:

@@ -9,8 +9,9 @@ from cspace.bundle import Bundle
 from cspace.simulator import Split
 from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.render import render
-from cspace.worlds.planar.world import Scenario, random_scenarios
+from cspace.worlds.planar.world import Scenario
 from inference_api.settings import PRETRAINED_FOLDER
+from tests.scenarios import random_scenarios
 
 FINER = 8
 SCENARIOS = 60

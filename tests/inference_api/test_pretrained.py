@@ -14,8 +14,8 @@ from cspace.worlds import checker_of, examples, picture_of, simulator_of
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.render import render
-from cspace.worlds.planar.world import random_scenarios
 from inference_api.settings import PRETRAINED_FOLDER, further_folders
+from tests.scenarios import random_scenarios
 
 FOLDERS = (PRETRAINED_FOLDER, *further_folders().values())
 MAX_BYTES = 40_000_000

@@ -64,7 +64,7 @@ def test_the_champions_plan_is_scored_by_the_challenger_as_well(tmp_path, bundle
     assert row["request_id"] == answer.headers["X-Request-ID"]
     assert row["confidence_beside"] == pytest.approx(answer.json()["confidence"], abs=1e-9)
     challenger = Bundle.load(doubtful)
-    image = WORLD.sensor.decode(PNG)
+    image = WORLD.read_picture(PNG)
     path = np.array(answer.json()["path"])
     assert row["confidence"] == pytest.approx(challenger.path_confidence(image, path), abs=1e-6)
     # exp(-exp(0.5 + log D)), where the champion, which has no calibration, says exp(-D).
@@ -72,7 +72,7 @@ def test_the_champions_plan_is_scored_by_the_challenger_as_well(tmp_path, bundle
 
 
 def test_a_bundle_states_of_its_own_plan_what_the_plan_states(bundles):
-    bundle, image = Bundle.load(bundles["careful"]), WORLD.sensor.decode(PNG)
+    bundle, image = Bundle.load(bundles["careful"]), WORLD.read_picture(PNG)
     found = bundle.plan(image, PlanQuery(PROBLEM.start, PROBLEM.goal, 3, 0.0))
     assert bundle.path_confidence(image, found.path) == pytest.approx(found.confidence, abs=1e-9)
 

@@ -10,7 +10,7 @@ from PIL import Image
 from pydantic import Field
 
 from cspace.errors import ImageError, ScenarioError
-from cspace.png import PngHeader, canonical_png, encode_png, opened, read_header
+from cspace.png import PngHeader, canonical_png, opened, read_header
 from cspace.strict_json import Record, validated
 from cspace.world import CheckCancelled
 
@@ -45,12 +45,6 @@ def decode_png(
     if header.width == pixels:
         return next(_decoded(content, header.width))[1]
     return _average(_decoded(content, _BAND), header.width, pixels, check_cancelled)
-
-
-def to_network(images: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """(..., H, W, 3) uint8 to (..., 3, H, W) float32 in [-1, 1]."""
-    scaled = images.astype(np.float32) / np.float32(127.5) - np.float32(1.0)
-    return np.ascontiguousarray(np.moveaxis(scaled, -1, -3))
 
 
 def _check_size(header: PngHeader) -> None:
@@ -145,14 +139,7 @@ class Camera(Record):
         """Left, right, bottom and top of the picture."""
         return (self.x_min_m, self.x_max_m, self.y_min_m, self.y_max_m)
 
-    def decode(self, data: bytes, check_cancelled: CheckCancelled | None = None) -> NDArray[np.uint8]:
-        """See :func:`cspace.worlds.planar.camera.decode_png`."""
-        return decode_png(data, self.pixels, check_cancelled)
-
-    def encode(self, image: NDArray[np.uint8]) -> bytes:
-        """See :func:`cspace.png.encode_png`."""
-        return encode_png(image)
-
     def to_network(self, images: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """See :func:`cspace.worlds.planar.camera.to_network`."""
-        return to_network(images)
+        """(..., H, W, 3) uint8 to (..., 3, H, W) float32 in [-1, 1]."""
+        scaled = images.astype(np.float32) / np.float32(127.5) - np.float32(1.0)
+        return np.ascontiguousarray(np.moveaxis(scaled, -1, -3))

@@ -15,7 +15,6 @@ from scipy.sparse.csgraph import connected_components
 
 from cspace.errors import ScenarioError
 from cspace.kernel_cache import njit
-from cspace.simulator import PathSearch
 from cspace.space import JointSpace
 from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.world import Scenario
@@ -279,69 +278,48 @@ RESOLUTION_RAD = 0.00314
 EdgeCheck = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.bool_]]
 
 
-def clearance_weights(
-    clearance_rad: NDArray[np.float64], margin_rad: float = MARGIN_RAD
-) -> NDArray[np.float64]:
-    """Cost of a rad by its clearance: 1 beyond the margin, up to 2 at contact, inf in collision.
+def clearance_weights(clearance_rad: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Cost of a rad by its clearance: 1 beyond :data:`MARGIN_RAD`, up to 2 at contact, inf in collision.
 
     Args:
         clearance_rad: distance of each cell to the nearest colliding one, 0 in collision.
-        margin_rad: above 0.
     """
-    near = 1.0 + np.maximum(0.0, 1.0 - clearance_rad / margin_rad)
+    near = 1.0 + np.maximum(0.0, 1.0 - clearance_rad / MARGIN_RAD)
     return np.where(clearance_rad > 0.0, near, np.inf)
 
 
 class PathFinder:
-    """Near-optimal paths to one goal of a scenario.
+    """Near-optimal paths of a scenario that is known in full, on one grid of its joint space.
 
     Args:
-        scenario: known in full.
-        goal: (d,) rad.
-        cells: of the grid, as for two joints; of no meaning where the grid is given.
-        resolution_rad: largest distance in any joint between the states of a path that are checked.
-        grid: the scenario's, where further goals have been asked of it before.
-
-    Raises:
-        ScenarioError: the goal is in collision.
+        scenario: whose paths.
+        cells: of the grid, as for two joints.
     """
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        goal: ArrayLike,
-        cells: int = PATH_CELLS,
-        resolution_rad: float = RESOLUTION_RAD,
-        grid: FreeGrid | None = None,
-    ) -> None:
+    def __init__(self, scenario: Scenario, cells: int = PATH_CELLS) -> None:
         self._space, self._checker = scenario.robot.space, CollisionChecker(scenario)
-        self._goal = self._space.wrap(goal)
-        self._resolution_rad = resolution_rad
-        if not self._checker.valid(self._goal):
-            raise ScenarioError("the goal is in collision", expected="a free configuration", got=str(goal))
-        grid = grid or FreeGrid(scenario, cells_per_joint(scenario.robot.dim, cells))
-        self._tree: PathTree = paths_to(self._space, clearance_weights(grid.clearance_rad), self._goal)
+        grid = FreeGrid(scenario, cells_per_joint(scenario.robot.dim, cells))
+        self._weights = clearance_weights(grid.clearance_rad)
 
-    def path_from(self, start: ArrayLike) -> NDArray[np.float64] | None:
-        """A free path (k, d) rad from ``start`` (d,) to the goal; None where the grid has none.
+    def path(self, start: ArrayLike, goal: ArrayLike) -> NDArray[np.float64] | None:
+        """A free path (k, d) rad from ``start`` (d,) to ``goal`` (d,); None where the grid has none.
 
         Every edge is free at the resolution. A route of the grid whose cells are free and whose edges are not
         is no path, so that a passage finer than a cell may be missed; one that is found is always free.
+
+        Raises:
+            ScenarioError: the goal is in collision.
         """
-        path = self._tree.path(start)
-        if path is None:
+        first, last = self._space.wrap(start), self._space.wrap(goal)
+        if not self._checker.valid(last):
+            raise ScenarioError("the goal is in collision", expected="a free configuration", got=str(goal))
+        route = paths_to(self._space, self._weights, last).path(first)
+        if route is None:
             return None
-        corners = np.concatenate([[self._space.wrap(start)], path[1:-1], [self._goal]])
-        return shortcut(corners, self._edges_free)
+        return shortcut(np.concatenate([[first], route[1:-1], [last]]), self._edges_free)
 
     def _edges_free(self, starts: NDArray[np.float64], ends: NDArray[np.float64]) -> NDArray[np.bool_]:
-        return self._checker.edge_batch(starts, ends, self._resolution_rad)
-
-
-def path_search(scenario: Scenario) -> PathSearch:
-    """Paths between any free ends of a scenario, found on one grid."""
-    grid = FreeGrid(scenario, cells_per_joint(scenario.robot.dim, PATH_CELLS))
-    return lambda start, goal: PathFinder(scenario, goal, grid=grid).path_from(start)
+        return self._checker.edge_batch(starts, ends, RESOLUTION_RAD)
 
 
 def shortcut(path: NDArray[np.float64], edges_free: EdgeCheck) -> NDArray[np.float64] | None:

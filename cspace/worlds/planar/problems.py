@@ -1,11 +1,10 @@
 """Planning problems: seeded start and goal in a scenario, by family."""
 
-from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from cspace.errors import ScenarioError
 from cspace.simulator import NARROW, UNIFORM, Problem, Split, scenario_rng
@@ -13,7 +12,7 @@ from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
 from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.free_grid import FreeGrid, cells_per_joint
 from cspace.worlds.planar.scenes import DiscScenes, Scenes
-from cspace.worlds.planar.world import Scenario, random_scenario
+from cspace.worlds.planar.world import Scenario
 
 NARROW_RAD = (0.03, 0.08)
 MAX_DRAWS, MAX_OWN_DRAWS = 5000, 200
@@ -56,14 +55,14 @@ def draw_problem(
         require_resolution(robot)
     draws = MAX_DRAWS if scenes == DiscScenes() else MAX_OWN_DRAWS
     for rejected in range(draws):
-        scenario = random_scenario(rng, robot, scenes, split)
+        scenario = Scenario.from_array(robot, scenes.draw(rng, split, None))
         proposals = robot.space.sample_uniform(rng, _PROPOSALS)
         free = proposals[CollisionChecker(scenario).valid_batch(proposals)]
-        found = _search(family, scenario, free, rng)
+        found = _ends(family, scenario, free, rng)
         if found is not None:
-            for end in (found.start, found.goal):
-                end.setflags(write=False)
-            return Problem(scenario, found.start, found.goal, family, found.bottleneck_rad, seed, rejected)
+            ends, bottleneck = found
+            ends.setflags(write=False)
+            return Problem(scenario, ends[0], ends[1], family, bottleneck, seed, rejected)
     raise ScenarioError(
         f"no {family} problem was found",
         expected=f"one in {draws} draws",
@@ -72,61 +71,45 @@ def draw_problem(
     )
 
 
-def connected(scenario: Scenario, start: ArrayLike, goal: ArrayLike) -> bool:
-    """Whether a path exists, by flood fill on the fine grid."""
-    return _fine(scenario).joined(start, goal)
+def apart(scenario: Scenario, ends: NDArray[np.float64]) -> str | None:
+    """In words, that ends (2, d) rad lie in different parts of the free space; None where they may not.
 
-
-def bottleneck_rad(scenario: Scenario, start: ArrayLike, goal: ArrayLike) -> float:
-    """Largest clearance, in rad on the torus, at which start and goal stay connected; 0 without a path."""
-    return _fine(scenario).bottleneck_rad(start, goal)
-
-
-def obstruction(scenario: Scenario, start: ArrayLike, goal: ArrayLike) -> str | None:
-    """Why there is no path, in words; None where there may be one.
-
-    Start or goal collides, or they lie in different parts of the free space, as in the family
-    ``disconnected``: cells that touch in a corner count as joined, so that no path hides between two cells.
+    As in the family ``disconnected`` cells that touch in a corner count as joined, so that no path hides
+    between two cells.
     """
-    checker, ends = CollisionChecker(scenario), np.array([start, goal], dtype=np.float64)
-    for name, clearance_m in zip(("start", "goal"), checker.clearance(ends), strict=True):
-        if clearance_m <= 0.0:
-            return f"the {name} is {-clearance_m:.3f} m deep in collision"
     grid = _fine(scenario)
     first, second = grid.touching[grid.cells_of(ends)]
-    if 0 not in (first, second) and first != second:
-        cell_rad = float(grid.spacing_rad.max())
-        return f"start and goal lie in parts of the free space that are apart (cells of {cell_rad:.3f} rad)"
-    return None
+    if 0 in (first, second) or first == second:
+        return None
+    cell_rad = float(grid.spacing_rad.max())
+    return f"start and goal lie in parts of the free space that are apart (cells of {cell_rad:.3f} rad)"
 
 
-@dataclass(frozen=True, slots=True)
-class _Ends:
-    start: NDArray[np.float64]
-    goal: NDArray[np.float64]
-    bottleneck_rad: float
-
-
-def _search(
+def _ends(
     family: Family, scenario: Scenario, free: NDArray[np.float64], rng: np.random.Generator
-) -> _Ends | None:
-    """Ends of the family among free configurations (n, d), None when there are none."""
+) -> tuple[NDArray[np.float64], float] | None:
+    """Start and goal (2, d) rad of the family among free configurations (n, d), and their bottleneck in rad.
+
+    None where there are none; those of a narrow passage are drawn evenly from all that have one.
+    """
     if len(free) < 2:
         return None
     if family is Family.NARROW:
-        return _narrow_ends(scenario, free, rng)
-    grid, (start, goal) = _fine(scenario), free[:2].copy()
+        pairs = narrow_pairs(scenario, free)
+        if not len(pairs):
+            return None
+        ends = free[pairs[rng.integers(len(pairs))]]
+        return ends, _fine(scenario).bottleneck_rad(*ends)
+    grid, ends = _fine(scenario), free[:2].copy()
     if family is Family.DISCONNECTED:
         # Cells that touch in a corner count as connected here: no path may hide between two cells.
-        first, second = grid.touching[grid.cells_of(free[:2])]
-        return _Ends(start, goal, 0.0) if first > 0 and second > 0 and first != second else None
-    bottleneck = grid.bottleneck_rad(start, goal)
-    return _Ends(start, goal, bottleneck) if bottleneck > 0.0 else None
+        first, second = grid.touching[grid.cells_of(ends)]
+        return (ends, 0.0) if first > 0 and second > 0 and first != second else None
+    bottleneck = grid.bottleneck_rad(*ends)
+    return (ends, bottleneck) if bottleneck > 0.0 else None
 
 
-def narrow_pairs(
-    scenario: Scenario, configurations: NDArray[np.float64]
-) -> tuple[FreeGrid, NDArray[np.int64]] | None:
+def narrow_pairs(scenario: Scenario, configurations: NDArray[np.float64]) -> NDArray[np.int64]:
     """All pairs of free configurations that a narrow passage joins and nothing wider.
 
     Args:
@@ -134,31 +117,21 @@ def narrow_pairs(
         configurations: (n, d) rad, free.
 
     Returns:
-        The fine grid, and indices (k, 2) of starts and goals; None where there is no such pair.
+        Indices (k, 2) of starts and goals.
     """
     low, high = NARROW_RAD
+    none = np.empty((0, 2), dtype=np.int64)
     for cells in _SCREEN_CELLS:
         grid = FreeGrid(scenario, cells)
         if not _passages(grid, configurations, 0.0, high + float(grid.spacing_rad.max()) / 2.0):
-            return None
+            return none
     grid = _fine(scenario)
     if not _passages(grid, configurations, low, high):
-        return None
+        return none
     sides, whole = _sides(grid, configurations, low, high)
-    pairs = np.argwhere(
+    return np.argwhere(
         (sides[:, None] != sides) & (whole[:, None] == whole) & (sides[:, None] > 0) & (sides > 0)
     )
-    return grid, pairs
-
-
-def _narrow_ends(scenario: Scenario, free: NDArray[np.float64], rng: np.random.Generator) -> _Ends | None:
-    """A pair drawn evenly from all pairs of ``free`` that a narrow passage joins and nothing wider."""
-    found = narrow_pairs(scenario, free)
-    if found is None:
-        return None
-    grid, pairs = found
-    start, goal = free[pairs[rng.integers(len(pairs))]]
-    return _Ends(start.copy(), goal.copy(), grid.bottleneck_rad(start, goal))
 
 
 def _passages(grid: FreeGrid, free: NDArray[np.float64], low: float, high: float) -> bool:

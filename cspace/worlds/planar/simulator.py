@@ -1,6 +1,5 @@
 """The simulator of the planar world: scenarios of discs, their pictures, checks and problems."""
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
@@ -8,21 +7,32 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cspace.errors import ScenarioError
-from cspace.simulator import Checker, Families, Measures, PathSearch, Problem, Proposals, Split, near_contact
+from cspace.png import encode_png
+from cspace.simulator import (
+    Checker,
+    Families,
+    Measures,
+    PathSearch,
+    Problem,
+    Proposals,
+    Simulator,
+    Split,
+    near_contact,
+)
 from cspace.world import Image, Scene, World
 from cspace.worlds.planar.checks import CollisionChecker
-from cspace.worlds.planar.free_grid import path_search
+from cspace.worlds.planar.free_grid import PathFinder
 from cspace.worlds.planar.problems import (
     Family,
+    apart,
     draw_problem,
     narrow_pairs,
-    obstruction,
     require_resolution,
     resolves_narrow,
 )
 from cspace.worlds.planar.render import draw_arm, draw_discs, render
 from cspace.worlds.planar.scenes import GivenScenes, Scenes
-from cspace.worlds.planar.world import PlanarWorld, Scenario, random_scenario, random_scenarios
+from cspace.worlds.planar.world import PlanarWorld, Scenario
 
 _NOTE = (
     "Those of the family narrow have a passage whose middle is 0.03 to 0.08 rad from collision, those of "
@@ -30,9 +40,9 @@ _NOTE = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class PlanarSimulator:
-    """See :class:`cspace.simulator.Simulator`."""
+@dataclass(frozen=True)
+class PlanarSimulator(Simulator):
+    """The planar world's: scenarios of discs, and what a grid of the joint space says of them."""
 
     world: PlanarWorld
 
@@ -65,13 +75,8 @@ class PlanarSimulator:
 
     def scene(self, rng: np.random.Generator, split: Split, index: int) -> Scenario:
         """Discs about the arm."""
-        return self._seen(random_scenario(rng, self.world.body, self._scenes, split, index))
-
-    def scenes(self, split: Split, seed: int, count: int) -> Sequence[Scenario]:
-        """See :func:`cspace.worlds.planar.world.random_scenarios`; no given one twice."""
-        scenes, body, there = self._scenes, self.world.body, self.count(split)
-        count = count if there is None else min(count, there)
-        return [self._seen(one) for one in random_scenarios(split, seed, count, body, scenes)]
+        discs = self._scenes.draw(rng, split, index)
+        return Scenario.from_array(self.world.body, discs, self.world.sensor)
 
     def arrays_of(self, scene: Scene) -> dict[str, NDArray[Any]]:
         """(D, 3) discs: x, y, radius in m; the last one again until they are as many as the world's most."""
@@ -84,7 +89,7 @@ class PlanarSimulator:
 
     def picture_file(self, scene: Scene) -> bytes:
         """PNG."""
-        return self.world.sensor.encode(self.render(scene))
+        return encode_png(self.render(scene))
 
     def checker(self, scene: Scene) -> Checker:
         """See :class:`cspace.worlds.planar.checks.CollisionChecker`."""
@@ -101,30 +106,15 @@ class PlanarSimulator:
             np.concatenate(rows), np.repeat(np.arange(2, dtype=np.uint8), [len(r) for r in rows])
         )
 
-    def group_hits(
-        self, arrays: Mapping[str, NDArray[Any]], configurations: ArrayLike, groups: int
-    ) -> NDArray[np.bool_]:
-        """None: the arm has no spheres.
-
-        Raises:
-            ConfigError: always.
-        """
-        del arrays, configurations
-        self.world.grid_arm(groups)
-
     def require(self, family: str) -> None:
-        """Any of :class:`Family`; narrow where the grid is as fine as its passages."""
-        if family not in tuple(Family):
-            raise ScenarioError(
-                "there is no such family", expected=f"one of {', '.join(Family)}", got=repr(family)
-            )
+        """Also refuses narrow passages that are finer than the grid."""
         if family == Family.NARROW:
             require_resolution(self.world.body)
+        super().require(family)
 
     def narrow_pairs(self, scene: Scene, configurations: NDArray[np.float64]) -> NDArray[np.int64]:
         """See :func:`cspace.worlds.planar.problems.narrow_pairs`."""
-        found = narrow_pairs(_planar(scene), configurations)
-        return np.empty((0, 2), dtype=np.int64) if found is None else found[1]
+        return narrow_pairs(_planar(scene), configurations)
 
     def ends(
         self, scene: Scene, free: NDArray[np.float64], rng: np.random.Generator, count: int
@@ -135,17 +125,19 @@ class PlanarSimulator:
 
     def path_search(self, scene: Scene) -> PathSearch:
         """See :mod:`cspace.worlds.planar.free_grid`."""
-        return path_search(_planar(scene))
+        return PathFinder(_planar(scene)).path
 
     def problem(self, family: str, split: Split, seed: int, index: int = 0) -> Problem:
         """See :func:`cspace.worlds.planar.problems.draw_problem`."""
         self.require(family)
         found = draw_problem(Family(family), split, seed, index, self.world.body, self._scenes)
-        return replace(found, scenario=self._seen(_planar(found.scenario)))
+        scenario = replace(_planar(found.scenario), camera=self.world.sensor)
+        return replace(found, scenario=scenario)
 
     def obstruction(self, problem: Problem) -> str | None:
-        """See :func:`cspace.worlds.planar.problems.obstruction`."""
-        return obstruction(_planar(problem.scenario), problem.start, problem.goal)
+        """See :func:`cspace.worlds.planar.problems.apart` beside what is known in any world."""
+        ends = np.stack([problem.start, problem.goal])
+        return super().obstruction(problem) or apart(_planar(problem.scenario), ends)
 
     def count(self, split: Split) -> int | None:
         """How many were given; a family has no end."""
@@ -185,9 +177,6 @@ class PlanarSimulator:
         if isinstance(scenes, GivenScenes):
             return max(map(len, (*scenes.train, *scenes.held_out)))
         return scenes.count[1]
-
-    def _seen(self, scenario: Scenario) -> Scenario:
-        return replace(scenario, camera=self.world.sensor)
 
 
 def open_simulator(world: World) -> PlanarSimulator:

@@ -2,120 +2,73 @@
 
 import argparse
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, NoReturn
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import ConfigError, DatasetError, ImageError, ScenarioError
-from cspace.png import read_header
-from cspace.simulator import Split, scenario_rng
-from cspace.space import JointSpace
+from cspace.png import encode_png, read_header
 from cspace.strict_json import read_object, validated
 from cspace.view_file import is_view, unpack_view
 from cspace.world import (
     Arrays,
     CheckCancelled,
     Contact,
-    Diagnosis,
     Examined,
-    Finding,
     Levers,
     TensorInput,
     World,
 )
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, JointLimits, PlanarArm, levers
-from cspace.worlds.planar.camera import Camera, Length, Place
+from cspace.worlds.planar.camera import Camera, Length, Place, decode_png
 from cspace.worlds.planar.known import KnownDiscs
 from cspace.worlds.planar.scenes import MAX_GIVEN, DiscScenes, GivenScenes, Scenes
 
-KIND = "planar"
 _IMAGE = "image"
 # Told in one request: each is encoded, and has a seed.
 MAX_PICTURES = 256
 
 
 @dataclass(frozen=True, slots=True)
-class PlanarWorld:
-    """See :class:`cspace.world.World`; ``scenes`` is None where nobody knows where they come from."""
+class PlanarWorld(World):
+    """An arm in a plane whose pictures show all of it; ``discs`` are (S, D, 3) x, y, radius in m."""
+
+    kind: ClassVar[str] = "planar"
+    scene_files: ClassVar[tuple[str, ...]] = ("discs",)
 
     body: PlanarArm = TWO_LINK
     sensor: Camera = field(default_factory=Camera)
     scenes: Scenes | None = field(default_factory=DiscScenes)
 
-    @property
-    def kind(self) -> str:
-        """``planar``."""
-        return KIND
-
-    @property
-    def space(self) -> JointSpace:
-        """The arm's joint space."""
-        return self.body.space
-
-    @property
-    def dim(self) -> int:
-        """Number of joints."""
-        return self.body.dim
-
-    @property
-    def scene_files(self) -> tuple[str, ...]:
-        """(S, D, 3) x, y, radius in m."""
-        return ("discs",)
-
     def pixels_of(self, data: bytes) -> int:
         """See :meth:`cspace.world.World.pixels_of`."""
         return read_header(_unpacked(data)[0]).pixels
-
-    def read_picture(self, data: bytes, check_cancelled: CheckCancelled | None = None) -> NDArray[np.uint8]:
-        """See :func:`cspace.worlds.planar.camera.decode_png`; known discs are drawn into it."""
-        return np.asarray(self.examine_picture(data, check_cancelled).images[0])
 
     @property
     def tensors(self) -> tuple[TensorInput, ...]:
         """Pictures as they are, one for each answer."""
         return (TensorInput(_IMAGE, "uint8", ("b", *self.sensor.picture_shape), MAX_PICTURES),)
 
-    def read_tensors(
-        self, tensors: Arrays, check_cancelled: CheckCancelled | None = None
-    ) -> NDArray[np.uint8]:
-        """The only one of them."""
-        del check_cancelled
-        return np.asarray(tensors[_IMAGE], dtype=np.uint8)
-
     def examine_picture(self, data: bytes, check_cancelled: CheckCancelled | None = None) -> Examined:
-        """Nothing is said of what a camera above the plane sees.
+        """The picture, into which known discs are drawn; nothing is said of it.
 
         Raises:
             ImageError: it is none that is accepted, or comes with a camera or a state.
             InputError: what is known beside it does not fit.
         """
         file, text = _unpacked(data)
-        image = self.sensor.decode(file, check_cancelled)
+        image = decode_png(file, self.sensor.pixels, check_cancelled)
         if text is None:
             return Examined(image[None])
         known = KnownDiscs.read(text, self.body, image)
         return Examined(known.drawn(self.sensor, check_cancelled or (lambda: None))[None], known=known)
 
     def examine_tensors(self, tensors: Arrays, check_cancelled: CheckCancelled | None = None) -> Examined:
-        """Likewise."""
-        return Examined(self.read_tensors(tensors, check_cancelled))
-
-    def diagnosis(self, data: bytes, check_cancelled: CheckCancelled | None = None) -> Diagnosis:
-        """Nothing but that the picture can be read."""
-        self.read_picture(data, check_cancelled)
-        return Diagnosis()
-
-    def least_novelty(self, image: NDArray[np.uint8]) -> float:
-        """0: pictures show the whole plane."""
-        del image
-        return 0.0
-
-    def state_findings(self, **answer: object) -> tuple[Finding, ...]:
-        """None: no picture of the plane shows the robot elsewhere than it is."""
-        del answer
-        return ()
+        """The only one of them."""
+        del check_cancelled
+        return Examined(np.asarray(tensors[_IMAGE], dtype=np.uint8))
 
     def contact(self, configuration: NDArray[np.floating], image: object, known: object) -> Contact | None:
         """With known discs alone: all else is seen."""
@@ -124,23 +77,11 @@ class PlanarWorld:
 
     def blank_picture(self) -> bytes:
         """All white."""
-        return self.sensor.encode(np.full(self.sensor.picture_shape, 255, np.uint8))
+        return encode_png(np.full(self.sensor.picture_shape, 255, np.uint8))
 
     def levers(self, points_per_link: int, side_m: float) -> Levers:
         """See :func:`cspace.worlds.planar.arm.levers`."""
         return levers(self.body, self.sensor, points_per_link, side_m)
-
-    def grid_arm(self, groups: int) -> NoReturn:
-        """None: pictures of this world are no arrays of space.
-
-        Raises:
-            ConfigError: always.
-        """
-        raise ConfigError(
-            "pictures of the planar world are no arrays of space",
-            expected="a head that reads along links",
-            got=f"one of {groups} groups of spheres",
-        )
 
     def check_scenes(self, arrays: Arrays, count: int) -> None:
         """See :meth:`cspace.world.World.check_scenes`."""
@@ -161,27 +102,17 @@ class PlanarWorld:
                 got=str(discs[~right][0]),
             )
 
-    def among(self, data: World, arrays: Arrays) -> "PlanarWorld":
-        """See :meth:`cspace.world.World.among`."""
-        if not isinstance(data, PlanarWorld) or data.body != self.body:
-            raise ScenarioError(
-                "the data set is another robot's", expected=str(self.body), got=str(data.body)[:200]
-            )
-        scenes = data.scenes
-        if scenes is None and "discs" in arrays:
-            rows = tuple(tuple(tuple(disc) for disc in scene) for scene in arrays["discs"].tolist())
-            scenes = GivenScenes((), rows[:MAX_GIVEN])
-        if scenes is None:
-            raise ScenarioError(
-                "the data set holds no scenes",
-                expected="obstacles, by which samples can be checked",
-                got="pictures and configurations alone",
-            )
-        return replace(self, scenes=scenes)
+    def held_out(self, arrays: Arrays) -> GivenScenes | None:
+        """See :meth:`cspace.world.World.held_out`."""
+        if "discs" not in arrays:
+            return None
+        rows = tuple(tuple(tuple(disc) for disc in scene) for scene in arrays["discs"].tolist())
+        return GivenScenes((), rows[:MAX_GIVEN])
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
-        values: dict[str, Any] = {"kind": KIND, "robot": self.body.to_dict(), "camera": self.sensor.to_dict()}
+        values: dict[str, Any] = {"kind": self.kind}
+        values |= {"robot": self.body.to_dict(), "camera": self.sensor.to_dict()}
         if self.scenes != DiscScenes():
             values["scenes"] = None if self.scenes is None else self.scenes.to_dict()
         return values
@@ -277,31 +208,6 @@ class Scenario:
             "discs": self.disc_array.tolist(),
             "camera": self.camera.to_dict(),
         }
-
-
-def random_scenario(
-    rng: np.random.Generator,
-    robot: PlanarArm = TWO_LINK,
-    scenes: Scenes = DiscScenes(),  # noqa: B008 - a frozen value
-    split: Split = Split.TRAIN,
-    index: int | None = None,
-) -> Scenario:
-    """A scenario of a family, or a given one; see :mod:`cspace.worlds.planar.scenes`."""
-    return Scenario.from_array(robot, scenes.draw(rng, split, index))
-
-
-def random_scenarios(
-    split: Split,
-    seed: int,
-    count: int,
-    robot: PlanarArm = TWO_LINK,
-    scenes: Scenes = DiscScenes(),  # noqa: B008 - a frozen value
-) -> list[Scenario]:
-    """The first ``count`` scenarios of a split under a seed; a longer list starts with the shorter one."""
-    return [
-        random_scenario(scenario_rng(split, seed, index), robot, scenes, split, index)
-        for index in range(count)
-    ]
 
 
 def add_options(parser: argparse.ArgumentParser, *, sensor: bool) -> None:

@@ -1,6 +1,6 @@
 """The simulator of the spatial world: scenes, their depth pictures, checks and problems."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -17,6 +17,7 @@ from cspace.simulator import (
     PathSearch,
     Problem,
     Proposals,
+    Simulator,
     Split,
     scenario_rng,
 )
@@ -96,9 +97,9 @@ def _corners(shape: Box | Cylinder) -> NDArray[np.float64]:
 _NOTE = "A family is what stands about the arm; every problem has a path through the true scene."
 
 
-@dataclass(frozen=True, slots=True)
-class SpatialSimulator:
-    """See :class:`cspace.simulator.Simulator`."""
+@dataclass(frozen=True)
+class SpatialSimulator(Simulator):
+    """The spatial world's: obstacles about a serial arm, seen by depth cameras."""
 
     world: SpatialWorld
 
@@ -128,10 +129,6 @@ class SpatialSimulator:
     def scene(self, rng: np.random.Generator, split: Split, index: int) -> SpatialScene:
         """See :func:`cspace.worlds.spatial.scenes.draw_scene`."""
         return draw_scene(rng, self.world, split, index)
-
-    def scenes(self, split: Split, seed: int, count: int) -> Sequence[SpatialScene]:
-        """See :meth:`scene`."""
-        return [self.scene(scenario_rng(split, seed, index), split, index) for index in range(count)]
 
     def arrays_of(self, scene: Scene) -> dict[str, NDArray[Any]]:
         """See :func:`cspace.worlds.spatial.obstacles.rows_of`."""
@@ -169,20 +166,6 @@ class SpatialSimulator:
         obstacles = obstacles_of(arrays["boxes"], arrays["cylinders"])
         return group_hits(self.world.body, obstacles, configurations, groups)
 
-    def require(self, family: str) -> None:
-        """Any of the families."""
-        if family not in self.families.names:
-            raise ScenarioError(
-                "there is no such family",
-                expected=f"one of {', '.join(self.families.names)}",
-                got=repr(family),
-            )
-
-    def narrow_pairs(self, scene: Scene, configurations: NDArray[np.float64]) -> NDArray[np.int64]:
-        """None: narrow passages of this world are not told on a grid."""
-        del scene, configurations
-        return np.empty((0, 2), dtype=np.int64)
-
     def ends(
         self, scene: Scene, free: NDArray[np.float64], rng: np.random.Generator, count: int
     ) -> Iterator[NDArray[np.float64]]:
@@ -211,20 +194,6 @@ class SpatialSimulator:
         rng = scenario_rng(split, seed, index).spawn(2)[1]
         scene = seen(rng, self.world, found.layout, found.start)
         return Problem(scene, found.start, found.goal, family, seed=seed, rejected=found.rejected)
-
-    def obstruction(self, problem: Problem) -> str | None:
-        """Start or goal in collision; whether there is a path nobody knows."""
-        ends = np.stack([problem.start, problem.goal])
-        clearance = self.checker(problem.scenario).clearance(ends)
-        for name, clearance_m in zip(("start", "goal"), clearance, strict=True):
-            if clearance_m <= 0.0:
-                return f"the {name} is {-clearance_m:.3f} m deep in collision"
-        return None
-
-    def count(self, split: Split) -> int | None:
-        """They are drawn without end."""
-        del split
-        return None
 
     def draw_picture(self, axes: Any, picture: Image) -> None:
         """See :func:`cspace.worlds.spatial.simulator.draw_seen`."""

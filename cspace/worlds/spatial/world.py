@@ -3,17 +3,16 @@
 import argparse
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cspace.errors import ConfigError, DatasetError, ImageError, InputError, ScenarioError
 from cspace.files import read_bounded
-from cspace.space import JointSpace
 from cspace.strict_json import parse_json, read_object, validated
 from cspace.world import (
     Arrays,
@@ -24,7 +23,6 @@ from cspace.world import (
     Finding,
     GridArm,
     Known,
-    Levers,
     TensorInput,
     World,
 )
@@ -60,50 +58,27 @@ from cspace.worlds.spatial.view import (
 )
 from cspace.worlds.spatial.visibility import fused, observe_one
 
-KIND = "spatial"
 _ROBOTS = Path(__file__).with_name("robots")
 _BLANK_MM = 4000
 
 
 @dataclass(frozen=True, slots=True)
-class SpatialWorld:
-    """See :class:`cspace.world.World`; ``scenes`` is None where nobody knows where they come from."""
+class SpatialWorld(World):
+    """A serial arm that depth cameras see.
+
+    ``boxes`` are (S, any, 15), ``cylinders`` (S, any, 14), padded with NaN.
+    """
+
+    kind: ClassVar[str] = "spatial"
+    scene_files: ClassVar[tuple[str, ...]] = ("boxes", "cylinders")
 
     body: SerialArm
     sensor: DepthSensor
     scenes: SpatialScenes | None
 
-    @property
-    def kind(self) -> str:
-        """``spatial``."""
-        return KIND
-
-    @property
-    def space(self) -> JointSpace:
-        """The arm's joint space."""
-        return self.body.space
-
-    @property
-    def dim(self) -> int:
-        """Number of joints."""
-        return self.body.dim
-
-    @property
-    def scene_files(self) -> tuple[str, ...]:
-        """(S, any, 15) boxes and (S, any, 14) cylinders, padded with NaN."""
-        return ("boxes", "cylinders")
-
     def pixels_of(self, data: bytes) -> int:
         """Of all pictures of a view file."""
         return pixels_of(data)
-
-    def read_picture(self, data: bytes, check_cancelled: CheckCancelled | None = None) -> NDArray[np.uint8]:
-        """The array of a view file; see :mod:`cspace.worlds.spatial.view`.
-
-        Raises:
-            ImageError: it is none, or its cameras see none of the space that the arm can reach.
-        """
-        return np.asarray(self.examine_picture(data, check_cancelled).images[0])
 
     def view(self, data: bytes) -> DepthView:
         """See :func:`cspace.worlds.spatial.view.read_view`."""
@@ -117,17 +92,6 @@ class SpatialWorld:
     def tensors(self) -> tuple[TensorInput, ...]:
         """Depth pictures of one scene with their cameras; see :func:`view_of_tensors`."""
         return view_tensors(self.dim)
-
-    def read_tensors(
-        self, tensors: Arrays, check_cancelled: CheckCancelled | None = None
-    ) -> NDArray[np.uint8]:
-        """(1, X, Y, Z, 2): all pictures are of one scene.
-
-        Raises:
-            ImageError: a picture, a camera or the state is none, or the cameras see none of the space that
-                the arm can reach.
-        """
-        return self.examine_tensors(tensors, check_cancelled).images
 
     def examine_tensors(self, tensors: Arrays, check_cancelled: CheckCancelled | None = None) -> Examined:
         """See :meth:`cspace.world.World.examine_tensors`."""
@@ -237,18 +201,6 @@ class SpatialWorld:
         """The arm's spheres at a configuration (d,) rad, (S, 4): place in the base frame and radius, m."""
         return spheres_at(self.body, state)
 
-    def levers(self, points_per_link: int, side_m: float) -> Levers:
-        """None: pictures of this world are not read by levers.
-
-        Raises:
-            ConfigError: always.
-        """
-        raise ConfigError(
-            "pictures of the spatial world are not read along links",
-            expected="look-ups of the planar world for the planar world alone",
-            got=f"{points_per_link} points a link, {side_m} m beside it",
-        )
-
     def grid_arm(self, groups: int) -> GridArm:
         """See :meth:`cspace.world.World.grid_arm`."""
         found, arm, grid = grouped(self.body, groups), self.body, self.sensor.grid
@@ -293,26 +245,11 @@ class SpatialWorld:
                     got=f"{array.dtype} of shape {array.shape}",
                 )
 
-    def among(self, data: World, arrays: Arrays) -> "SpatialWorld":
-        """See :meth:`cspace.world.World.among`."""
-        del arrays
-        if not isinstance(data, SpatialWorld) or data.body != self.body:
-            raise ScenarioError(
-                "the data set is another robot's", expected=self.body.name, got=str(data.body)[:200]
-            )
-        if data.scenes is None:
-            raise ScenarioError(
-                "the data set holds no scenes",
-                expected="obstacles, by which samples can be checked",
-                got="pictures and configurations alone",
-            )
-        return replace(self, scenes=data.scenes)
-
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
         scenes = None if self.scenes is None else self.scenes.to_dict()
         return {
-            "kind": KIND,
+            "kind": self.kind,
             "robot": self.body.to_dict(),
             "cameras": self.sensor.to_dict(),
             "scenes": scenes,

@@ -5,8 +5,8 @@ import pytest
 
 from cspace.simulator import Problem
 from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.free_grid import PathFinder
-from cspace.worlds.planar.problems import Family, bottleneck_rad, connected
+from cspace.worlds.planar.free_grid import FINE_CELLS, FreeGrid, PathFinder
+from cspace.worlds.planar.problems import Family
 from cspace.worlds.planar.world import Scenario
 from services.planner.ompl_planner import solve
 from services.planner.result import Reason, check_path
@@ -67,8 +67,7 @@ def test_samples_outside_the_limits_do_no_harm(task):
 
 
 def test_grids_end_at_the_limits(task):
-    path = PathFinder(task.scenario, task.goal, cells=64).path_from(task.start)
+    path = PathFinder(task.scenario, cells=64).path(task.start, task.goal)
     np.testing.assert_allclose(path, np.stack([task.start, task.goal]))
     assert task.scenario.robot.space.contains(path).all()
-    assert connected(task.scenario, task.start, task.goal)
-    assert bottleneck_rad(task.scenario, task.start, task.goal) == np.inf
+    assert FreeGrid(task.scenario, FINE_CELLS).bottleneck_rad(task.start, task.goal) == np.inf

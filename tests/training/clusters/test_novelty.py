@@ -9,10 +9,11 @@ import torch
 from cspace.bundle.load import novelty
 from cspace.dataset import open_dataset, write_dataset
 from cspace.simulator import Split
-from cspace.worlds.planar.camera import to_network
+from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.render import render
-from cspace.worlds.planar.world import Disc, random_scenarios
+from cspace.worlds.planar.world import Disc
 from tests.dataset_content import content
+from tests.scenarios import random_scenarios
 from training.clusters.calibration import KNOWN_PICTURES, known_pictures, known_quantiles
 from training.models.checkpoint import Progress, save_checkpoint, seeded_initialisation
 from training.models.modules import VaeModule
@@ -73,7 +74,7 @@ def test_a_trained_vae_finds_strange_pictures_strange(tmp_path):
     quantiles = known_quantiles(config, folder, scores, dataset)
 
     def found(images):
-        pictures = torch.from_numpy(to_network(images))
+        pictures = torch.from_numpy(Camera().to_network(images))
         with torch.inference_mode():
             rows = scores(pictures, encoder(pictures)[0]).numpy()
         return np.array([novelty(row, quantiles) for row in rows])

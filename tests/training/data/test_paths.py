@@ -7,7 +7,8 @@ from cspace.dataset import open_dataset
 from cspace.errors import DatasetError, ScenarioError
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
 from cspace.worlds.planar.checks import CollisionChecker
-from cspace.worlds.planar.problems import NARROW_RAD, bottleneck_rad
+from cspace.worlds.planar.free_grid import FINE_CELLS, FreeGrid
+from cspace.worlds.planar.problems import NARROW_RAD
 from cspace.worlds.planar.render import render
 from cspace.worlds.planar.world import Disc, Scenario
 from training.data import generate as module
@@ -58,8 +59,9 @@ def test_paths_are_free_and_their_points_lie_at_equal_distances(dataset):
 
 def test_only_the_first_scenarios_have_a_narrow_passage_on_every_way(dataset):
     low, high = NARROW_RAD
+    grid = FreeGrid(scenario(dataset, 0), FINE_CELLS)
     for path in paths_of(dataset, 0):
-        assert low - 0.01 <= bottleneck_rad(scenario(dataset, 0), path[0], path[-1]) <= high + 0.01
+        assert low - 0.01 <= grid.bottleneck_rad(path[0], path[-1]) <= high + 0.01
 
 
 def test_a_scenario_is_the_same_whatever_the_shards(dataset):
@@ -104,7 +106,7 @@ def test_the_papers_source_gives_paths_that_are_about_as_short(tmp_path):
 
 def test_no_paths_at_all_are_an_error_that_says_so(monkeypatch):
     monkeypatch.setattr("training.data.paths.MAX_DRAWS", 1)
-    monkeypatch.setattr("cspace.worlds.planar.simulator.narrow_pairs", lambda *_: None)
+    monkeypatch.setattr("cspace.worlds.planar.simulator.narrow_pairs", lambda *_: np.empty((0, 2), int))
     recipe = PathRecipe(SMALL)
     with pytest.raises(DatasetError, match="enough paths"):
         recipe.make(recipe.plan()[0])

@@ -6,8 +6,9 @@ from cspace.simulator import Split
 from cspace.worlds.planar.arm import THREE_LINK, PlanarArm
 from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.render import render
-from cspace.worlds.planar.world import Scenario, random_scenarios
+from cspace.worlds.planar.world import Scenario
 from tests.capsules import self_clearance_by_hand
+from tests.scenarios import random_scenarios
 from training.data.config import DatasetConfig, PathDatasetConfig
 from training.data.configurations import ConfigurationRecipe, plot_configurations
 from training.data.shards import Shard, load_shard, save_shard

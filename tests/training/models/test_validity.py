@@ -9,7 +9,8 @@ from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.render import render
-from cspace.worlds.planar.world import PlanarWorld, random_scenarios
+from cspace.worlds.planar.world import PlanarWorld
+from tests.scenarios import random_scenarios
 from tests.training.models.builders import run
 from training.models.checkpoint import seeded_initialisation
 from training.models.settings import ValidityConfig

@@ -4,9 +4,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cspace.errors import ScenarioError
-from cspace.planning.paths import points_along, spread_points
+from cspace.planning.paths import spread_points
 from cspace.simulator import Split
-from cspace.space import torus_distance
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
 from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.free_grid import RESOLUTION_RAD, PathFinder, clearance_weights, shortcut
@@ -19,32 +18,32 @@ SPACE = TWO_LINK.space
 @pytest.mark.parametrize(("family", "seed", "index"), [(Family.UNIFORM, 11, 0), (Family.NARROW, 32, 0)])
 def test_a_path_is_free_and_joins_its_ends(family, seed, index):
     problem = draw_problem(family, Split.DEMO, seed, index)
-    path = PathFinder(problem.scenario, problem.goal).path_from(problem.start)
+    path = PathFinder(problem.scenario).path(problem.start, problem.goal)
     np.testing.assert_allclose(path[[0, -1]], SPACE.wrap([problem.start, problem.goal]))
     checker = CollisionChecker(problem.scenario)
     assert checker.edge_batch(path[:-1], path[1:], RESOLUTION_RAD).all()
 
 
 def test_with_nothing_in_the_way_a_path_is_straight():
-    finder = PathFinder(Scenario(TWO_LINK, ()), (3.0, 0.5))
-    assert finder.path_from((-3.0, 0.0)).tolist() == [[-3.0, 0.0], [3.0, 0.5]]
+    finder = PathFinder(Scenario(TWO_LINK, ()))
+    assert finder.path((-3.0, 0.0), (3.0, 0.5)).tolist() == [[-3.0, 0.0], [3.0, 0.5]]
 
 
 def test_between_two_parts_of_the_free_space_there_is_no_path():
     problem = draw_problem(Family.DISCONNECTED, Split.DEMO, 11, 0)
-    assert PathFinder(problem.scenario, problem.goal).path_from(problem.start) is None
+    assert PathFinder(problem.scenario).path(problem.start, problem.goal) is None
 
 
 def test_a_goal_in_collision_is_refused():
     with pytest.raises(ScenarioError, match="the goal is in collision"):
-        PathFinder(Scenario(TWO_LINK, (Disc(2.0, 0.0),)), (0.0, 0.0))
+        PathFinder(Scenario(TWO_LINK, (Disc(2.0, 0.0),))).path((1.0, 0.0), (0.0, 0.0))
 
 
-def test_one_tree_serves_three_joints_and_several_starts():
+def test_one_grid_serves_three_joints_and_several_starts():
     scenario = Scenario(THREE_LINK, (Disc(2.5, 2.5),))
-    finder, checker = PathFinder(scenario, (2.0, 0.0, 0.0)), CollisionChecker(scenario)
+    finder, checker = PathFinder(scenario), CollisionChecker(scenario)
     for start in ((-0.5, 0.3, 0.0), (-2.0, 1.0, 1.0)):
-        path = finder.path_from(start)
+        path = finder.path(start, (2.0, 0.0, 0.0))
         assert checker.edge_batch(path[:-1], path[1:], RESOLUTION_RAD).all()
 
 
@@ -69,13 +68,13 @@ def test_points_are_spread_evenly_over_the_length(corners):
     path = np.array(corners)
     points = spread_points(path, 401, SPACE)
     np.testing.assert_allclose(points[[0, -1]], SPACE.wrap(path[[0, -1]]), atol=1e-9)
-    length = torus_distance(path[:-1], path[1:]).sum()
-    gaps = torus_distance(points[:-1], points[1:])
+    length = SPACE.distance(path[:-1], path[1:]).sum()
+    gaps = SPACE.distance(points[:-1], points[1:])
     # A corner cuts the straight distance of its neighbours short, and nothing else does.
     assert np.all(gaps <= length / 400 * (1.0 + 1e-6) + 1e-9)
     assert np.sum(gaps < length / 400 * 0.999) <= len(path)
 
 
 def test_the_seam_is_crossed_the_short_way():
-    points = points_along(np.array([[3.0, 0.0], [-3.0, 0.0]]), np.array([0.0, 0.5, 1.0]), SPACE)
+    points = spread_points(np.array([[3.0, 0.0], [-3.0, 0.0]]), 3, SPACE)
     np.testing.assert_allclose(points[:, 0], [3.0, -np.pi, -3.0])

@@ -8,7 +8,7 @@ from PIL import Image
 
 from cspace.errors import ImageError
 from cspace.png import encode_png
-from cspace.worlds.planar.camera import decode_png, to_network
+from cspace.worlds.planar.camera import Camera, decode_png
 from tests.cspace.png_files import SIGNATURE, chunk, file, header
 
 PICTURE = np.random.default_rng(0).integers(0, 256, (48, 48, 3), dtype=np.uint8)
@@ -137,7 +137,7 @@ def test_anything_after_a_good_header_is_an_image_error(rest):
 
 
 def test_the_network_takes_channels_first_from_minus_one_to_one():
-    batch = to_network(np.stack([np.zeros_like(PICTURE), np.full_like(PICTURE, 255), PICTURE]))
+    batch = Camera().to_network(np.stack([np.zeros_like(PICTURE), np.full_like(PICTURE, 255), PICTURE]))
     assert batch.dtype == np.float32
     assert batch.shape == (3, 3, 48, 48)
     assert batch.flags.c_contiguous

@@ -6,10 +6,10 @@ from scipy import ndimage
 
 from cspace.errors import ScenarioError
 from cspace.simulator import Split
-from cspace.space import torus_distance
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.worlds.planar.checks import CollisionChecker
-from cspace.worlds.planar.problems import NARROW_RAD, Family, bottleneck_rad, connected, draw_problem
+from cspace.worlds.planar.free_grid import FINE_CELLS, FreeGrid
+from cspace.worlds.planar.problems import NARROW_RAD, Family, draw_problem
 from cspace.worlds.planar.world import Disc, Scenario
 
 CELLS = 512
@@ -50,6 +50,10 @@ class Independent:
             reached |= found
 
 
+def fine_grid(scenario):
+    return FreeGrid(scenario, FINE_CELLS)
+
+
 @cache
 def independent(scenario):
     return Independent(scenario)
@@ -83,7 +87,7 @@ def test_a_narrow_problem_has_its_bottleneck_in_the_band(narrow):
     check = independent(narrow.scenario)
     assert check.joined(narrow.start, narrow.goal, check.clearance > low)
     assert not check.joined(narrow.start, narrow.goal, check.clearance > high)
-    assert bottleneck_rad(narrow.scenario, narrow.start, narrow.goal) == narrow.bottleneck_rad
+    assert fine_grid(narrow.scenario).bottleneck_rad(narrow.start, narrow.goal) == narrow.bottleneck_rad
     assert narrow.rejected > 0
     # It is the passage that is narrow and not the ends.
     for end in (narrow.start, narrow.goal):
@@ -98,13 +102,13 @@ def test_the_ends_of_a_disconnected_problem_are_in_different_components(disconne
     assert check.free[check.cell(disconnected.start)]
     assert check.free[check.cell(disconnected.goal)]
     assert not check.joined(disconnected.start, disconnected.goal, check.free, everywhere)
-    assert not connected(disconnected.scenario, disconnected.start, disconnected.goal)
+    assert not fine_grid(disconnected.scenario).joined(disconnected.start, disconnected.goal)
 
 
 def test_all_ends_are_free_and_apart(uniform, narrow, disconnected):
     for problem in (uniform, narrow, disconnected):
         assert CollisionChecker(problem.scenario).valid_batch([problem.start, problem.goal]).all()
-        assert torus_distance(problem.start, problem.goal) > 0.0
+        assert problem.space.distance(problem.start, problem.goal) > 0.0
 
 
 def test_ends_cannot_be_changed(uniform):
@@ -135,8 +139,8 @@ def test_a_limited_joint_closes_the_way_round():
     # The first link cannot pass the disc above the base; on a circle it goes round below.
     discs = (Disc(0.0, 3.0),)
     limited = PlanarArm(joint_limits_rad=((-0.5, 3.1), None))
-    assert connected(Scenario(TWO_LINK, discs), [0.0, 0.0], [3.0, 0.0])
-    assert not connected(Scenario(limited, discs), [0.0, 0.0], [3.0, 0.0])
+    assert fine_grid(Scenario(TWO_LINK, discs)).joined([0.0, 0.0], [3.0, 0.0])
+    assert not fine_grid(Scenario(limited, discs)).joined([0.0, 0.0], [3.0, 0.0])
 
 
 def test_three_links_have_uniform_and_no_narrow_problems():

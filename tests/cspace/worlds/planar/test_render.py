@@ -6,7 +6,8 @@ from cspace.simulator import Split
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.render import render
-from cspace.worlds.planar.world import Disc, Scenario, random_scenarios
+from cspace.worlds.planar.world import Disc, Scenario
+from tests.scenarios import random_scenarios
 
 WHITE, RED, BLUE = (255, 255, 255), (255, 0, 0), (0, 0, 255)
 FINE = 16

@@ -9,7 +9,8 @@ from cspace.worlds import read_world
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.checks import CollisionChecker
-from cspace.worlds.planar.world import Disc, Scenario, random_scenarios
+from cspace.worlds.planar.world import Disc, Scenario
+from tests.scenarios import random_scenarios
 
 COUNT = 1500
 PINNED = (2.091881118312129, -1.5918146715586463)

@@ -10,11 +10,10 @@ from hypothesis import strategies as st
 
 from cspace.errors import ScenarioError
 from cspace.simulator import Problem
-from cspace.worlds import robot_digest
+from cspace.worlds import robot_digest, simulator_of
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.worlds.planar.checks import CollisionChecker, segment_gap
 from cspace.worlds.planar.free_grid import FreeGrid
-from cspace.worlds.planar.problems import obstruction
 from cspace.worlds.planar.world import Disc, PlanarWorld, Scenario
 from services.planner.ompl_planner import solve
 from services.planner.settings import RRT_CONNECT, SAMPLED_CONNECT, PlannerSettings
@@ -41,7 +40,9 @@ def test_the_clearance_of_links_side_by_side_and_across_is_known():
     checker = CollisionChecker(Scenario(FOLDING, ()))
     np.testing.assert_allclose(checker.clearance([BESIDE, ACROSS, [0.0, 0.0, 0.0]]), [0.8, -0.2, 0.8])
     assert checker.valid_batch([BESIDE, ACROSS]).tolist() == [True, False]
-    assert obstruction(Scenario(FOLDING, ()), BESIDE, ACROSS) == "the goal is 0.200 m deep in collision"
+    problem = Problem(checker.scenario, np.asarray(BESIDE), np.asarray(ACROSS))
+    simulator = simulator_of(checker.scenario.world)
+    assert simulator.obstruction(problem) == "the goal is 0.200 m deep in collision"
 
 
 @given(angles, st.integers(3, 6))

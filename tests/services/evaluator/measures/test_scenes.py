@@ -9,7 +9,7 @@ from cspace.worlds import simulator_of
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.problems import Family, draw_problem
-from cspace.worlds.planar.world import Disc, PlanarWorld, Scenario, random_scenarios
+from cspace.worlds.planar.world import Disc, PlanarWorld, Scenario
 from services.evaluator.measures.scenes import (
     Scene,
     Stage,
@@ -18,6 +18,7 @@ from services.evaluator.measures.scenes import (
 )
 from tests.fakes.sample_source import FakeSampleSource
 from tests.fakes.uniform_sampler import UniformSampler
+from tests.scenarios import random_scenarios
 
 STAGE = Stage(PlanarWorld(TWO_LINK, Camera()), Split.VALIDATION, 5)
 
