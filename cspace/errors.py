@@ -1,31 +1,4 @@
-"""The one tree of errors that the project raises.
-
-CspaceError
-├── InputError (also a ValueError)      a value from outside is wrong
-│   ├── ConfigError                     a setting or a configuration key
-│   ├── ImageError                      bytes that are not an acceptable picture
-│   ├── ScenarioError                   a robot, scenario or problem that cannot be
-│   ├── OtherRobotError                 a model of another robot than the one that is planned for
-│   └── DatasetError                    a data-set folder
-│       └── DamagedFileError            a file whose digest is not the manifest's
-├── BundleError                         a bundle that cannot be used
-│   ├── BundleIntegrityError            sums, schema or files are wrong
-│   └── GoldenMismatchError             the golden case gives other answers
-├── StorageError                        disk full, or a target that cannot be written
-├── RegistryError                       the model registry
-│   ├── RegistryUnavailableError        it does not answer
-│   └── ModelNotFoundError              no such model, version or alias
-├── SamplerError                        the sampling endpoint refused a request
-│   ├── SamplerModelError               it has no such model
-│   └── SamplerUnavailableError         it does not answer
-│       └── SamplerAnswerError          its answer cannot be used
-├── PlanningError                       a planner was asked for something impossible
-├── EvaluationError                     an evaluation that cannot be computed
-├── ServiceError                        processes of this machine
-│   ├── PortTakenError
-│   └── ServiceStartError
-└── JobError                            a Ray job failed or cannot go on
-"""
+"""The one tree of errors that the project raises, below :class:`CspaceError`."""
 
 
 class CspaceError(Exception):

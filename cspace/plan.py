@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from cspace.planning.cost import Predict, ScoredPath, score
 from cspace.planning.paths import spaced
 from cspace.planning.refine import Effort, PathRefiner, route_search
-from cspace.planning.rrt_connect import CheckCancelled, connect_trees
+from cspace.planning.rrt_connect import Growth, grow_connect
 from cspace.planning.search import find_paths, with_deadline
 from cspace.query import Plan, PlanQuery
 from cspace.simulator import Checker
 from cspace.space import JointSpace
-from cspace.world import Contact, Image, Known, World
+from cspace.world import CheckCancelled, Contact, Image, Known, World
 from cspace.worlds import (
     WITH_TOOL,
     best_view,
@@ -38,8 +38,7 @@ def load_kernels(checker: Checker, configuration: NDArray[np.float64], step_rad:
     """
     checker.valid_batch(configuration[None])
     checker.edge_batch(configuration[None], configuration[None], step_rad)
-    ends = configuration, configuration
-    connect_trees(checker, *ends, configuration[None], range_rad=step_rad, resolution_rad=step_rad)
+    grow_connect(checker, configuration, configuration, configuration[None], Growth(step_rad, step_rad))
     route_search()(np.zeros((1, 1)), 0, 0)
 
 

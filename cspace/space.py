@@ -44,11 +44,6 @@ def difference(start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:
     return wrap(np.asarray(end, dtype=np.float64) - np.asarray(start, dtype=np.float64))
 
 
-def torus_distance(start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:
-    """Euclidean length of the shortest way round on the torus, (...,) rad for inputs (..., d)."""
-    return np.asarray(np.linalg.norm(difference(start, end), axis=-1))
-
-
 def embed(angles: ArrayLike) -> NDArray[np.float64]:
     """(..., d) angles to (..., 2 d): the cosines of all joints, then their sines."""
     angles = np.asarray(angles, dtype=np.float64)

@@ -51,15 +51,12 @@ def _finite(text: str) -> float:
     return value
 
 
-def parse_json(
-    data: bytes, *, whole: Callable[[str], int] = _whole, number: Callable[[str], float] = _finite
-) -> object:
+def parse_json(data: bytes, *, whole: Callable[[str], int] = _whole) -> object:
     """The values of a text in UTF-8 without NaN, infinity, or a key twice in one object.
 
     Args:
         data: the text; its size is the caller's to bound.
         whole: reads whole numbers; without it they have at most 64 bits.
-        number: reads the others; without it they are finite.
 
     Raises:
         ValueError: it is not that, or nested deeper than 64 levels.
@@ -69,7 +66,7 @@ def parse_json(
             data.decode("utf-8"),
             parse_constant=_refuse,
             parse_int=whole,
-            parse_float=number,
+            parse_float=_finite,
             object_pairs_hook=_unique,
         )
     except RecursionError as error:

@@ -25,7 +25,7 @@ from cspace.bundle.files import (
     sums_of,
 )
 from cspace.bundle.golden import GoldenCase, endpoints, scene
-from cspace.bundle.runtime import PLACES_CHUNK_ROWS, RUN_LIMIT_S, CheckCancelled, Graph, chunked, open_graphs
+from cspace.bundle.runtime import PLACES_CHUNK_ROWS, RUN_LIMIT_S, Graph, chunked, open_graphs
 from cspace.bundle.samples import (
     Belief,
     Encoding,
@@ -42,7 +42,7 @@ from cspace.errors import BundleError, BundleIntegrityError, InputError, Storage
 from cspace.files import replacing
 from cspace.plan import path_confidence, plan
 from cspace.query import Plan, PlanQuery, QueryOptions, SampleQuery
-from cspace.world import World
+from cspace.world import CheckCancelled, World
 from cspace.worlds import robot_digest
 
 QUANTILES = 101
@@ -258,10 +258,9 @@ class Bundle:
         if picture.known is not None:
             # Where all are wanted, those that nothing has replaced are still among them.
             found = found.only(picture.known.free(found.samples, check_cancelled or (lambda: None)))
-        samples, confidence = found.samples, found.scores
-        unseen = None
-        if confidence is not None and confidence.ndim > 1:
-            confidence, unseen = confidence.T
+        samples, columns = found.samples, found.scores.shape[1]
+        confidence = found.scores[:, 0] if columns > 0 else None
+        unseen = found.scores[:, 1] if columns > 1 else None
         encode_ms, generate_ms = 1e3 * (encoded - began), 1e3 * (time.perf_counter() - encoded)
         if picture is image:
             encode_ms = 0.0

@@ -27,6 +27,7 @@ from cspace.bundle.files import (
 )
 from cspace.bundle.spec import MAP, PICTURE, WAYS, BundleSpec
 from cspace.errors import BundleError, BundleIntegrityError
+from cspace.world import CheckCancelled
 
 # Of all sessions of a process together, weights aside; in a container at most this share of its limit.
 ARENA_BYTES, CONTAINER_SHARE = 512 * 2**20, 0.5
@@ -134,7 +135,7 @@ class Deadlines:
 
     @contextmanager
     def ended_by(self, limit_s: float, end: Callable[[], None]) -> Iterator[None]:
-        """The same round a block."""
+        """Call ``end`` where the block takes longer; the arguments are those of :meth:`begin`."""
         key = object()
         self.begin(key, limit_s, end)
         try:
@@ -166,9 +167,6 @@ DEADLINES = Deadlines()
 # of a path sampler draws comes in the order of the path, so it is drawn in larger parts; a place costs far
 # less than a configuration.
 CHUNK_ROWS, PATH_CHUNK_ROWS, PLACES_CHUNK_ROWS = 512, 4096, 4096
-
-# May raise to stop the work.
-CheckCancelled = Callable[[], None]
 
 
 def chunked(
@@ -291,9 +289,9 @@ class Graph:
         def end() -> None:
             options.terminate = True
 
-        DEADLINES.begin(options, self._limit_s, end)
         try:
-            return self._session.run(outputs, feeds, options)
+            with DEADLINES.ended_by(self._limit_s, end):
+                return self._session.run(outputs, feeds, options)
         except onnx_errors() as error:
             if not options.terminate:
                 raise
@@ -302,8 +300,6 @@ class Graph:
                 expected=f"an answer within {self._limit_s:g} s",
                 remedy="ask for fewer samples, or export a graph that computes less",
             ) from error
-        finally:
-            DEADLINES.done(options)
 
     def _opened(self, model: bytes, options: Any) -> Any:
         """A session; between two of its steps, opening one is ended like a run."""

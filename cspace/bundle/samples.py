@@ -85,22 +85,21 @@ class Sampled:
 
     Args:
         samples: float32 (n', d) rad.
-        scores: float32 (n',), the validity head's confidence, or (n', k) with other columns behind it; None
-            where the head was not asked.
+        scores: float32 (n', k), the validity head's confidence, then the unseen share where it gives that;
+            no columns where the head was not asked.
         acceptance: share of the proposals that reached the confidence asked for.
         ways: int64 (n',), see :class:`SampleSet`.
     """
 
     samples: NDArray[np.float32]
-    scores: NDArray[np.float32] | None = None
+    scores: NDArray[np.float32]
     acceptance: float = 1.0
     ways: NDArray[np.int64] | None = None
 
     def only(self, kept: NDArray[np.bool_]) -> "Sampled":
         """The samples of which ``kept`` (n',) is true."""
-        scores = None if self.scores is None else self.scores[kept]
         ways = None if self.ways is None else self.ways[kept]
-        return Sampled(self.samples[kept], scores, self.acceptance, ways)
+        return Sampled(self.samples[kept], self.scores[kept], self.acceptance, ways)
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,12 +246,6 @@ def fitted_end(
     space = spec.world.space if space is None else space
     configuration = space.admitted(angles, f"{name} lies outside the limits of {whose}")
     return tuple(space.to_float32(configuration).tolist())
-
-
-def fitted_ends(spec: BundleSpec, start: tuple[float, ...], goal: tuple[float, ...]) -> NDArray[np.float64]:
-    """Start and goal of a search, (2, d) rad; see :func:`fitted_end`."""
-    given = (("start", start), ("goal", goal))
-    return np.asarray([fitted_end(spec, name, end) for name, end in given], dtype=np.float64)
 
 
 def fitted_problem(spec: BundleSpec, query: PlanQuery) -> NDArray[np.float64]:

@@ -24,15 +24,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.bundle.runtime import CHUNK_ROWS, PATH_CHUNK_ROWS, CheckCancelled, Graph, chunked
-from cspace.bundle.samples import FittedQuery, Picture, Sampled, fitted_ends
+from cspace.bundle.runtime import CHUNK_ROWS, PATH_CHUNK_ROWS, Graph, chunked
+from cspace.bundle.samples import FittedQuery, Picture, Sampled
 from cspace.bundle.spec import MAP, PICTURE, BundleSpec, RandomInput
 from cspace.errors import BundleError, BundleIntegrityError
 from cspace.plan import Seen, search_paths
 from cspace.planning.paths import AlongPaths
 from cspace.query import DEFAULT_PATHS
 from cspace.space import JointSpace
-from cspace.world import Known
+from cspace.world import CheckCancelled, Known
 
 CONFIDENCE, UNSEEN = "confidence", "unseen"
 # A head that reads arrays of space at hundreds of spheres a configuration is quickest while what it computes
@@ -51,7 +51,7 @@ class Head:
     def scores(
         self, picture: Picture, configurations: NDArray[np.float32], check_cancelled: CheckCancelled | None
     ) -> NDArray[np.float32]:
-        """Confidence in (n, d) rad, (n,), or (n, 2) with the unseen share where the head gives that.
+        """Confidence in (n, d) rad, and the unseen share where the head gives that, (n, 1) or (n, 2).
 
         Raises:
             BundleError: the graph fails, or gives what is no probability.
@@ -75,7 +75,7 @@ class Head:
         def run(rows: slice) -> NDArray[np.float32]:
             part = configurations[rows]
             if not self.reports_unseen:
-                return score(part)[:, 0]
+                return score(part)
             parts = []
             for first in range(0, len(part), CACHED_ROWS):
                 parts.append(score(part[first : first + CACHED_ROWS]))
@@ -108,7 +108,7 @@ class Head:
     ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
         """The confidence, and the unseen share; None where the head does not give that."""
         found = self.scores(picture, configurations, check_cancelled)
-        return (found[:, 0], found[:, 1]) if self.reports_unseen else (found, None)
+        return found[:, 0], found[:, 1] if self.reports_unseen else None
 
     def seen(self, spec: BundleSpec, picture: Picture, check_cancelled: CheckCancelled | None) -> Seen:
         """A picture of the bundle's as the search for paths takes it."""
@@ -257,7 +257,7 @@ def rejection_sample(
 
     Args:
         propose_scored: counts by share and the turn's number to samples (m, d), those of the first share
-            first, and their confidence (m,), or (m, k) with other columns behind it.
+            first, and (m, k) whose first column is their confidence.
         shares: how many are wanted of each.
         threshold: the least confidence, 0 to 1.
         expected: share that is likely to pass, above 0 to 1; a further turn costs more than a few too many.
@@ -273,7 +273,7 @@ def rejection_sample(
             check_cancelled()
         counts = _within(wanted, left)
         samples, confidence = propose_scored(counts, turn)
-        good = (confidence if confidence.ndim == 1 else confidence[:, 0]) >= np.float32(threshold)
+        good = confidence[:, 0] >= np.float32(threshold)
         if turn == 0 and len(shares) == 1:
             # Nearly every request ends here, and the arrays below would cost it a tenth of a millisecond.
             kept = np.flatnonzero(good)
@@ -356,12 +356,8 @@ class GeneratorSampler:
         if head is None or not request.min_confidence:
             keeps = _keeps(space, picture, check_cancelled or (lambda: None))
             samples = space.to_float32(_inside(generate, wanted, keeps, check_cancelled))
-            scores = (
-                head.scores(picture, samples, check_cancelled)
-                if head is not None and report_confidence
-                else None
-            )
-            return Sampled(samples, scores)
+            scored = head is not None and report_confidence
+            return Sampled(samples, _scores(head if scored else None, picture, samples, check_cancelled))
 
         def proposed(counts: Sequence[int], turn: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
             proposals = propose(spec, counts, request.seed, turn)
@@ -371,9 +367,8 @@ class GeneratorSampler:
             # What lies outside reaches no confidence, and is not scored.
             scores = np.full((len(rows), 1 + head.reports_unseen), -1.0, dtype=np.float32)
             if inside.any():
-                found = head.scores(picture, samples[inside], check_cancelled)
-                scores[inside] = found.reshape(len(found), -1)
-            return samples, scores if head.reports_unseen else scores[:, 0]
+                scores[inside] = head.scores(picture, samples[inside], check_cancelled)
+            return samples, scores
 
         return rejection_sample(
             proposed, wanted, request.min_confidence, expected_share(spec), check_cancelled
@@ -423,7 +418,7 @@ def _inside(
 
     def again(counts: Sequence[int], turn: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         more = draw_rows(counts, turn + 1)
-        return more, is_kept(more).astype(np.float32)
+        return more, is_kept(more).astype(np.float32)[:, None]
 
     belongs = np.repeat(np.arange(len(wanted)), wanted)
     missing = np.bincount(belongs[~inside], minlength=len(wanted)).tolist()
@@ -432,6 +427,15 @@ def _inside(
     ).samples
     rows[np.flatnonzero(~inside)[: len(found)]] = found
     return rows
+
+
+def _scores(
+    head: Head | None, picture: Picture, samples: NDArray[np.float32], check_cancelled: CheckCancelled | None
+) -> NDArray[np.float32]:
+    """What a head gives for samples (n, d) rad, (n, k); no columns without one."""
+    if head is None:
+        return np.empty((len(samples), 0), dtype=np.float32)
+    return head.scores(picture, samples, check_cancelled)
 
 
 def _keeps(
@@ -487,7 +491,7 @@ class PathSampler:
             ImportError: the compiler of the checks is not installed.
         """
         spec, head, space = self._spec, self._head, self._spec.world.space
-        ends = fitted_ends(spec, request.start or (), request.goal or ())
+        ends = np.asarray([request.start, request.goal], dtype=np.float64)
         searched = search_paths(
             head.seen(spec, picture, check_cancelled),
             ends,
@@ -496,7 +500,7 @@ class PathSampler:
             check_cancelled=check_cancelled,
         )
         if not searched.paths:
-            none = np.empty((0, 2) if head.reports_unseen else 0, dtype=np.float32)
+            none = np.empty((0, 1 + head.reports_unseen), dtype=np.float32)
             rows = space.to_float32(np.empty((0, space.dim)))
             return Sampled(rows, none, ways=np.empty(0, dtype=np.int64))
         along = AlongPaths(
@@ -507,22 +511,17 @@ class PathSampler:
             del turn
             rows, numbers = along.take(sum(counts))
             samples = space.to_float32(rows)
-            columns = [numbers.astype(np.float32)[:, None]]
-            if request.min_confidence or report_confidence:
-                scores = head.scores(picture, samples, check_cancelled)
-                columns.insert(0, scores.reshape(len(scores), -1))
-            return samples, np.concatenate(columns, axis=1)
+            scored = bool(request.min_confidence) or report_confidence
+            scores = _scores(head if scored else None, picture, samples, check_cancelled)
+            return samples, np.column_stack([scores, numbers.astype(np.float32)])
 
         if request.min_confidence:
             found = rejection_sample(proposed, [request.n], request.min_confidence, _PASS, check_cancelled)
         else:
             found = Sampled(*proposed([request.n], 0))
-        columns = np.empty((0, 1), dtype=np.float32) if found.scores is None else found.scores
-        scores, numbers = columns[:, :-1], columns[:, -1].astype(np.int64)
-        if not scores.shape[1]:
-            return Sampled(found.samples, None, found.acceptance, numbers)
-        scores = scores if head.reports_unseen else scores[:, 0]
-        return Sampled(found.samples, scores, found.acceptance, numbers)
+        # The last column is the path that a sample lies along.
+        numbers = found.scores[:, -1].astype(np.int64)
+        return Sampled(found.samples, found.scores[:, :-1], found.acceptance, numbers)
 
 
 def sampler_of(

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from cspace.planning.cost import Predict, ScoredPath, costs_of, score
 from cspace.planning.paths import shortcut
-from cspace.planning.rrt_connect import CheckCancelled
 from cspace.planning.search import OutOfTimeError
 from cspace.simulator import Checker
+from cspace.world import CheckCancelled
 
 # That a rad costs beside its cost: of two paths of one cost the shorter is taken.
 _PER_RAD = 0.02

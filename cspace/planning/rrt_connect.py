@@ -2,7 +2,6 @@
 
 import math
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,34 +9,7 @@ from numpy.typing import NDArray
 
 from cspace.simulator import Checker
 from cspace.space import JointSpace
-
-CheckCancelled = Callable[[], None]
-
-
-def connect_trees(
-    checker: Checker,
-    start: NDArray[np.float64],
-    goal: NDArray[np.float64],
-    states: NDArray[np.float64],
-    *,
-    range_rad: float,
-    resolution_rad: float,
-    check_cancelled: CheckCancelled | None = None,
-) -> NDArray[np.float64] | None:
-    """The path that RRT-Connect finds between two free configurations, (k, d) rad; None without one.
-
-    Args:
-        checker: of the scene.
-        start: (d,) rad.
-        goal: (d,) rad.
-        states: (n, d) rad that trees grow towards, in order.
-        range_rad: longest step of a tree, the sum over the joints.
-        resolution_rad: between states that are looked at, the largest over the joints.
-        check_cancelled: called between blocks of states; may raise to stop, which passes through.
-    """
-    growth = Growth(range_rad, resolution_rad, math.inf, check_cancelled or (lambda: None))
-    return grow_connect(checker, start, goal, states, growth).path
-
+from cspace.world import CheckCancelled
 
 # Iterations between two looks at the clock, or pauses.
 BLOCK = 64
@@ -58,8 +30,8 @@ class Growth:
 
     range_rad: float
     resolution_rad: float
-    time_limit_s: float
-    check_cancelled: Callable[[], None] = lambda: None
+    time_limit_s: float = math.inf
+    check_cancelled: CheckCancelled = lambda: None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

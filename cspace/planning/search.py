@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.planning.paths import shortcut
-from cspace.planning.rrt_connect import CheckCancelled, connect_trees
+from cspace.planning.rrt_connect import Growth, grow_connect
 from cspace.simulator import Checker
+from cspace.world import CheckCancelled
 
 
 class OutOfTimeError(Exception):
@@ -141,13 +142,6 @@ def _path(
 ) -> NDArray[np.float64] | None:
     # All are drawn, so that what follows does not depend on how many are used.
     states = checker.space.sample_uniform(rng, limits.states)[:most]
-    raw = connect_trees(
-        checker,
-        start,
-        goal,
-        states,
-        range_rad=limits.range_rad,
-        resolution_rad=limits.search_rad,
-        check_cancelled=check_cancelled,
-    )
+    growth = Growth(limits.range_rad, limits.search_rad, check_cancelled=check_cancelled)
+    raw = grow_connect(checker, start, goal, states, growth).path
     return None if raw is None else shortcut(checker, raw, rng, limits.shortcuts, limits.shortcut_rad)

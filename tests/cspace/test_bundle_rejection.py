@@ -25,7 +25,7 @@ class Source:
         shares = np.repeat(np.arange(len(counts)), counts)
         samples = np.stack([shares, np.full(len(shares), turn)], axis=1).astype(np.float32)
         passes = self.rng.random(len(shares)) < np.asarray(self.chances)[shares]
-        return samples, np.where(passes, 0.9, 0.1).astype(np.float32)
+        return samples, np.where(passes, 0.9, 0.1).astype(np.float32)[:, None]
 
 
 def test_where_nearly_all_pass_one_turn_is_enough() -> None:
@@ -52,7 +52,6 @@ def test_every_share_is_filled_and_stays_in_its_place() -> None:
     assert (np.diff(kept.samples[100:, 1]) >= 0).all()
     # A share that is full is drawn no more.
     assert source.turns[-1][0] == 0 < source.turns[-1][1]
-    assert kept.scores is not None
     assert (kept.scores >= 0.5).all()
 
 

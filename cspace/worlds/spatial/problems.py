@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cspace.errors import ScenarioError
 from cspace.planning.paths import length_rad, spaced
-from cspace.planning.rrt_connect import connect_trees
+from cspace.planning.rrt_connect import Growth, grow_connect
 from cspace.simulator import Proposals, Split, near_contact, scenario_rng
 from cspace.worlds.spatial.arm import SerialArm, ready_rad
 from cspace.worlds.spatial.checks import CollisionChecker
@@ -113,9 +113,8 @@ def _raw_path(
 ) -> NDArray[np.float64] | None:
     """What RRT-Connect finds with so many uniform states."""
     states = checker.space.sample_uniform(rng, count)
-    return connect_trees(
-        checker, ends[0], ends[1], states, range_rad=limits.range_rad, resolution_rad=limits.search_rad
-    )
+    growth = Growth(limits.range_rad, limits.search_rad)
+    return grow_connect(checker, ends[0], ends[1], states, growth).path
 
 
 def is_free(checker: CollisionChecker, path: NDArray[np.float64], resolution_rad: float) -> bool:

@@ -1,11 +1,9 @@
 """Trees reach what they grow towards: a step in its direction is not yet there."""
 
-import math
-
 import numpy as np
 import pytest
 
-from cspace.planning.rrt_connect import Growth, connect_trees, grow_rrt
+from cspace.planning.rrt_connect import Growth, grow_connect, grow_rrt
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.world import Scenario
@@ -25,7 +23,7 @@ def longest_step(path):
 
 
 def test_rrt_has_arrived_only_at_the_goal_itself(checker):
-    states, growth = np.zeros((20, 2)), Growth(RANGE_RAD, RESOLUTION_RAD, math.inf)
+    states, growth = np.zeros((20, 2)), Growth(RANGE_RAD, RESOLUTION_RAD)
     found = grow_rrt(checker, START, GOAL, states, np.ones(20, dtype=np.bool_), growth)
     np.testing.assert_allclose(found.path[[0, -1]], [START, GOAL])
     assert found.iterations == 8
@@ -33,13 +31,13 @@ def test_rrt_has_arrived_only_at_the_goal_itself(checker):
 
 
 def test_rrt_that_has_come_part_of_the_way_has_no_path(checker):
-    states, growth = np.zeros((3, 2)), Growth(RANGE_RAD, RESOLUTION_RAD, math.inf)
+    states, growth = np.zeros((3, 2)), Growth(RANGE_RAD, RESOLUTION_RAD)
     assert grow_rrt(checker, START, GOAL, states, np.ones(3, dtype=np.bool_), growth).path is None
 
 
 @pytest.mark.parametrize("seed", range(2))
 def test_two_trees_meet_in_one_configuration_and_jump_nowhere(checker, seed):
     states = TWO_LINK.space.sample_uniform(np.random.default_rng(seed), 50)
-    path = connect_trees(checker, START, GOAL, states, range_rad=RANGE_RAD, resolution_rad=RESOLUTION_RAD)
+    path = grow_connect(checker, START, GOAL, states, Growth(RANGE_RAD, RESOLUTION_RAD)).path
     np.testing.assert_allclose(path[[0, -1]], [START, GOAL])
     assert longest_step(path) <= RANGE_RAD + 1e-9

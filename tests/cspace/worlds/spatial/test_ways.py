@@ -7,7 +7,7 @@ import pytest
 
 from cspace.errors import ScenarioError
 from cspace.planning.paths import length_rad, spaced
-from cspace.planning.rrt_connect import connect_trees
+from cspace.planning.rrt_connect import Growth, grow_connect
 from cspace.simulator import Split
 from cspace.space import circles
 from cspace.worlds.spatial.arm import Joint, Part, SerialArm
@@ -52,7 +52,7 @@ def ends(request):
 
 def raw_way(checker, start, goal, seed):
     states = checker.space.sample_uniform(np.random.default_rng(seed), LIMITS.states)
-    return connect_trees(checker, start, goal, states, range_rad=2.0, resolution_rad=0.02)
+    return grow_connect(checker, start, goal, states, Growth(2.0, 0.02)).path
 
 
 def test_a_way_leads_from_start_to_goal_and_every_step_of_it_is_free(ends):
