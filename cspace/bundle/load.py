@@ -11,15 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.bundle.files import (
-    BELIEF_FILE,
     ENCODER_FILE,
-    GENERATOR_FILE,
     GOLDEN_FILE,
-    MAP_FILE,
-    NOVELTY_FILE,
+    OPTIONAL_FILES,
     SPEC_FILE,
     SUMS_FILE,
-    VALIDITY_FILE,
     BundleFiles,
     read_files,
     sums_of,
@@ -79,11 +75,9 @@ class Bundle:
         self.digest = files.digest
         self.spec = BundleSpec.from_json(files.contents[SPEC_FILE])
         self.robot = robot_digest(self.spec.world)
-        graphs = open_graphs(self.spec, files, run_limit_s)
-        self._encoder, self._novelty, self._map = graphs.encoder, graphs.novelty, graphs.map
-        self._validity = None if graphs.validity is None else Head(graphs.validity)
-        self._generator, self._belief = graphs.generator, graphs.belief
-        self._sampler = sampler_of(self.spec, self._generator, self._validity)
+        self._graphs = open_graphs(self.spec, files, run_limit_s)
+        self._validity = None if self._graphs.validity is None else Head(self._graphs.validity)
+        self._sampler = sampler_of(self.spec, self._graphs.generator, self._validity)
         self.reports_unseen = self._validity is not None and self._validity.reports_unseen
         self.head_looks_at_map = self._validity is not None and self._validity.looks_at_map
 
@@ -154,7 +148,7 @@ class Bundle:
         found.spec = replace(self.spec, world=replace(cast("Any", self.spec.world), body=world.body))
         found.robot = robot_digest(found.spec.world)
         found._sampler = sampler_of(  # noqa: SLF001 - its own
-            found.spec, self._generator, self._validity
+            found.spec, self._graphs.generator, self._validity
         )
         return found
 
@@ -181,20 +175,21 @@ class Bundle:
         """
         pixels = self._network_image(image)
         size = (1, self.spec.latent_dim)
-        found = self._encoder.run({"image": pixels}, {"mu": size, "sigma": size})
+        found = self._graphs.encoder.run({"image": pixels}, {"mu": size, "sigma": size})
         encoding = Encoding(found["mu"][0], found["sigma"][0])
         novelty = self._novelty_of(image, pixels, found["mu"])
         return Picture(self.digest, image, self.spec.world.sensor, encoding, novelty, self._map_of(pixels))
 
     def _map_of(self, pixels: NDArray[np.float32]) -> NDArray[np.float32] | None:
-        if self._map is None:
+        graph = self._graphs.map
+        if graph is None:
             return None
-        return self._map.run({"image": pixels}, {"map": self._map.fixed_shape("map")})["map"]
+        return graph.run({"image": pixels}, {"map": graph.fixed_shape("map")})["map"]
 
     def _novelty_of(
         self, image: NDArray[np.uint8], pixels: NDArray[np.float32], mu: NDArray[np.float32]
     ) -> float | None:
-        graph, quantiles = self._novelty, self.spec.novelty_quantiles
+        graph, quantiles = self._graphs.novelty, self.spec.novelty_quantiles
         if graph is None or quantiles is None:
             return None
         found = graph.run({"image": pixels, "mu": mu}, {"scores": (len(quantiles),)})
@@ -394,7 +389,7 @@ class Bundle:
     @property
     def tells_belief(self) -> bool:
         """Whether :meth:`belief` answers."""
-        return self._belief is not None
+        return self._graphs.belief is not None
 
     def require_belief(self) -> tuple[Graph, Any]:
         """What :meth:`belief` asks, and the grid of the pictures.
@@ -402,14 +397,14 @@ class Bundle:
         Raises:
             InputError: as there.
         """
-        grid = getattr(self.spec.world.sensor, "grid", None)
-        if self._belief is None or grid is None:
+        graph, grid = self._graphs.belief, getattr(self.spec.world.sensor, "grid", None)
+        if graph is None or grid is None:
             raise InputError(
                 "the model cannot tell what it takes the scene to be",
                 expected="a model of an arm that sees with depth cameras, with belief.onnx",
                 remedy="make the model again with this version of training",
             )
-        return self._belief, grid
+        return graph, grid
 
     def _head(self) -> Head:
         if self._validity is None:
@@ -454,14 +449,8 @@ GOLDEN_SEED = 20_240_229
 GOLDEN_COUNT = 65
 GOLDEN_EPSILON = (0.0, 0.5)
 
-_GRAPH_FILES = {
-    "encoder": ENCODER_FILE,
-    "generator": GENERATOR_FILE,
-    "validity": VALIDITY_FILE,
-    "novelty": NOVELTY_FILE,
-    "map": MAP_FILE,
-    "belief": BELIEF_FILE,
-}
+# By the names of graphs.
+_GRAPH_FILES = {file.removesuffix(".onnx"): file for file in (ENCODER_FILE, *OPTIONAL_FILES)}
 
 
 def write_bundle(
