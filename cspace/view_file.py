@@ -64,14 +64,7 @@ def pack_view(
     depth_scale_m: object = None,
     known: bytes | None = None,
 ) -> bytes:
-    """A view file of files and plain values.
-
-    Args:
-        pictures: one to four files.
-        cameras: plain values of JSON, one for each picture.
-        state: likewise, for all pictures or a list with one for each; None where the robot is in no picture.
-        depth_scale_m: likewise, metres per unit of the pictures; None for mm.
-        known: JSON of a planning scene; None without one.
+    """A view file of files and plain values, which :class:`ViewFile` tells of.
 
     Raises:
         ImageError: the counts do not fit.

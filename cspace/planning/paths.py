@@ -6,11 +6,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cspace.simulator import Checker
+from cspace.simulator import SHORTEST_SPAN, Checker
 from cspace.space import JointSpace
 
-# Shares of the length that shortcuts span are drawn down to this, evenly by their logarithm.
-_SHORTEST = 0.02
 # Shortcuts that are looked at together: one call of compiled code for all of them.
 _TOGETHER = 16
 
@@ -73,7 +71,7 @@ def shortcut(
         if len(path) < 3 or not sizes.sum() > 0.0:
             return path
         gone = np.concatenate([[0.0], np.cumsum(sizes)])
-        span = _SHORTEST ** rng.random(_TOGETHER)
+        span = SHORTEST_SPAN ** rng.random(_TOGETHER)
         first = rng.random(_TOGETHER) * (1.0 - span)
         cuts = np.stack([first, first + span]) * gone[-1]
         at = np.clip(np.searchsorted(gone, cuts, side="right") - 1, 0, len(sizes) - 1)
