@@ -18,45 +18,28 @@ from cspace.worlds.spatial.kinematics import Solving, solve_pose
 from cspace.worlds.spatial.obstacles import Obstacles
 from cspace.worlds.spatial.scenes import draw_layout
 
+# Longest step of a tree, the sum over the joints. Between states that are looked at, the largest over the
+# joints: of trees, of shortcuts (finer, so that what is returned touches nothing), and of what is returned.
+_RANGE_RAD, _SEARCH_RAD, _SHORTCUT_RAD, _FINAL_RAD = 2.0, 0.02, 0.005, 0.01
+
 
 @dataclass(frozen=True, slots=True)
 class PathLimits:
-    """How long and how finely paths are searched for.
+    """How long paths are searched for.
 
     Args:
         states: uniform ones that the first try draws at most; the others draw a quarter of them.
         tries: paths that the shortest is chosen from; fewer where one of the others fails.
         shortcuts: proposed for each of them.
         polish: proposed for the shortest.
-        range_rad: longest step of a tree, the sum over the joints.
-        search_rad: between states that the trees look at, the largest over the joints.
-        shortcut_rad: the same for shortcuts; finer than what is returned, which touches nothing then.
-        final_rad: the same for what is returned.
         step_rad: longest step of what is returned, Euclidean.
-
-    Raises:
-        ScenarioError: a count is negative or a distance is not above 0.
     """
 
     states: int = 16000
     tries: int = 6
     shortcuts: int = 40
     polish: int = 200
-    range_rad: float = 2.0
-    search_rad: float = 0.02
-    shortcut_rad: float = 0.005
-    final_rad: float = 0.01
     step_rad: float = 0.1
-
-    def __post_init__(self) -> None:
-        counts = min(self.states, self.tries, self.shortcuts, self.polish) >= 0
-        steps = (self.range_rad, self.search_rad, self.shortcut_rad, self.final_rad, self.step_rad)
-        if not counts or not all(0.0 < one < np.inf for one in steps):
-            raise ScenarioError(
-                "the limits of a path search do not fit",
-                expected="counts of 0 or more and steps above 0 rad",
-                got=str(self)[:300],
-            )
 
 
 def find_path(
@@ -76,7 +59,7 @@ def find_path(
         limits: effort and resolutions.
 
     Returns:
-        (k, d) rad, every edge free at ``limits.final_rad``; the straight path where it is free.
+        (k, d) rad, every edge free at 0.01 rad; the straight path where it is free.
 
     Raises:
         ScenarioError: start or goal is of another shape.
@@ -84,50 +67,37 @@ def find_path(
     if not (checker.valid(start) and checker.valid(goal)):
         return None
     ends = checker.space.wrap(np.stack([np.asarray(one, dtype=np.float64) for one in (start, goal)]))
-    straight = _checked(checker, ends, limits)
+    straight = _checked(checker, ends, limits.step_rad)
     if straight is not None:
         return straight
     found: list[NDArray[np.float64]] = []
     for index in range(limits.tries):
-        states = limits.states if index == 0 else limits.states // 4
-        raw = _raw_path(checker, ends, rng, limits, states)
+        states = checker.space.sample_uniform(rng, limits.states if index == 0 else limits.states // 4)
+        raw = grow_connect(checker, ends[0], ends[1], states, Growth(_RANGE_RAD, _SEARCH_RAD)).path
         if raw is None:
             break
-        short = checker.shortened(raw, rng, limits.shortcuts, limits.shortcut_rad)
-        found += [path for path in (short, raw) if is_free(checker, path, limits.final_rad)][:1]
+        short = checker.shortened(raw, rng, limits.shortcuts, _SHORTCUT_RAD)
+        found += [path for path in (short, raw) if is_free(checker, path)][:1]
     for path in sorted(found, key=lambda one: length_rad(one, checker.space)):
-        polished = checker.shortened(path, rng, limits.polish, limits.shortcut_rad)
+        polished = checker.shortened(path, rng, limits.polish, _SHORTCUT_RAD)
         for one in (polished, path):
-            spaced = _checked(checker, one, limits)
+            spaced = _checked(checker, one, limits.step_rad)
             if spaced is not None:
                 return spaced
     return None
 
 
-def _raw_path(
-    checker: CollisionChecker,
-    ends: NDArray[np.float64],
-    rng: np.random.Generator,
-    limits: PathLimits,
-    count: int,
-) -> NDArray[np.float64] | None:
-    """What RRT-Connect finds with so many uniform states."""
-    states = checker.space.sample_uniform(rng, count)
-    growth = Growth(limits.range_rad, limits.search_rad)
-    return grow_connect(checker, ends[0], ends[1], states, growth).path
-
-
-def is_free(checker: CollisionChecker, path: NDArray[np.float64], resolution_rad: float) -> bool:
-    """Whether all edges of a path (k, d) rad are free."""
-    return bool(checker.edge_batch(path[:-1], path[1:], resolution_rad).all())
+def is_free(checker: CollisionChecker, path: NDArray[np.float64]) -> bool:
+    """Whether all edges of a path (k, d) rad are free, at every 0.01 rad."""
+    return bool(checker.edge_batch(path[:-1], path[1:], _FINAL_RAD).all())
 
 
 def _checked(
-    checker: CollisionChecker, path: NDArray[np.float64], limits: PathLimits
+    checker: CollisionChecker, path: NDArray[np.float64], step_rad: float
 ) -> NDArray[np.float64] | None:
     """The path in even steps, None where one of these is not free."""
-    found = spaced(path, checker.space, limits.step_rad)
-    return found if is_free(checker, found, limits.final_rad) else None
+    found = spaced(path, checker.space, step_rad)
+    return found if is_free(checker, found) else None
 
 
 KINDS = ("reach_in", "between", "carry")
@@ -154,7 +124,6 @@ class SpatialProblem:
         goal: (d,) rad.
         kind: one of :data:`KINDS`.
         path: (k, d) rad from start to goal, every edge free at 0.01 rad.
-        is_trivial: whether the straight path is free.
         rejected: draws of start and goal before this one.
     """
 
@@ -163,7 +132,6 @@ class SpatialProblem:
     goal: NDArray[np.float64]
     kind: str
     path: NDArray[np.float64]
-    is_trivial: bool
     rejected: int
 
 
@@ -174,8 +142,6 @@ def draw_problem(
     seed: int,
     index: int,
     family: str | None = None,
-    *,
-    kind: str | None = None,
     limits: PathLimits = PathLimits(),
 ) -> SpatialProblem:
     """A problem that :func:`find_path` solved, of what split, seed and index say.
@@ -189,49 +155,31 @@ def draw_problem(
         seed: of the problem set.
         index: of the problem within it.
         family: of the scene; by chance where it is not named.
-        kind: one of :data:`KINDS`; by chance where it is not named.
         limits: of the search for the path.
 
     Raises:
-        ScenarioError: there is no such family or kind, or no problem was found in 60 scenes.
+        ScenarioError: there is no such family, or no problem was found in 60 scenes.
     """
-    if kind is not None and kind not in KINDS:
-        raise ScenarioError(
-            "the kind of problem is unknown", expected=f"one of {', '.join(KINDS)}", got=kind[:200]
-        )
     # A child, for the scene is drawn from the same three values.
     (rng,) = scenario_rng(split, seed, index).spawn(1)
-    any_kind = _any_kind(rng)
-    rejected = 0
+    kind, rejected = _any_kind(rng), 0
     for number in range(MAX_DRAWS):
         scene_seed = seed if number == 0 else int(rng.integers(2**62))
         layout = draw_layout(scenes, split, scene_seed, index, family)
         ends = Ends(CollisionChecker(arm, layout.obstacles), layout.regions, rng)
         for _ in range(_ENDS):
-            found = _attempt(ends, kind or any_kind, limits)
-            if found is not None:
-                path, is_trivial = found
-                return SpatialProblem(layout, path[0], path[-1], kind or any_kind, path, is_trivial, rejected)
+            pair = ends.pair(kind)
+            path = None if pair is None else find_path(ends.checker, *pair, rng, limits)
+            if path is not None:
+                path.setflags(write=False)
+                return SpatialProblem(layout, path[0], path[-1], kind, path, rejected)
             rejected += 1
     raise ScenarioError(
-        f"no problem of the kind {kind or any_kind} was found",
+        f"no problem of the kind {kind} was found",
         expected=f"one in {MAX_DRAWS} scenes of {family or 'any family'}",
         got="none",
         remedy="other scenes, or another arm",
     )
-
-
-def _attempt(ends: "Ends", kind: str, limits: PathLimits) -> tuple[NDArray[np.float64], bool] | None:
-    """A path between two ends and whether it is straight; None without ends or path, or if it is too easy."""
-    pair = ends.pair(kind, limits.final_rad)
-    if pair is None:
-        return None
-    start, goal, is_trivial = pair
-    path = find_path(ends.checker, start, goal, ends.rng, limits)
-    if path is None:
-        return None
-    path.setflags(write=False)
-    return path, is_trivial
 
 
 def _any_kind(rng: np.random.Generator) -> str:
@@ -255,14 +203,14 @@ class Ends:
             state: (d,) rad, where the arm waits before it reaches in; None for about the ready pose.
         """
         for _ in range(count):
-            pair = self.pair(_any_kind(self.rng), PathLimits().final_rad, state)
+            pair = self.pair(_any_kind(self.rng), state)
             if pair is not None:
-                yield np.stack(pair[:2])
+                yield np.stack(pair)
 
     def pair(
-        self, kind: str, resolution_rad: float, state: NDArray[np.float64] | None = None
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], bool] | None:
-        """Start, goal and whether the straight path solves them; None where one is missing, or too easy."""
+        self, kind: str, state: NDArray[np.float64] | None = None
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+        """Start and goal; None where one is missing, or the straight path makes it too easy."""
         goal = self.reaching()
         if goal is None:
             return None
@@ -272,10 +220,9 @@ class Ends:
             return None
         if kind == "carry":
             start, goal = goal, start
-        is_trivial = self.checker.edge(start, goal, resolution_rad)
-        if is_trivial and self.rng.random() >= _TRIVIAL_KEPT:
+        if self.checker.edge(start, goal, _FINAL_RAD) and self.rng.random() >= _TRIVIAL_KEPT:
             return None
-        return start, goal, is_trivial
+        return start, goal
 
     def home(self) -> NDArray[np.float64] | None:
         """About the ready pose."""
@@ -287,14 +234,11 @@ class Ends:
     def reaching(self) -> NDArray[np.float64] | None:
         """A hand in one of the regions, each as likely to be tried first."""
         for number in self.rng.permutation(len(self.regions)):
-            found = self.reaching_into(self.regions[number])
+            region = self.regions[number]
+            found = self._with_tool_at(region.draw(self.rng, _PLACES), np.asarray(region.approach))
             if found is not None:
                 return found
         return None
-
-    def reaching_into(self, region: GoalRegion) -> NDArray[np.float64] | None:
-        """A hand in one region."""
-        return self._with_tool_at(region.draw(self.rng, _PLACES), np.asarray(region.approach))
 
     def elsewhere(self) -> NDArray[np.float64] | None:
         """A hand that hangs down over no region in particular, or any configuration."""
@@ -327,14 +271,6 @@ class Ends:
     def _first_free(self, configurations: NDArray[np.float64]) -> NDArray[np.float64] | None:
         free = configurations[self.checker.valid_batch(configurations)]
         return free[0] if len(free) else None
-
-
-def reaches_into(arm: SerialArm, configurations: ArrayLike, region: GoalRegion) -> NDArray[np.bool_]:
-    """Which of (N, d) rad bring the tool into a region, (N,), to the tolerances of :class:`Solving`."""
-    tools = arm.tool_frames(configurations)
-    pose, half = np.array(region.box.pose), np.array(region.box.half_m)
-    inside = np.abs((tools[:, :3, 3] - pose[:3, 3]) @ pose[:3, :3]) <= half + _SOLVING.place_m
-    return np.asarray(inside.all(axis=1) & (tools[:, :3, 2] @ region.approach >= np.cos(CONE_RAD)))
 
 
 def _in_cone(rng: np.random.Generator, axis: NDArray[np.float64], angle_rad: float) -> NDArray[np.float64]:

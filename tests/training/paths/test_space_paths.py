@@ -10,7 +10,7 @@ from cspace.simulator import Split
 from cspace.worlds import simulator_of
 from cspace.worlds.spatial.checks import CollisionChecker
 from cspace.worlds.spatial.obstacles import obstacles_of
-from cspace.worlds.spatial.problems import reaches_into
+from tests.cspace.worlds.spatial.test_problems import reaches_into
 from tests.space_bundle import LATENT, WORLD, write_space_bundle
 from tests.training.models.test_path_models import answer
 from training.config import PathTrainConfig
