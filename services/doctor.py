@@ -136,7 +136,7 @@ def draw(world: SpatialWorld, view: DepthView, found: Diagnosis, path: Path) -> 
 def _outline(axes: Any, world: SpatialWorld, state: State | None, camera: DepthCamera, colour: str) -> None:
     if state is None:
         return
-    arm = np.isfinite(arm_depth_m(camera, world.spheres_at(state)))
+    arm = np.isfinite(arm_depth_m(camera, world.body.spheres_at(state)))
     if arm.any() and not arm.all():
         axes.contour(arm, levels=[0.5], colors=[colour], linewidths=1.2)
 

@@ -35,14 +35,7 @@ from cspace.worlds.spatial.camera import DepthCamera, to_mm
 from cspace.worlds.spatial.camera_info import OPTICAL_IN_BODY
 from cspace.worlds.spatial.mesh_checker import Description, RobotMeshes
 from cspace.worlds.spatial.poses import pose_of, turn
-from cspace.worlds.spatial.rendering import (
-    MAX_RANGE_M,
-    Disparity,
-    Noise,
-    Stereo,
-    StructuredLight,
-    render_depth,
-)
+from cspace.worlds.spatial.rendering import MAX_RANGE_M, NOISE_MODELS, render_depth
 from cspace.worlds.spatial.scenes import SpatialScene, draw_scene, waiting
 from cspace.worlds.spatial.view import DepthView
 from cspace.worlds.spatial.world import SpatialWorld
@@ -56,11 +49,6 @@ POSE = {"rolled", "looks-up", "extrinsics", "arm-elsewhere", "cameras-disagree",
 UNIT = {"depth-unit", "out-of-range", "near-readings", "nothing-in-reach", "no-surface-in-reach"}
 STATE = {"arm-in-picture", "arm-elsewhere", "arm-pixels-left", "extrinsics"}
 NUMBERS = {"principal-point", "focal-lengths", "field-of-view", "extrinsics", "arm-elsewhere"}
-NOISE: dict[str, Noise] = {
-    "structured_light": StructuredLight(),
-    "disparity": Disparity(),
-    "stereo": Stereo(),
-}
 Mistake = Callable[[np.random.Generator, SpatialScene, DepthView, int], DepthView]
 
 
@@ -124,7 +112,7 @@ def _inside(rng: np.random.Generator, scene: SpatialScene, view: DepthView, numb
     if state is None or (boxes and rng.random() < 0.5):
         pose[:3, 3] = np.array(boxes[int(rng.integers(len(boxes)))].pose)[:3, 3]
     else:
-        spheres = scene.world.spheres_at(state)
+        spheres = scene.world.body.spheres_at(state)
         pose[:3, 3] = spheres[int(rng.integers(len(spheres))), :3]
     return _posed(view, number, pose)
 
@@ -165,7 +153,7 @@ def _blank(rng: np.random.Generator, scene: SpatialScene, view: DepthView, numbe
         picture[rng.random(picture.shape) > 0.02] = 0
     else:
         assert scene.state is not None  # noqa: S101 - by_arm
-        spheres = scene.world.spheres_at(scene.state)
+        spheres = scene.world.body.spheres_at(scene.state)
         picture[render_depth(scene.obstacles, view.cameras[number], spheres).robot] = 0
     return replace(view, pictures=(*view.pictures[:number], picture, *view.pictures[number + 1 :]))
 
@@ -237,7 +225,7 @@ class MeshArm:
             nearer = arm < np.where(depth > 0.0, depth, MAX_RANGE_M)
             exact = np.where(nearer, arm, depth).astype(np.float32)
             pictures.append(
-                to_mm(exact if scene.noise is None else NOISE[scene.noise].apply(rng, exact, camera))
+                to_mm(exact if scene.noise is None else NOISE_MODELS[scene.noise](rng, exact, camera))
             )
         return DepthView(tuple(pictures), scene.cameras, scene.state)
 
@@ -264,7 +252,7 @@ def arm_shown(scene: SpatialScene) -> list[int]:
     """Numbers of the cameras that see enough of the arm."""
     if scene.state is None:
         return []
-    spheres = scene.world.spheres_at(scene.state)
+    spheres = scene.world.body.spheres_at(scene.state)
     return [
         number
         for number, camera in enumerate(scene.cameras)

@@ -313,7 +313,7 @@ class _Taking:
                 examined = self._world.examine_picture(file)
                 image = np.asarray(examined.images[0])
                 self.warnings.update({one.code for one in examined.findings})
-            spheres = None if self._world is None or state is None else self._world.spheres_at(state)
+            spheres = None if self._world is None or state is None else self._world.body.spheres_at(state)
             tile = _tile(undistorted(picture, camera, distortion), camera, spheres)
             path.write_bytes(file)
             return TakenView(stamp, tile, state, image)

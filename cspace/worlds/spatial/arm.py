@@ -283,6 +283,11 @@ class SerialArm(Record):
         tips = frames[:, -1] @ self.tool.matrix()
         return np.concatenate([frames[:, :, :3, 3], tips[:, None, :3, 3]], axis=1)
 
+    def sphere_ranges(self) -> NDArray[np.int64]:
+        """First sphere of each part and the one after its last, (P, 2)."""
+        ends = np.cumsum([0, *(len(part.spheres_m) for part in self.parts)], dtype=np.int64)
+        return np.stack([ends[:-1], ends[1:]], axis=1)
+
     def sphere_links(self) -> NDArray[np.int64]:
         """The link that each sphere is fixed to, (S,), in the order of the parts."""
         return np.repeat(
@@ -313,6 +318,11 @@ class SerialArm(Record):
     def sphere_centres_m(self, configurations: ArrayLike) -> NDArray[np.float64]:
         """Forward kinematics: (N, d) rad to the spheres' centres in the base's frame, (N, S, 3)."""
         return moved(self.link_frames(configurations)[:, self.sphere_links()], self.spheres_m()[:, :3])
+
+    def spheres_at(self, configuration: ArrayLike) -> NDArray[np.float64]:
+        """Forward kinematics: (d,) rad to centre in the base's frame and radius of every sphere, (S, 4) m."""
+        row = np.asarray(configuration, dtype=np.float64)
+        return np.concatenate([self.sphere_centres_m(row[None])[0], self.spheres_m()[:, 3:]], axis=1)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
@@ -347,11 +357,8 @@ def touching_sets(arm: SerialArm) -> Sets:
 
     Parts that can touch the same others are in one set, so that each pair of spheres is in one pair of sets.
     """
-    ends = np.cumsum([len(part.spheres_m) for part in arm.parts])
-    own = {
-        part.name: np.arange(end - len(part.spheres_m), end)
-        for part, end in zip(arm.parts, ends, strict=True)
-    }
+    ranges = zip(arm.parts, arm.sphere_ranges().tolist(), strict=True)
+    own = {part.name: np.arange(*span) for part, span in ranges}
     partners = {name: tuple(sorted(b for a, b in arm.touching if a == name)) for name in own}
     alike: dict[tuple[str, ...], list[str]] = {}
     for name, others in partners.items():
@@ -371,13 +378,11 @@ class Grouping:
         links: (G,) the link of each group.
         spheres_m: (G, 4) centre in the link's frame and radius of a sphere that holds the group.
         groups: (S,) the group of each of the arm's spheres.
-        weights: (G,) share of the volume of all spheres.
     """
 
     links: NDArray[np.int64]
     spheres_m: NDArray[np.float64]
     groups: NDArray[np.int64]
-    weights: NDArray[np.float64]
 
     @property
     def members(self) -> NDArray[np.int64]:
@@ -405,8 +410,8 @@ def grouped(arm: SerialArm, count: int) -> Grouping:
             expected=f"{len(arm.parts)} to {arm.sphere_count} groups",
             got=str(count),
         )
-    spheres, ends = arm.spheres_m(), np.cumsum([len(part.spheres_m) for part in arm.parts])
-    members = np.split(np.arange(len(spheres)), ends[:-1])
+    spheres = arm.spheres_m()
+    members = [np.arange(*span) for span in arm.sphere_ranges().tolist()]
     held = [_holding(spheres[one]) for one in members]
     while len(members) < count:
         sizes = [sphere[3] if len(one) > 1 else -1.0 for one, sphere in zip(members, held, strict=True)]
@@ -417,9 +422,8 @@ def grouped(arm: SerialArm, count: int) -> Grouping:
     groups = np.empty(len(spheres), dtype=np.int64)
     for number, one in enumerate(members):
         groups[one] = number
-    volumes = np.bincount(groups, spheres[:, 3] ** 3)
     links = arm.sphere_links()[[one[0] for one in members]]
-    return Grouping(links, np.stack(held), groups, volumes / volumes.sum())
+    return Grouping(links, np.stack(held), groups)
 
 
 def _holding(spheres: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -83,17 +83,8 @@ class DepthCamera(Record):
         """Back-projection: a depth picture (H, W) m to points (H, W, 3) m in the base frame.
 
         NaN where there is no reading, which is where the depth is not a finite number above 0.
-
-        Raises:
-            ImageError: the picture has another shape than the camera's.
         """
         depth = np.asarray(depth_m, dtype=np.float64)
-        if depth.shape != self.picture_shape:
-            raise ImageError(
-                "the depth picture does not fit the camera",
-                expected=f"{self.width} x {self.height} pixels",
-                got=f"an array of shape {depth.shape}",
-            )
         seen = np.where(np.isfinite(depth) & (depth > 0.0), depth, np.nan)
         pose = self.matrix
         return np.asarray((self.rays() * seen[..., None]) @ pose[:3, :3].T + pose[:3, 3])
@@ -212,10 +203,9 @@ def _no_focal(got: str) -> ScenarioError:
 # No depth camera for arms reads nearer or farther. What a file says beyond is no reading: 65535, as many
 # drivers write it, is not a wall 65 m away behind free space.
 NEAREST_MM, FARTHEST_MM = 20, 10_000
-DEPTH_SCALE_M = 0.001
 MIN_SCALE_M, MAX_SCALE_M = 1e-6, 1.0
 _GREY = 0
-_MAX_MM = 65_535
+MAX_MM = 65_535
 _HEADER_BYTES = 33
 _INTERLACE_AT = 28
 # First row, first column, row step and column step of each pass of a file, and of one that is interlaced.
@@ -268,30 +258,13 @@ def to_mm(depth_m: ArrayLike) -> NDArray[np.uint16]:
     depth = np.asarray(depth_m, dtype=np.float64)
     with np.errstate(invalid="ignore", over="ignore"):
         rounded = np.floor(depth * 1000.0 + 0.5)
-        held = (rounded >= 1.0) & (rounded <= _MAX_MM)
+        held = (rounded >= 1.0) & (rounded <= MAX_MM)
     return np.where(held, rounded, 0.0).astype(np.uint16)
 
 
 def to_m(depth_mm: NDArray[np.uint16]) -> NDArray[np.float32]:
     """Depths (...) uint16 mm as float32 m; 0 stays 0."""
     return np.asarray(depth_mm.astype(np.float32) / np.float32(1000.0))
-
-
-def scaled_mm(units: NDArray[np.uint16], depth_scale_m: float) -> NDArray[np.uint16]:
-    """A depth picture (H, W) of another unit in mm, rounded; at most 65535, and 0 stays 0.
-
-    Args:
-        units: (H, W) uint16.
-        depth_scale_m: metres that one unit stands for.
-
-    Raises:
-        ImageError: the scale is not a finite number from 1e-6 to 1.
-    """
-    check_scale(depth_scale_m)
-    if depth_scale_m == DEPTH_SCALE_M:
-        return units
-    scaled = np.floor(units * (1000.0 * depth_scale_m) + 0.5)
-    return np.asarray(np.minimum(scaled, _MAX_MM), dtype=np.uint16)
 
 
 def check_scale(depth_scale_m: float) -> None:
@@ -314,31 +287,18 @@ def in_range(depth_mm: NDArray[np.uint16]) -> NDArray[np.bool_]:
     return np.asarray((depth_mm >= NEAREST_MM) & (depth_mm <= FARTHEST_MM))
 
 
-def resize_depth(depth: NDArray[np.generic], height: int, width: int) -> NDArray[np.generic]:
-    """A depth picture (H, W) in another size, (height, width), of the same type.
+def resize_depth(depth_mm: NDArray[np.uint16], height: int, width: int) -> NDArray[np.uint16]:
+    """A depth picture (H, W) in another size, (height, width).
 
     Every pixel is the nearest surface read in the cell that it covers, 0 where nothing is read in it; along
     an axis that grows, pixels are repeated. The camera of the result is :meth:`DepthCamera.resized`.
-
-    Raises:
-        ImageError: a side is below 1, or the picture is empty.
     """
-    if depth.ndim != 2 or not depth.size or height < 1 or width < 1:
-        raise ImageError(
-            "the depth picture cannot be resized",
-            expected="a picture and a size of at least 1 x 1",
-            got=f"{depth.shape} to {height} x {width}",
-        )
-    if depth.dtype.kind == "u":
-        # 0 wraps round to the largest number, and back again: one pass for what was read and what was not.
-        one = np.ones((), dtype=depth.dtype)
-        return np.asarray(_least(_least(depth - one, 0, height), 1, width) + one)
-    filled = np.where(depth > 0, depth, np.asarray(np.inf, dtype=depth.dtype))  # type: ignore[operator]
-    least = _least(_least(filled, 0, height), 1, width)
-    return np.where(np.isinf(least), np.zeros((), dtype=depth.dtype), least)
+    # 0 wraps round to the largest number, and back again: one pass for what was read and what was not.
+    less = np.asarray(depth_mm - 1, dtype=np.uint16)
+    return np.asarray(_least(_least(less, 0, height), 1, width) + 1, dtype=np.uint16)
 
 
-def _least(values: NDArray[np.generic], axis: int, size: int) -> NDArray[np.generic]:
+def _least(values: NDArray[np.uint16], axis: int, size: int) -> NDArray[np.uint16]:
     """The least value of each of ``size`` cells along an axis; the nearest value where there are more."""
     source = values.shape[axis]
     if size >= source:
@@ -346,14 +306,23 @@ def _least(values: NDArray[np.generic], axis: int, size: int) -> NDArray[np.gene
     return np.asarray(np.minimum.reduceat(values, np.arange(size) * source // size, axis=axis))
 
 
-def _check(header: PngHeader) -> None:
-    """By the header alone, so that no bomb is ever decoded."""
-    if not (MIN_SIDE <= header.width <= MAX_SIDE and MIN_SIDE <= header.height <= MAX_SIDE):
+def check_size(height: int, width: int) -> None:
+    """Refuse pictures that are too small or too large.
+
+    Raises:
+        ImageError: a side is below 16 or above 2048 pixels.
+    """
+    if not (MIN_SIDE <= width <= MAX_SIDE and MIN_SIDE <= height <= MAX_SIDE):
         raise ImageError(
             "the depth picture's size is out of range",
             expected=f"{MIN_SIDE} to {MAX_SIDE} pixels a side",
-            got=f"{header.width} x {header.height}",
+            got=f"{width} x {height}",
         )
+
+
+def _check(header: PngHeader) -> None:
+    """By the header alone, so that no bomb is ever decoded."""
+    check_size(header.height, header.width)
     if header.colour != _GREY or header.depth != 16:
         kinds = {0: "grey", 2: "RGB", 3: "palette", 4: "grey with alpha", 6: "RGBA"}
         raise ImageError(

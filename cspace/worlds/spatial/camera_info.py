@@ -10,14 +10,13 @@ from cspace.errors import ImageError, ScenarioError
 from cspace.world import CheckCancelled
 from cspace.worlds.spatial.camera import DepthCamera
 from cspace.worlds.spatial.depth_files import read_number
-from cspace.worlds.spatial.poses import Pose, check_pose, pose_of, quaternion_pose
+from cspace.worlds.spatial.poses import Pose, pose_of, read_pose
 
 PINHOLE = ("fx", "fy", "cx", "cy")
 _INFO = "camera_info"
 _FRAMES = ("optical", "body")
 # x right, y down, z forward in x forward, y left, z up: REP 103 of ROS.
 OPTICAL_IN_BODY = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
-_QUATERNION_TOLERANCE = 1e-3
 # Coefficients of each model: k1, k2, p1, p2, k3, and in the second k4, k5, k6.
 _COEFFICIENTS = {"plumb_bob": 5, "rational_polynomial": 8}
 _MOST_COEFFICIENTS = 14
@@ -57,65 +56,31 @@ def read_pinhole(values: object, shape: tuple[int, ...]) -> tuple[DepthCamera, t
     else:
         numbers = {name: float(read_number(members[name], name)) for name in PINHOLE}
     try:
-        camera = DepthCamera(**numbers, width=shape[1], height=shape[0], pose=read_pose(members))
-    except ScenarioError as error:
+        camera = DepthCamera(**numbers, width=shape[1], height=shape[0], pose=camera_pose(members))
+    except (ImageError, ScenarioError) as error:
         raise ImageError(
             error.what, expected=error.expected, got=error.got, remedy=error.remedy or _REMEDY
         ) from error
     return camera, distortion
 
 
-def read_pose(camera: Mapping[str, Any]) -> Pose:
+def camera_pose(camera: Mapping[str, Any]) -> Pose:
     """Where the optical frame of a camera of plain values is, in the base.
 
-    Its ``pose`` is rows of a 4 x 4 matrix, or ``translation`` in m with ``quaternion_xyzw``; its ``frame`` is
-    ``optical``, which is the default, or ``body``.
+    Its ``pose`` is as :func:`read_pose` takes it; its ``frame`` is ``optical``, which is the default, or
+    ``body``.
 
     Raises:
         ImageError: there is no such pose.
-        ScenarioError: its numbers are none.
     """
-    pose, frame = _rows(camera.get("pose")), camera.get("frame", _FRAMES[0])
+    pose, frame = read_pose(camera.get("pose"), "the camera", ImageError), camera.get("frame", _FRAMES[0])
     if frame not in _FRAMES:
         raise ImageError(
             "the camera's frame is unknown",
             expected="optical (x right, y down, z forward) or body (x forward, y left, z up)",
             got=repr(frame)[:200],
         )
-    check_pose(pose, "the camera")
     return pose if frame == _FRAMES[0] else pose_of(np.array(pose) @ OPTICAL_IN_BODY)
-
-
-def _rows(pose: object) -> Pose:
-    if isinstance(pose, Mapping):
-        if set(pose) != {"translation", "quaternion_xyzw"}:
-            raise _no_pose(sorted(map(str, pose)))
-        place, quaternion = _numbers(pose["translation"], 3), _numbers(pose["quaternion_xyzw"], 4)
-        # Before the norm, which could overflow.
-        if max(map(abs, quaternion)) > 2.0 or abs(np.linalg.norm(quaternion) - 1.0) > _QUATERNION_TOLERANCE:
-            raise ImageError(
-                "the pose's quaternion is no rotation",
-                expected="x, y, z, w with a norm of 1",
-                got=repr(quaternion)[:200],
-            )
-        return pose_of(quaternion_pose(place, quaternion))
-    if not isinstance(pose, list) or any(not isinstance(row, list) for row in pose):
-        raise _no_pose(pose)
-    return tuple(tuple(read_number(one, "pose") for one in row) for row in pose)  # type: ignore[return-value]
-
-
-def _numbers(values: object, count: int) -> list[float]:
-    if not isinstance(values, list) or len(values) != count:
-        raise _no_pose(values)
-    return [float(read_number(one, "pose")) for one in values]
-
-
-def _no_pose(got: object) -> ImageError:
-    return ImageError(
-        "the camera has no pose",
-        expected="4 x 4 finite numbers, or translation [x, y, z] in m with quaternion_xyzw [x, y, z, w]",
-        got=repr(got)[:200],
-    )
 
 
 def _of_info(values: object, shape: tuple[int, ...]) -> tuple[dict[str, float], tuple[float, ...]]:

@@ -19,12 +19,14 @@ from cspace.worlds.spatial.distances import (
     distance_grid,
     grid_clearance,
     grid_hits,
+    is_beyond,
     point_distance,
     sets_are_free,
 )
 from cspace.worlds.spatial.kinematics import (
     ArmArrays,
     arm_arrays,
+    limit_arrays,
     link_frames_into,
     points_into,
     self_distance,
@@ -67,17 +69,8 @@ def scene_arrays(
     arm: SerialArm, obstacles: Obstacles, grid: DistanceGrid = NOTHING, bodies: BodyArrays = NO_BODIES
 ) -> SceneArrays:
     """The arrays of an arm among obstacles, and what stands on a grid and is known beside them."""
-    space, stood = arm.space, obstacles.arrays
-    return SceneArrays(
-        arm_arrays(arm),
-        stood.boxes,
-        stood.cylinders,
-        grid,
-        bodies,
-        np.asarray(space.lower, dtype=np.float64),
-        np.asarray(space.upper, dtype=np.float64),
-        np.asarray(space.periodic, dtype=np.bool_),
-    )
+    stood, limits = obstacles.arrays, limit_arrays(arm.space)
+    return SceneArrays(arm_arrays(arm), stood.boxes, stood.cylinders, grid, bodies, *limits)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -151,7 +144,7 @@ def _box_hits(row, arm, centres, bounds):  # type: ignore[no-untyped-def]
         if arm.bound_links[part] == 0:
             continue
         reach, x, y, z = arm.bound_radii[part], bounds[part, 0], bounds[part, 1], bounds[part, 2]
-        if _beyond(x, y, z, row, reach) or box_distance(x, y, z, row) > reach:
+        if is_beyond(x, y, z, row, reach) or box_distance(x, y, z, row) > reach:
             continue
         for at in range(arm.ranges[part, 0], arm.ranges[part, 1]):
             if box_distance(centres[at, 0], centres[at, 1], centres[at, 2], row) <= arm.radii[at]:
@@ -165,20 +158,12 @@ def _cylinder_hits(row, arm, centres, bounds):  # type: ignore[no-untyped-def]
         if arm.bound_links[part] == 0:
             continue
         reach, x, y, z = arm.bound_radii[part], bounds[part, 0], bounds[part, 1], bounds[part, 2]
-        if _beyond(x, y, z, row, reach) or cylinder_distance(x, y, z, row) > reach:
+        if is_beyond(x, y, z, row, reach) or cylinder_distance(x, y, z, row) > reach:
             continue
         for at in range(arm.ranges[part, 0], arm.ranges[part, 1]):
             if cylinder_distance(centres[at, 0], centres[at, 1], centres[at, 2], row) <= arm.radii[at]:
                 return True
     return False
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _beyond(x, y, z, row, reach):  # type: ignore[no-untyped-def]
-    """Whether the sphere round a shape is farther away than ``reach``."""
-    far = reach + row[row.shape[0] - 1]
-    px, py, pz = x - row[0], y - row[1], z - row[2]
-    return px * px + py * py + pz * pz > far * far
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

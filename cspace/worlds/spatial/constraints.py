@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
-from cspace.errors import ImageError, InputError, ScenarioError
+from cspace.errors import InputError
 from cspace.simulator import Checker
 from cspace.space import JointSpace
 from cspace.strict_json import adapter_of, refused, validated
 from cspace.worlds.spatial.arm import SerialArm
-from cspace.worlds.spatial.camera_info import read_pose
 from cspace.worlds.spatial.kinematics import Solving, aligned, solve_pose
+from cspace.worlds.spatial.poses import nearest_rotation, read_pose
 
 Kind = TypeVar("Kind")
 _Direction = tuple[float, float, float]
@@ -82,7 +82,9 @@ class ToolConstraints:
         self._arm = arm
         if goal_pose is not None:
             self._goal = _read(GoalPose, goal_pose, "goal_pose")
-            self._pose = _pose(self._goal.pose)
+            self._pose = np.array(read_pose(self._goal.pose, "goal_pose", InputError))
+            # Written with few digits, it is one but for rounding.
+            self._pose[:3, :3] = nearest_rotation(self._pose[:3, :3])
         if upright is not None:
             bound = _read(Upright, upright, "upright")
             self.max_rad = bound.max_rad
@@ -202,18 +204,6 @@ def _read(kind: type[Kind], values: Mapping[str, Any], what: str) -> Kind:
     except ValidationError as problem:
         raise refused(problem, InputError, what) from problem
     return found
-
-
-def _pose(values: object) -> NDArray[np.float64]:
-    try:
-        pose = np.array(read_pose({"pose": values}), dtype=np.float64)
-    except (ImageError, ScenarioError) as error:
-        what = error.what.replace("the camera", "goal_pose")
-        raise InputError(what, expected=error.expected, got=error.got, remedy=error.remedy) from error
-    # Written with few digits, it is one but for rounding.
-    left, _, right = np.linalg.svd(pose[:3, :3])
-    pose[:3, :3] = left @ right
-    return pose
 
 
 def _unit(what: str, direction: _Direction) -> NDArray[np.float64]:

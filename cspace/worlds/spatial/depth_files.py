@@ -18,13 +18,7 @@ from cspace.errors import ImageError
 from cspace.files import read_npy
 from cspace.png import read_header
 from cspace.world import CheckCancelled
-from cspace.worlds.spatial.camera import (
-    MAX_SIDE,
-    MIN_SIDE,
-    check_scale,
-    decode_depth,
-    scaled_mm,
-)
+from cspace.worlds.spatial.camera import MAX_MM, check_scale, check_size, decode_depth
 
 METRES = 1.0
 _PNG, _NPY = b"\x89PNG", b"\x93NUMPY"
@@ -38,7 +32,6 @@ _WIDTH, _HEIGHT, _BITS, _COMPRESSION, _OFFSETS, _ORIENTATION, _SAMPLES, _ROWS, _
 _COMPRESSIONS = ((1,), (5,), (8,), (32946,))
 # Tiles, and links to further directories.
 _REFUSED_FIELDS = {322, 323, 324, 325, 330, 34665, 34853, 40965}
-_MAX_MM = 65_535
 
 
 def read_depth(
@@ -60,12 +53,10 @@ def read_depth(
         return in_mm(decode_depth(data, check_cancelled), depth_scale_m)
     depth = _read_npy(data) if data.startswith(_NPY) else _read_tiff(data)
     check_cancelled()
-    scale = METRES if depth_scale_m is None else read_number(depth_scale_m, "depth_scale_m")
-    check_scale(scale)
-    return rounded_mm(depth, scale)
+    return rounded_mm(depth, METRES if depth_scale_m is None else _read_scale(depth_scale_m))
 
 
-def rounded_mm(depth: NDArray[np.float32], depth_scale_m: float) -> NDArray[np.uint16]:
+def rounded_mm(depth: NDArray[np.float32] | NDArray[np.uint16], depth_scale_m: float) -> NDArray[np.uint16]:
     """Depths (...) in a unit of ``depth_scale_m`` as uint16 mm; 0 for NaN, infinity and what is below 0.5 mm.
 
     What is farther than 16 bits can tell stays a reading that is out of range, so that a wrong unit shows.
@@ -73,7 +64,7 @@ def rounded_mm(depth: NDArray[np.float32], depth_scale_m: float) -> NDArray[np.u
     with np.errstate(invalid="ignore", over="ignore"):
         scaled = np.floor(depth.astype(np.float64) * (1000.0 * depth_scale_m) + 0.5)
     read = (scaled >= 1.0) & np.isfinite(scaled)
-    return np.where(read, np.minimum(scaled, _MAX_MM), 0.0).astype(np.uint16)
+    return np.where(read, np.minimum(scaled, MAX_MM), 0.0).astype(np.uint16)
 
 
 def pixels_in(data: bytes) -> int:
@@ -95,7 +86,13 @@ def in_mm(units: NDArray[np.uint16], depth_scale_m: object) -> NDArray[np.uint16
     """
     if depth_scale_m is None:
         return units
-    return scaled_mm(units, read_number(depth_scale_m, "depth_scale_m"))
+    return rounded_mm(units, _read_scale(depth_scale_m))
+
+
+def _read_scale(depth_scale_m: object) -> float:
+    scale = read_number(depth_scale_m, "depth_scale_m")
+    check_scale(scale)
+    return scale
 
 
 def read_number(value: object, name: str) -> float:
@@ -119,7 +116,7 @@ def _read_npy(data: bytes) -> NDArray[np.float32]:
             got=str(error),
             remedy="write it by np.save(file, depth_m.astype(np.float32)), or send mm as a 16-bit PNG",
         ) from error
-    _check_size(*depth.shape)
+    check_size(*depth.shape)
     return depth
 
 
@@ -165,7 +162,7 @@ def _tiff_shape(data: bytes) -> tuple[int, int]:
     if refused := sorted(_REFUSED_FIELDS & fields.keys()):
         raise _other_tiff(f"tiles or links to other directories: fields {refused}")
     height, width = (fields.get(tag, (0,))[-1] for tag in (_HEIGHT, _WIDTH))
-    _check_size(height, width)
+    check_size(height, width)
     rows = fields.get(_ROWS, (height,))[-1]
     strips = -(-height // rows) if rows else 0
     sizes = fields.get(_STRIP_BYTES, ())
@@ -192,15 +189,6 @@ def _fields(data: bytes, order: str) -> tuple[dict[int, tuple[int, ...]], int]:
         found[tag] = struct.unpack_from(f"{order}{values}{form}", data, start) if form else (0,)
     (following,) = struct.unpack_from(f"{order}I", data, at + 2 + 12 * count)
     return found, following
-
-
-def _check_size(height: int, width: int) -> None:
-    if not (MIN_SIDE <= width <= MAX_SIDE and MIN_SIDE <= height <= MAX_SIDE):
-        raise ImageError(
-            "the depth picture's size is out of range",
-            expected=f"{MIN_SIDE} to {MAX_SIDE} pixels a side",
-            got=f"{width} x {height}",
-        )
 
 
 def _other_tiff(got: str) -> ImageError:

@@ -39,7 +39,7 @@ def cylinder_distance(x, y, z, row):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _is_beyond(x, y, z, row, bound):  # type: ignore[no-untyped-def]
+def is_beyond(x, y, z, row, bound):  # type: ignore[no-untyped-def]
     """Whether the sphere round a shape is at least ``bound`` away, and so is the shape."""
     reach = bound + row[row.shape[0] - 1]
     px, py, pz = x - row[0], y - row[1], z - row[2]
@@ -50,10 +50,10 @@ def _is_beyond(x, y, z, row, bound):  # type: ignore[no-untyped-def]
 def point_distance(x, y, z, boxes, cylinders, bound):  # type: ignore[no-untyped-def]
     """Least signed distance of a point to all obstacles, m, or ``bound`` where none is nearer."""
     for index in range(boxes.shape[0]):
-        if not _is_beyond(x, y, z, boxes[index], bound):
+        if not is_beyond(x, y, z, boxes[index], bound):
             bound = min(bound, box_distance(x, y, z, boxes[index]))
     for index in range(cylinders.shape[0]):
-        if not _is_beyond(x, y, z, cylinders[index], bound):
+        if not is_beyond(x, y, z, cylinders[index], bound):
             bound = min(bound, cylinder_distance(x, y, z, cylinders[index]))
     return bound
 
@@ -68,37 +68,13 @@ def points_distance(points, boxes, cylinders):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def set_clearance(centres, radii, boxes, cylinders):  # type: ignore[no-untyped-def]
-    """Least signed distance between spheres (S, 3), (S,) and the obstacles, m; inf without either."""
-    least = np.inf
-    for at in range(centres.shape[0]):
-        x, y, z, radius = centres[at, 0], centres[at, 1], centres[at, 2], radii[at]
-        least = min(least, point_distance(x, y, z, boxes, cylinders, least + radius) - radius)
-    return least
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def sets_clearance(centres, radii, boxes, cylinders):  # type: ignore[no-untyped-def]
-    """The same of many sets (N, S, 3) with the same radii (S,), (N,) m."""
-    out = np.empty(centres.shape[0])
-    for at in range(centres.shape[0]):
-        out[at] = set_clearance(centres[at], radii, boxes, cylinders)
-    return out
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def set_is_free(centres, radii, boxes, cylinders):  # type: ignore[no-untyped-def]
     """Whether no sphere of (S, 3), (S,) touches an obstacle; stops at the first that does."""
     for at in range(centres.shape[0]):
         x, y, z, radius = centres[at, 0], centres[at, 1], centres[at, 2], radii[at]
-        for index in range(boxes.shape[0]):
-            row = boxes[index]
-            if not _is_beyond(x, y, z, row, radius) and box_distance(x, y, z, row) <= radius:
-                return False
-        for index in range(cylinders.shape[0]):
-            row = cylinders[index]
-            if not _is_beyond(x, y, z, row, radius) and cylinder_distance(x, y, z, row) <= radius:
-                return False
+        # What is farther than a little more than the radius need not be told apart.
+        if point_distance(x, y, z, boxes, cylinders, radius * (1.0 + 1e-9)) <= radius:
+            return False
     return True
 
 
@@ -122,11 +98,7 @@ def distance_m(obstacles: Obstacles, points_m: ArrayLike) -> NDArray[np.float64]
 
 def clearance_m(obstacles: Obstacles, centres_m: ArrayLike, radii_m: ArrayLike) -> NDArray[np.float64]:
     """Least clearance of sets of spheres, (N,) m: (N, S, 3) centres, (S,) radii; inf without obstacles."""
-    centres = np.ascontiguousarray(centres_m, dtype=np.float64)
-    radii = np.ascontiguousarray(radii_m, dtype=np.float64)
-    arrays = obstacles.arrays
-    found: NDArray[np.float64] = sets_clearance(centres, radii, arrays.boxes, arrays.cylinders)
-    return found
+    return np.asarray((distance_m(obstacles, centres_m) - np.asarray(radii_m)).min(axis=1, initial=np.inf))
 
 
 class DistanceGrid(NamedTuple):

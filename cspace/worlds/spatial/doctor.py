@@ -298,8 +298,7 @@ def _of_base(
 ) -> Iterable[Finding]:
     """Whether the part of an arm that stands still is in a picture without ``state``."""
     still = arm.sphere_links() == 0
-    base = np.column_stack([arm.sphere_centres_m([np.zeros(arm.dim)])[0], arm.spheres_m()[:, 3]])[still]
-    match = arm_match(shot.depth_m, shot.camera, base, check_cancelled)
+    match = arm_match(shot.depth_m, shot.camera, arm.spheres_at(np.zeros(arm.dim))[still], check_cancelled)
     if match.pixels >= _FEW_PIXELS / 3 and match.agree >= _EXPLAINS:
         seen = f"the arm's base is seen on {match.pixels} pixels, and no `state` was sent"
         yield arm_in_picture(seen, pictures)

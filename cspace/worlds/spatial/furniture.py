@@ -1,8 +1,8 @@
 """Furniture by chance, what stands on it, and the settings by which scenes are drawn. NumPy alone."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,7 +11,7 @@ from pydantic import Field
 from cspace.errors import ScenarioError
 from cspace.strict_json import Record, Share, Span, validated
 from cspace.worlds.spatial.obstacles import MAX_OBSTACLES, Box, Cylinder, Obstacles
-from cspace.worlds.spatial.poses import MAX_PLACE_M, Vector, make_pose, pose_of, turned
+from cspace.worlds.spatial.poses import MAX_PLACE_M, Vector, make_pose, pose_of, turned, vector
 
 
 @validated(ScenarioError)
@@ -21,17 +21,10 @@ class GoalRegion:
     Args:
         box: of the places, in the base frame; objects may stand in it.
         approach: unit vector in the base frame along which a hand comes in.
-
-    Raises:
-        ScenarioError: the approach has another length.
     """
 
     box: Box
     approach: Vector
-
-    def __post_init__(self) -> None:
-        if not abs(np.linalg.norm(self.approach) - 1.0) < 1e-6:
-            raise ScenarioError("an approach that is none", expected="a unit vector", got=str(self.approach))
 
     def draw(self, rng: np.random.Generator, count: int) -> NDArray[np.float64]:
         """Uniform places in the box, (count, 3) m in the base frame."""
@@ -72,7 +65,7 @@ class Piece:
         """The same in another frame, by the pose (4, 4) of this frame in that one."""
         by = np.asarray(pose, dtype=np.float64)
         regions = tuple(
-            GoalRegion(_moved_box(one.box, by), _vector(by[:3, :3] @ one.approach)) for one in self.regions
+            GoalRegion(_moved(one.box, by), vector(by[:3, :3] @ one.approach)) for one in self.regions
         )
         return Piece(tuple(_moved(shape, by) for shape in self.shapes), regions)
 
@@ -80,18 +73,11 @@ class Piece:
         return Piece(self.shapes + other.shapes, self.regions + other.regions)
 
 
-def _moved(shape: Box | Cylinder, by: NDArray[np.float64]) -> Box | Cylinder:
-    if isinstance(shape, Box):
-        return _moved_box(shape, by)
-    return Cylinder(pose_of(by @ np.array(shape.pose)), shape.radius_m, shape.half_length_m)
+_Shape = TypeVar("_Shape", bound=Box | Cylinder)
 
 
-def _moved_box(box: Box, by: NDArray[np.float64]) -> Box:
-    return Box(pose_of(by @ np.array(box.pose)), box.half_m)
-
-
-def _vector(values: NDArray[np.float64]) -> Vector:
-    return (float(values[0]), float(values[1]), float(values[2]))
+def _moved(shape: _Shape, by: NDArray[np.float64]) -> _Shape:
+    return replace(shape, pose=pose_of(by @ np.array(shape.pose)))
 
 
 Range = tuple[float, float]
@@ -108,9 +94,7 @@ def block(*spans: Range, pose: NDArray[np.float64] | None = None) -> Box:
     ends = np.array(spans, dtype=np.float64)
     placed = make_pose(np.eye(3), ends.mean(axis=1))
     half = np.maximum((ends[:, 1] - ends[:, 0]) / 2, _THINNEST_M / 2)
-    return Box(
-        pose_of(placed if pose is None else pose @ placed), (float(half[0]), float(half[1]), float(half[2]))
-    )
+    return Box(pose_of(placed if pose is None else pose @ placed), vector(half))
 
 
 def within(span: Range, margin: float) -> Range:
@@ -142,12 +126,8 @@ def standing(
             found.append(Cylinder(pose_of(place), float(rng.uniform(0.02, 0.08)), high / 2))
         else:
             thin = rng.random() < 0.3
-            half = (
-                float(rng.uniform(0.02, 0.13)),
-                float(rng.uniform(0.005, 0.02 if thin else 0.13)),
-                high / 2,
-            )
-            found.append(Box(pose_of(place), half))
+            half = (rng.uniform(0.02, 0.13), rng.uniform(0.005, 0.02 if thin else 0.13), high / 2)
+            found.append(Box(pose_of(place), vector(half)))
     return tuple(found)
 
 
@@ -177,7 +157,7 @@ def floating(
         if rng.random() < 0.4:
             found.append(Cylinder(pose, float(half[0]), float(half[2])))
         else:
-            found.append(Box(pose, (float(half[0]), float(half[1]), float(half[2]))))
+            found.append(Box(pose, vector(half)))
     return tuple(found)
 
 
@@ -400,7 +380,7 @@ def _lid(half: NDArray[np.float64], thick: float, edge: int, angle_rad: float) -
     hinge, out = np.array([0.0, 0.0, half[2]]), np.zeros(3)
     hinge[axis], out[axis] = side * half[axis], -side * half[axis]
     turn = turned(0.0, side * angle_rad) if axis == 0 else turned(0.0, 0.0, -side * angle_rad)
-    size = (float(half[0]), float(half[1]), thick / 2)
+    size = (half[0], half[1], thick / 2)
     return block(*((-one, one) for one in size), pose=make_pose(turn, hinge + turn @ out))
 
 

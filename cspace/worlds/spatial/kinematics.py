@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cspace.errors import ScenarioError
 from cspace.kernel_cache import njit
 from cspace.planning.kernels import gap
 from cspace.space import JointSpace
@@ -47,8 +46,6 @@ class ArmArrays(NamedTuple):
 def arm_arrays(arm: SerialArm) -> ArmArrays:
     """The arrays of an arm."""
     spheres = arm.spheres_m()
-    counts = np.asarray([len(part.spheres_m) for part in arm.parts], dtype=np.int64)
-    ends = np.cumsum(counts)
     numbers = {part.name: index for index, part in enumerate(arm.parts)}
     pairs = [(numbers[first], numbers[second]) for first, second in arm.touching]
     bounds = [_bound(np.asarray(part.spheres_m)) for part in arm.parts]
@@ -58,7 +55,7 @@ def arm_arrays(arm: SerialArm) -> ArmArrays:
         links=arm.sphere_links(),
         centres=np.ascontiguousarray(spheres[:, :3]),
         radii=np.ascontiguousarray(spheres[:, 3]),
-        ranges=np.stack([ends - counts, ends], axis=1),
+        ranges=arm.sphere_ranges(),
         bound_links=np.asarray([part.link for part in arm.parts], dtype=np.int64),
         bound_centres=np.asarray([centre for centre, _ in bounds]).reshape(-1, 3),
         bound_radii=np.asarray([radius for _, radius in bounds], dtype=np.float64),
@@ -168,8 +165,6 @@ _ANY, _ALONG, _FULL = 0, 1, 2
 # What an angle of 1 rad weighs beside places, m.
 _LEVER_M = 0.3
 _LEAST_DAMPING = 1e-6
-# Of what is meant to be a unit vector or a rotation.
-_UNIT = 1e-6
 # Steps of :func:`aligned`, most.
 _ALIGNING = 20
 
@@ -184,9 +179,6 @@ class Solving:
         place_m: largest distance of the tool to its place.
         turn_rad: largest angle between the tool's rotation, or its z axis, and what is asked for.
         distinct_rad: solutions are distinct that differ by more than this in some joint.
-
-    Raises:
-        ScenarioError: a count is below 1 or a tolerance is not above 0.
     """
 
     starts: int = 16
@@ -194,15 +186,6 @@ class Solving:
     place_m: float = 0.001
     turn_rad: float = 0.0174
     distinct_rad: float = 0.1
-
-    def __post_init__(self) -> None:
-        tolerances = (self.place_m, self.turn_rad, self.distinct_rad)
-        if min(self.starts, self.iterations) < 1 or not all(0.0 < one < np.inf for one in tolerances):
-            raise ScenarioError(
-                "the solving of poses does not fit",
-                expected="counts of 1 or more and tolerances above 0",
-                got=str(self)[:300],
-            )
 
 
 class _Chain(NamedTuple):
@@ -234,21 +217,18 @@ def solve_pose(
         rng: draws the starts.
         approach: (3,) unit vector in the base frame along which the tool's z axis shall point, with any turn
             about it.
-        rotation: (3, 3) of the tool in the base frame; with neither any rotation will do.
+        rotation: (3, 3) of the tool in the base frame, instead of an approach; with neither any will do.
         solving: number of starts, and tolerances.
         space: with narrower limits than the arm's; None for these.
 
     Returns:
         (n, d) rad within the limits, circles in [-pi, pi); n is 0 where nothing was found.
-
-    Raises:
-        ScenarioError: the place is none, the approach is no unit vector, the rotation is none, or both of
-            these are given.
     """
-    place = np.array(place_m, dtype=np.float64)
-    wanted, mode = _wanted(approach, rotation)
-    if place.shape != (3,) or not np.isfinite(place).all():
-        raise ScenarioError("the tool's place does not fit", expected="three numbers", got=str(place)[:200])
+    place, wanted, mode = np.array(place_m, dtype=np.float64), np.eye(3), _ANY
+    if approach is not None:
+        wanted[:, 2], mode = approach, _ALONG
+    elif rotation is not None:
+        wanted, mode = np.array(rotation, dtype=np.float64), _FULL
     space = arm.space if space is None else space
     chain = _chain(arm, space, arm.tool.matrix())
     tolerance = (solving.place_m, solving.turn_rad, solving.distinct_rad)
@@ -286,13 +266,13 @@ def aligned(
 
 
 def _chain(arm: SerialArm, space: JointSpace, tool: NDArray[np.float64]) -> _Chain:
-    return _Chain(
-        *_joints(arm),
-        tool,
-        np.asarray(space.lower, dtype=np.float64),
-        np.asarray(space.upper, dtype=np.float64),
-        np.asarray(space.periodic, dtype=np.bool_),
-    )
+    return _Chain(*_joints(arm), tool, *limit_arrays(space))
+
+
+def limit_arrays(space: JointSpace) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Lower and upper ends of the joints' ranges, (d,) rad, and which joints are circles."""
+    lower, upper = (np.asarray(ends, dtype=np.float64) for ends in (space.lower, space.upper))
+    return lower, upper, np.asarray(space.periodic, dtype=np.bool_)
 
 
 @lru_cache(maxsize=16)
@@ -300,30 +280,6 @@ def _joints(arm: SerialArm) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Frames (d, 4, 4) and axes (d, 3) of an arm's joints."""
     origins = np.stack([joint.origin.matrix() for joint in arm.joints])
     return origins, np.asarray([joint.axis for joint in arm.joints])
-
-
-def _wanted(approach: ArrayLike | None, rotation: ArrayLike | None) -> tuple[NDArray[np.float64], int]:
-    """The rotation that is asked for, of which an approach is the last column, and how much of it counts."""
-    if approach is not None and rotation is not None:
-        raise ScenarioError(
-            "the tool's pose is given twice", expected="an approach or a rotation", got="both"
-        )
-    wanted = np.eye(3)
-    if approach is not None:
-        along = np.asarray(approach, dtype=np.float64)
-        if along.shape != (3,) or not abs(np.linalg.norm(along) - 1.0) <= _UNIT:
-            raise ScenarioError("an approach that is none", expected="a unit vector", got=str(along)[:200])
-        wanted[:, 2] = along
-        return wanted, _ALONG
-    if rotation is not None:
-        wanted = np.array(rotation, dtype=np.float64)
-        turns = wanted.shape == (3, 3) and bool(np.abs(wanted @ wanted.T - np.eye(3)).max() <= _UNIT)
-        if not turns or np.linalg.det(wanted) < 0.0:
-            raise ScenarioError(
-                "the tool's rotation is none", expected="a rotation (3, 3)", got=str(wanted)[:200]
-            )
-        return wanted, _FULL
-    return wanted, _ANY
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cspace.errors import InputError, ScenarioError
 from cspace.world import NextView
 from cspace.worlds.spatial.camera import DepthCamera, camera_place, looking, read_camera
-from cspace.worlds.spatial.camera_info import read_pose
+from cspace.worlds.spatial.camera_info import camera_pose
 from cspace.worlds.spatial.sensor import DISTANCE_STEP_M, FREE, NO_READING
 from cspace.worlds.spatial.view import cameras_in_base, state_of
 from cspace.worlds.spatial.visibility import lookup
@@ -84,13 +84,8 @@ def _from_elsewhere(
     if not seen_by:
         return np.ones(len(cameras), dtype=np.bool_)
     new = _directions(np.array([one.matrix[:3, 3] for one in cameras]), focus_m)
-    old = _directions(np.array([_place(one) for one in seen_by]), focus_m)
+    old = _directions(np.array([camera_pose(one) for one in seen_by])[:, :3, 3], focus_m)
     return np.asarray((new @ old.T).max(axis=1) <= np.cos(np.radians(_ELSEWHERE_DEG)))
-
-
-def _place(camera: Mapping[str, Any]) -> NDArray[np.float64]:
-    """Where a camera that has looked stands, (3,) m."""
-    return np.array(read_pose(camera), dtype=np.float64)[:3, 3]
 
 
 def _directions(places: NDArray[np.float64], focus_m: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -113,10 +108,11 @@ def seen_shares(
     ahead = camera.shows(camera.project(places))
     to_camera = camera.matrix[:3, 3] - places[ahead]
     length = np.linalg.norm(to_camera, axis=1, keepdims=True)
-    # However far a camera is: beyond the grid nothing is known of what a ray crosses.
-    steps = np.arange(0.0, min(float(length.max(initial=0.0)), _across_m(world)), _STEP_M)
-    points = places[ahead][:, None] + (to_camera / length)[:, None] * steps[:, None]
     grid = world.sensor.grid
+    # However far a camera is: beyond the grid nothing is known of what a ray crosses.
+    across_m = float(grid.voxel_m * np.linalg.norm(grid.counts))
+    steps = np.arange(0.0, min(float(length.max(initial=0.0)), across_m), _STEP_M)
+    points = places[ahead][:, None] + (to_camera / length)[:, None] * steps[:, None]
     cells = np.floor((points - np.array(grid.low_m)) / grid.voxel_m).astype(np.int64)
     crossed = ((cells >= 0) & (cells < np.array(grid.counts))).all(axis=2) & (steps < length)
     x, y, z = np.moveaxis(np.where(crossed[..., None], cells, 0), -1, 0)
@@ -126,12 +122,6 @@ def seen_shares(
     found = np.zeros(len(places))
     found[ahead] = np.where(surface.any(axis=1), 0.0, np.exp(-hidden_m / _HIDING_M))
     return found
-
-
-def _across_m(world: SpatialWorld) -> float:
-    """From corner to corner of the grid, m."""
-    grid = world.sensor.grid
-    return float(grid.voxel_m * np.linalg.norm(grid.counts))
 
 
 def _uncertain_places(

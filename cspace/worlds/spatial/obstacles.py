@@ -11,7 +11,7 @@ from pydantic import Field
 
 from cspace.errors import ScenarioError
 from cspace.strict_json import Record, validated
-from cspace.worlds.spatial.poses import MAX_PLACE_M, Pose, check_pose, make_pose, pose_of
+from cspace.worlds.spatial.poses import MAX_PLACE_M, Pose, check_pose, make_pose, pose_of, vector
 
 MAX_OBSTACLES = 1000
 _Size = Annotated[float, Field(gt=0.0, le=MAX_PLACE_M, strict=True)]
@@ -91,6 +91,11 @@ class Obstacles(Record):
     def __len__(self) -> int:
         return len(self.boxes) + len(self.cylinders)
 
+    @property
+    def shapes(self) -> tuple[Box | Cylinder, ...]:
+        """Boxes, then cylinders."""
+        return (*self.boxes, *self.cylinders)
+
     @classmethod
     def of(cls, shapes: Iterable[Box | Cylinder]) -> "Obstacles":
         """Of both kinds, in any order."""
@@ -108,16 +113,8 @@ class Obstacles(Record):
 
 @lru_cache(maxsize=16)
 def _arrays(obstacles: Obstacles) -> ObstacleArrays:
-    boxes = [(*_placed(one.pose), *one.half_m, np.hypot.reduce(one.half_m)) for one in obstacles.boxes]
-    cylinders = [
-        (
-            *_placed(one.pose),
-            one.radius_m,
-            one.half_length_m,
-            np.hypot(one.radius_m, one.half_length_m),
-        )
-        for one in obstacles.cylinders
-    ]
+    boxes = [kernel_row(one.pose, one.half_m) for one in obstacles.boxes]
+    cylinders = [kernel_row(one.pose, (one.radius_m, one.half_length_m)) for one in obstacles.cylinders]
     found = ObstacleArrays(
         np.array(boxes, dtype=np.float64).reshape(-1, 16),
         np.array(cylinders, dtype=np.float64).reshape(-1, 15),
@@ -127,9 +124,10 @@ def _arrays(obstacles: Obstacles) -> ObstacleArrays:
     return found
 
 
-def _placed(pose: Pose) -> tuple[float, ...]:
-    """Centre, then the rotation row by row."""
-    return (*(row[3] for row in pose[:3]), *(value for row in pose[:3] for value in row[:3]))
+def kernel_row(pose: ArrayLike, half_m: ArrayLike) -> NDArray[np.float64]:
+    """A row of :class:`ObstacleArrays`: a shape by its pose (4, 4), half sizes or radius and half length."""
+    matrix, sizes = np.asarray(pose, dtype=np.float64), np.asarray(half_m, dtype=np.float64)
+    return np.concatenate([matrix[:3, 3], matrix[:3, :3].ravel(), sizes, [np.hypot.reduce(sizes)]])
 
 
 # Place 3, rotation 9 (row by row), half sizes 3; of cylinders radius and half length 2.
@@ -153,9 +151,7 @@ def rows_of(obstacles: Obstacles) -> dict[str, NDArray[np.float64]]:
 
 def obstacles_of(boxes: ArrayLike, cylinders: ArrayLike) -> Obstacles:
     """The inverse of :func:`rows_of`: (any, 15) and (any, 14)."""
-    made: list[Box | Cylinder] = [
-        Box(_pose(row), (float(row[12]), float(row[13]), float(row[14]))) for row in _held(boxes)
-    ]
+    made: list[Box | Cylinder] = [Box(_pose(row), vector(row[12:])) for row in _held(boxes)]
     made += [Cylinder(_pose(row), float(row[12]), float(row[13])) for row in _held(cylinders)]
     return Obstacles.of(made)
 

@@ -7,7 +7,8 @@ alone; :mod:`cspace.worlds.spatial.situation` checks configurations against it.
 import base64
 import binascii
 import struct
-from typing import Annotated
+from collections.abc import Mapping
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,13 +25,11 @@ from cspace.view_file import (
     MAX_TRIANGLES,
 )
 from cspace.worlds.spatial.arm import TOOL
-from cspace.worlds.spatial.poses import HERE, MAX_PLACE_M, Pose, check_pose, quaternion_pose
+from cspace.worlds.spatial.poses import HERE, MAX_PLACE_M, read_pose
 
 MAX_BYTES = 8 * 2**20
 _Size = Annotated[float, Field(gt=0.0, le=MAX_PLACE_M)]
-_Number = Annotated[float, Field(ge=-MAX_PLACE_M, le=MAX_PLACE_M)]
 _Name = Annotated[str, Field(min_length=1, max_length=100)]
-_QUATERNION_TOLERANCE = 1e-3
 # Of a binary STL.
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attributes", "<u2")])
 _SHAPES = ("box", "cylinder", "sphere", "mesh")
@@ -67,14 +66,6 @@ class MeshShape(Record):
 
 
 @validated(InputError)
-class Placement(Record):
-    """A pose as a place in m and a quaternion x, y, z, w."""
-
-    translation: tuple[_Number, _Number, _Number]
-    quaternion_xyzw: tuple[_Number, _Number, _Number, _Number] = (0.0, 0.0, 0.0, 1.0)
-
-
-@validated(InputError)
 class Body(Record):
     """A shape with a pose.
 
@@ -84,8 +75,8 @@ class Body(Record):
         cylinder: another.
         sphere: another.
         mesh: another.
-        pose: of the shape's centre, or of a mesh's origin: 4 x 4, or translation and quaternion; in the base
-            frame.
+        pose: of the shape's centre, or of a mesh's origin, in the base frame: 4 x 4, or translation and
+            quaternion, which become 4 x 4.
 
     Raises:
         InputError: it has no shape or several, or the pose is none.
@@ -96,7 +87,7 @@ class Body(Record):
     cylinder: CylinderShape | None = None
     sphere: SphereShape | None = None
     mesh: MeshShape | None = None
-    pose: Pose | Placement = HERE
+    pose: Any = HERE
 
     def __post_init__(self) -> None:
         given = [name for name in _SHAPES if getattr(self, name) is not None]
@@ -106,22 +97,14 @@ class Body(Record):
                 expected=f"one of {', '.join(_SHAPES)}",
                 got=", ".join(given) or "none",
             )
-        if isinstance(self.pose, Placement):
-            norm = float(np.linalg.norm(self.pose.quaternion_xyzw))
-            if not abs(norm - 1.0) <= _QUATERNION_TOLERANCE:
-                raise InputError(
-                    f"the quaternion of {self.name!r} is no rotation",
-                    expected="x, y, z, w with a norm of 1",
-                    got=f"a norm of {norm:g}",
-                )
-        else:
-            check_pose(self.pose, f"the body {self.name!r}", InputError)
+        pose = self.pose
+        if isinstance(pose, Mapping):
+            pose = {"quaternion_xyzw": (0.0, 0.0, 0.0, 1.0), **pose}
+        object.__setattr__(self, "pose", read_pose(pose, f"the body {self.name!r}", InputError))
 
     @property
     def matrix(self) -> NDArray[np.float64]:
         """(4, 4) of the pose."""
-        if isinstance(self.pose, Placement):
-            return quaternion_pose(self.pose.translation, self.pose.quaternion_xyzw)
         return np.asarray(self.pose, dtype=np.float64)
 
 

@@ -1,5 +1,8 @@
 """Rigid transforms: poses in the base frame as rows of 4 x 4 matrices, and frames as people write them."""
 
+import sys
+from collections.abc import Iterable, Mapping
+from itertools import chain
 from typing import Annotated, Any
 
 import numpy as np
@@ -15,7 +18,7 @@ Vector = tuple[StrictFloat, StrictFloat, StrictFloat]
 
 HERE: Pose = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 # A rotation that was written with four digits is one.
-_ROTATION_TOLERANCE = 1e-3
+_ROTATION_TOLERANCE = _QUATERNION_TOLERANCE = 1e-3
 # Farther away than that nothing is seen or touched.
 MAX_PLACE_M = 100.0
 
@@ -54,10 +57,58 @@ def check_pose(pose: Pose, what: str, error: type[CspaceError] = ScenarioError) 
         raise error(f"{what} is too far away", expected=f"at most {MAX_PLACE_M:g} m", got=str(place.tolist()))
 
 
+def read_pose(values: object, what: str, error: type[CspaceError] = ScenarioError) -> Pose:
+    """A pose of plain values: rows of 4 x 4 numbers, or ``translation`` in m with ``quaternion_xyzw``.
+
+    Args:
+        values: of unknown origin.
+        what: whose, in messages.
+        error: the kind of error.
+
+    Raises:
+        error: they are neither, or :func:`check_pose` refuses them.
+    """
+    is_placed = isinstance(values, Mapping) and set(values) == {"translation", "quaternion_xyzw"}
+    rows: Any = (values["translation"], values["quaternion_xyzw"]) if is_placed else values  # type: ignore[index]
+    lengths = [3, 4] if is_placed else [4] * 4
+    are_rows = isinstance(rows, list | tuple) and all(isinstance(row, list | tuple) for row in rows)
+    if not are_rows or [len(row) for row in rows] != lengths or not all(map(_is_number, chain(*rows))):
+        raise error(
+            f"{what} has no pose",
+            expected="4 x 4 finite numbers, or translation [x, y, z] in m with quaternion_xyzw [x, y, z, w]",
+            got=repr(values)[:200],
+        )
+    if is_placed:
+        place, quaternion = rows
+        # Before the norm, which could overflow.
+        if max(map(abs, quaternion)) > 2.0 or abs(np.linalg.norm(quaternion) - 1.0) > _QUATERNION_TOLERANCE:
+            raise error(
+                f"{what} has a quaternion that is no rotation",
+                expected="x, y, z, w with a norm of 1",
+                got=repr(quaternion)[:200],
+            )
+        rows = quaternion_pose(place, quaternion)
+    pose = pose_of(rows)
+    check_pose(pose, what, error)
+    return pose
+
+
+def _is_number(value: object) -> bool:
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return False
+    return abs(value) <= sys.float_info.max
+
+
 def pose_of(matrix: ArrayLike) -> Pose:
     """The rows of a (4, 4) array."""
     rows = np.asarray(matrix, dtype=np.float64)
     return tuple(tuple(row) for row in rows.tolist())  # type: ignore[return-value] # four of four
+
+
+def vector(values: Iterable[Any]) -> Vector:
+    """Three numbers of any kind as floats."""
+    x, y, z = (float(value) for value in values)
+    return x, y, z
 
 
 def make_pose(rotation: ArrayLike, place_m: ArrayLike) -> NDArray[np.float64]:
@@ -65,6 +116,12 @@ def make_pose(rotation: ArrayLike, place_m: ArrayLike) -> NDArray[np.float64]:
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation, place_m
     return pose
+
+
+def nearest_rotation(written: ArrayLike) -> NDArray[np.float64]:
+    """The rotation (3, 3) closest to one that was written with a few digits."""
+    left, _, right = np.linalg.svd(written)
+    return np.asarray(left @ right)
 
 
 def turned(yaw_rad: float, pitch_rad: float = 0.0, roll_rad: float = 0.0) -> NDArray[np.float64]:
@@ -123,11 +180,8 @@ class Frame:
 
     def matrix(self) -> NDArray[np.float64]:
         """(4, 4), from this frame's coordinates to its parent's."""
-        result = np.eye(4)
         roll, pitch, yaw = (turn(axis, angle) for axis, angle in zip(np.eye(3), self.rpy_rad, strict=True))
-        result[:3, :3] = yaw @ pitch @ roll
-        result[:3, 3] = self.xyz_m
-        return result
+        return make_pose(yaw @ pitch @ roll, self.xyz_m)
 
     @classmethod
     def of(cls, matrix: NDArray[np.float64]) -> "Frame":
@@ -138,8 +192,7 @@ class Frame:
             roll, yaw = np.arctan2(matrix[2, 1], matrix[2, 2]), np.arctan2(matrix[1, 0], matrix[0, 0])
         else:
             roll, yaw = np.arctan2(-matrix[1, 2], matrix[1, 1]), 0.0
-        x, y, z = (float(value) for value in matrix[:3, 3])
-        return cls((x, y, z), (float(roll), float(pitch), float(yaw)))
+        return cls(vector(matrix[:3, 3]), vector((roll, pitch, yaw)))
 
 
 # The parent's own.

@@ -1,15 +1,13 @@
 """Depth pictures of a scene: exact ones by ray casting, and the noise of depth cameras."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field
 
-from cspace.errors import ScenarioError
 from cspace.kernel_cache import njit
-from cspace.strict_json import Share, validated
 from cspace.worlds.spatial.camera import DepthCamera
 from cspace.worlds.spatial.obstacles import Obstacles
 
@@ -17,8 +15,6 @@ MAX_RANGE_M = 4.0
 # Nearer than this a shape's window is the whole picture.
 _NEAR_M = 1e-3
 _TINY = 1e-12
-_Positive = Annotated[float, Field(gt=0.0)]
-_Sigma = Annotated[float, Field(ge=0.0)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -206,29 +202,18 @@ _STEEP_RAD = np.radians(60.0)
 _LARGEST_HOLE = 0.65
 
 
-class Noise(Protocol):
-    """A camera's noise."""
-
-    def apply(self, rng: np.random.Generator, depth_m: Depth, camera: DepthCamera) -> Depth:
-        """An exact depth picture (H, W) m as the camera would read it, (H, W) float32 m."""
-
-
-@validated(ScenarioError)
-class DropOut:
+class DropOut(NamedTuple):
     """Pixels without a reading.
 
     Args:
         jump_m: a neighbour at least so much nearer or farther makes a depth jump.
         at_jumps: share of the pixels beside a jump that read nothing.
         anywhere: share of all others.
-
-    Raises:
-        ScenarioError: a share is none, or the jump is not above 0.
     """
 
-    jump_m: _Positive = 0.03
-    at_jumps: Share = 0.4
-    anywhere: Share = 0.002
+    jump_m: float = 0.03
+    at_jumps: float = 0.4
+    anywhere: float = 0.002
 
     def lost(self, rng: np.random.Generator, depth_m: Depth) -> NDArray[np.bool_]:
         """Which pixels of an exact picture (H, W) m lose their reading."""
@@ -236,87 +221,74 @@ class DropOut:
         return np.asarray(rng.random(depth_m.shape) < shares)
 
 
-@validated(ScenarioError)
-class StructuredLight:
-    """Axial and lateral noise of the first Kinect: it grows with the depth and the surface's angle.
+_DROP_OUT = DropOut()
 
-    Args:
-        drop_out: of readings.
+
+def structured_light(
+    rng: np.random.Generator, depth_m: Depth, camera: DepthCamera, drop_out: DropOut = _DROP_OUT
+) -> Depth:
+    """Axial and lateral noise of the first Kinect: it grows with the depth and the surface's angle."""
+    angle = np.minimum(incidence_rad(depth_m, camera), _STEEPEST_RAD)
+    lost = drop_out.lost(rng, depth_m)
+    moved = shifted(rng, depth_m, lateral_sigma_px(angle))
+    return _read(moved + rng.normal(size=depth_m.shape) * axial_sigma_m(moved, angle), moved, lost)
+
+
+# Of the sensor with disparities, whatever the picture's size: focal length in pixels, baseline between
+# projector and sensor in m, parts of a pixel that it reads, and sigma of the place at which it reads, pixels.
+_FOCAL_PX, _BASELINE_M, _PARTS, _LATERAL_PX = 480.0, 0.075, 8, 0.5
+
+
+def disparity(
+    rng: np.random.Generator,
+    depth_m: Depth,
+    camera: DepthCamera,
+    drop_out: DropOut = _DROP_OUT,
+    sigma_parts: float = 1.0 / 6.0,
+) -> Depth:
+    """The hard case: a depth that is read from a disparity in whole eighths of a pixel.
+
+    ``sigma_parts`` is that of the disparity before it is rounded, in these parts.
     """
-
-    drop_out: DropOut = DropOut()
-
-    def apply(self, rng: np.random.Generator, depth_m: Depth, camera: DepthCamera) -> Depth:
-        """See :class:`Noise`."""
-        angle = np.minimum(incidence_rad(depth_m, camera), _STEEPEST_RAD)
-        lost = self.drop_out.lost(rng, depth_m)
-        moved = shifted(rng, depth_m, lateral_sigma_px(angle))
-        return _read(moved + rng.normal(size=depth_m.shape) * axial_sigma_m(moved, angle), moved, lost)
-
-
-@validated(ScenarioError)
-class Disparity:
-    """The hard case: a depth that is read from a disparity in whole parts of a pixel.
-
-    Args:
-        focal_px: of the sensor whose disparities they are, whatever the picture's size.
-        baseline_m: between projector and sensor.
-        parts: of a pixel.
-        sigma_parts: of the disparity before it is rounded, in parts.
-        lateral_px: sigma of the place at which a pixel reads.
-        drop_out: of readings.
-
-    Raises:
-        ScenarioError: a number cannot be.
-    """
-
-    focal_px: _Positive = 480.0
-    baseline_m: _Positive = 0.075
-    parts: Annotated[int, Field(ge=1)] = 8
-    sigma_parts: _Sigma = 1.0 / 6.0
-    lateral_px: _Sigma = 0.5
-    drop_out: DropOut = DropOut()
-
-    def apply(self, rng: np.random.Generator, depth_m: Depth, camera: DepthCamera) -> Depth:
-        """See :class:`Noise`."""
-        del camera
-        lost = self.drop_out.lost(rng, depth_m)
-        moved = shifted(rng, depth_m, np.full(depth_m.shape, self.lateral_px))
-        scale = self.focal_px * self.baseline_m * self.parts
-        exact = np.divide(scale, moved, out=np.zeros(moved.shape), where=moved > 0.0)
-        whole = np.floor(exact + rng.normal(size=depth_m.shape) * self.sigma_parts + 0.5)
-        read = np.divide(scale, whole, out=np.zeros(moved.shape), where=whole >= 1.0)
-        return _read(read, moved, lost)
+    del camera
+    lost = drop_out.lost(rng, depth_m)
+    moved = shifted(rng, depth_m, np.full(depth_m.shape, _LATERAL_PX))
+    scale = _FOCAL_PX * _BASELINE_M * _PARTS
+    exact = np.divide(scale, moved, out=np.zeros(moved.shape), where=moved > 0.0)
+    whole = np.floor(exact + rng.normal(size=depth_m.shape) * sigma_parts + 0.5)
+    read = np.divide(scale, whole, out=np.zeros(moved.shape), where=whole >= 1.0)
+    return _read(read, moved, lost)
 
 
-@validated(ScenarioError)
-class Stereo:
+# Of a stereo camera: f in pixels, B in m, s of the disparity in pixels.
+_STEREO_FOCAL_PX, _STEREO_BASELINE_M, _STEREO_SIGMA_PX = 424.0, 0.05, 0.08
+
+
+def stereo(
+    rng: np.random.Generator,
+    depth_m: Depth,
+    camera: DepthCamera,
+    drop_out: DropOut = _DROP_OUT,
+    smooth_px: float = 1.0,
+) -> Depth:
     """A stereo camera: a sigma of z^2 s / (f B).
 
-    Args:
-        focal_px: f.
-        baseline_m: B.
-        sigma_px: s, of the disparity.
-        smooth_px: sigma of the disparity's errors in space, for neighbours err together; 0 for none.
-        drop_out: of readings.
-
-    Raises:
-        ScenarioError: a number cannot be.
+    ``smooth_px`` is the sigma of its errors in space, for neighbours err together; 0 for none.
     """
+    del camera
+    lost = drop_out.lost(rng, depth_m)
+    errors = _smooth(rng.normal(size=depth_m.shape), smooth_px)
+    sigma = depth_m.astype(np.float64) ** 2 * _STEREO_SIGMA_PX / (_STEREO_FOCAL_PX * _STEREO_BASELINE_M)
+    return _read(depth_m + errors * sigma, depth_m, lost)
 
-    focal_px: _Positive = 424.0
-    baseline_m: _Positive = 0.05
-    sigma_px: _Sigma = 0.08
-    smooth_px: _Sigma = 1.0
-    drop_out: DropOut = DropOut()
 
-    def apply(self, rng: np.random.Generator, depth_m: Depth, camera: DepthCamera) -> Depth:
-        """See :class:`Noise`."""
-        del camera
-        lost = self.drop_out.lost(rng, depth_m)
-        errors = _smooth(rng.normal(size=depth_m.shape), self.smooth_px)
-        sigma = depth_m.astype(np.float64) ** 2 * self.sigma_px / (self.focal_px * self.baseline_m)
-        return _read(depth_m + errors * sigma, depth_m, lost)
+Noise = Callable[[np.random.Generator, Depth, DepthCamera], Depth]
+# By the names that sensors have for them: an exact depth picture (H, W) m as the camera would read it.
+NOISE_MODELS: dict[str, Noise] = {
+    "structured_light": structured_light,
+    "disparity": disparity,
+    "stereo": stereo,
+}
 
 
 def axial_sigma_m(depth_m: NDArray[np.floating], angle_rad: NDArray[np.floating]) -> NDArray[np.float64]:

@@ -10,7 +10,7 @@ from cspace.view_file import MAX_PICTURES
 from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.camera import MAX_FIELD_DEG, MIN_FIELD_DEG, DepthCamera, looking
 from cspace.worlds.spatial.obstacles import MAX_OBSTACLES, Box, Cylinder, Obstacles
-from cspace.worlds.spatial.poses import Pose, make_pose, pose_of, turned
+from cspace.worlds.spatial.poses import Pose, make_pose, pose_of, turned, vector
 from cspace.worlds.spatial.scenes import SpatialScene
 from cspace.worlds.spatial.world import SpatialWorld, shipped, usual
 
@@ -39,8 +39,7 @@ class _Box(_Placed):
     size_m: Annotated[tuple[float, float, float], Field(description="sides, m")]
 
     def made(self) -> Box:
-        x, y, z = (side / 2.0 for side in self.size_m)
-        return Box(self.pose, (x, y, z))
+        return Box(self.pose, vector(side / 2.0 for side in self.size_m))
 
 
 class _Cylinder(_Placed):

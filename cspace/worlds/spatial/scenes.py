@@ -1,6 +1,5 @@
 """Scenes of the spatial world: what stands about an arm, who looks at it, and where the arm is meanwhile."""
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,9 +15,12 @@ from cspace.worlds.spatial.checks import CollisionChecker
 from cspace.worlds.spatial.distances import clearance_m, distance_m
 from cspace.worlds.spatial.furniture import (
     FAMILIES,
+    Bins,
+    Cages,
     GoalRegion,
     Layout,
     Piece,
+    Shelves,
     SpatialScenes,
     block,
     floating,
@@ -26,11 +28,11 @@ from cspace.worlds.spatial.furniture import (
 )
 from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles
 from cspace.worlds.spatial.planning_scene import PlanningScene
-from cspace.worlds.spatial.poses import make_pose, turned
-from cspace.worlds.spatial.rendering import Disparity, Noise, Stereo, StructuredLight, holed, render_depth
+from cspace.worlds.spatial.poses import make_pose, turned, vector
+from cspace.worlds.spatial.rendering import NOISE_MODELS, holed, render_depth
 from cspace.worlds.spatial.sensor import CameraViews
 from cspace.worlds.spatial.view import DepthView
-from cspace.worlds.spatial.world import SpatialWorld, spheres_at
+from cspace.worlds.spatial.world import SpatialWorld
 
 _MAX_DRAWS = 300
 # The column that the arm's base and shoulder turn in: balls above each other.
@@ -78,7 +80,7 @@ def _attempt(scenes: SpatialScenes, rng: np.random.Generator, family: str) -> La
         obstacles, regions = Obstacles.of(piece.shapes), piece.regions
     centres = np.array([[row[3] for row in one.box.pose[:3]] for one in regions])
     focus = centres[int(rng.integers(len(centres)))]
-    return Layout(family, obstacles, regions, (float(focus[0]), float(focus[1]), float(focus[2])))
+    return Layout(family, obstacles, regions, vector(focus))
 
 
 def _pieces(scenes: SpatialScenes, rng: np.random.Generator, family: str, bearing: float) -> Piece:
@@ -95,14 +97,14 @@ def _pieces(scenes: SpatialScenes, rng: np.random.Generator, family: str, bearin
 
 
 def _furniture(scenes: SpatialScenes, rng: np.random.Generator, family: str) -> Piece:
-    makers: Mapping[str, Callable[[], Piece]] = {
-        "shelf": lambda: scenes.shelves.draw(rng),
-        "table": lambda: scenes.tables.draw(rng, under=False),
-        "under_table": lambda: scenes.tables.draw(rng, under=True),
-        "bin": lambda: scenes.bins.draw(rng),
-        "cage": lambda: scenes.cages.draw(rng),
+    if family in ("table", "under_table"):
+        return scenes.tables.draw(rng, under=family == "under_table")
+    others: dict[str, Shelves | Bins | Cages] = {
+        "shelf": scenes.shelves,
+        "bin": scenes.bins,
+        "cage": scenes.cages,
     }
-    return makers[family]()
+    return others[family].draw(rng)
 
 
 def _placed(scenes: SpatialScenes, rng: np.random.Generator, piece: Piece, bearing: float) -> Piece:
@@ -224,11 +226,6 @@ def _has_room(views: CameraViews, place: NDArray[np.float64], layout: Layout) ->
     return bool(off_base and distance_m(layout.obstacles, place) >= views.clear_m)
 
 
-_MODELS: dict[str, Noise] = {
-    "structured_light": StructuredLight(),
-    "disparity": Disparity(),
-    "stereo": Stereo(),
-}
 # Poses that are tried for an arm that waits, the first about the ready one, the others anywhere.
 _WAITING, _ANYWHERE, _SIGMA_RAD = 32, 256, 0.25
 
@@ -269,11 +266,11 @@ class SpatialScene:
     def view(self) -> DepthView:
         """What the cameras see."""
         rng = np.random.default_rng(self.noise_seed)
-        spheres = None if self.state is None else spheres_at(self.arm, self.state)
+        spheres = None if self.state is None else self.arm.spheres_at(self.state)
         pictures = []
         for camera in self.cameras:
             depth = render_depth(self.obstacles, camera, spheres).depth_m
-            read = depth if self.noise is None else _MODELS[self.noise].apply(rng, depth, camera)
+            read = depth if self.noise is None else NOISE_MODELS[self.noise](rng, depth, camera)
             if self.holes and rng.random() < self.holes:
                 with_holes = holed(rng, read)
                 # A picture that reads nothing at all is none.

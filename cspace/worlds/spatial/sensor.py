@@ -43,7 +43,7 @@ class CameraViews(Record):
         ScenarioError: a range is not in order, or no camera is like that.
     """
 
-    count: Span[Annotated[int, Field(ge=1)]] = (1, 3)
+    count: Span[Annotated[int, Field(ge=1, le=MAX_PICTURES)]] = (1, 3)
     side_deg: Span[Annotated[float, Field(ge=-180.0, le=180.0)]] = (15.0, 75.0)
     up_deg: Span[Annotated[float, Field(ge=-90.0, le=90.0)]] = (10.0, 50.0)
     distance_m: Span[Annotated[float, Field(gt=0.0, lt=MAX_PLACE_M / 2.0)]] = (0.9, 1.6)
@@ -175,26 +175,19 @@ class DepthSensor(Record):
         grid: of the array.
         views: the cameras of scenes for training.
         noise: of these, some of :data:`NOISES`, one of them a scene; none for exact pictures.
-        arm_hides: whether space behind the arm's pixels counts as hidden, so far behind it; else it is as
-            if these pixels had read nothing, which the sky does as well.
+        arm_hides: space behind the arm's pixels counts as hidden, so far behind it.
         holes: share of the pictures of scenes in which rectangles read nothing, as black and shiny things
             do; a head that knows none takes whatever read nothing for the sky.
 
     Raises:
-        ScenarioError: there are more cameras than a scene may have, or a noise is unknown.
+        ScenarioError: a noise is unknown.
     """
 
     grid: GridBox
     views: CameraViews = field(default_factory=CameraViews)
     noise: tuple[Noise, ...] = NOISES
-    arm_hides: bool = True
+    arm_hides: Literal[True] = True
     holes: Share = 0.3
-
-    def __post_init__(self) -> None:
-        if (most := self.views.count[1]) > MAX_PICTURES:
-            raise ScenarioError(
-                "the depth cameras do not fit", expected=f"at most {MAX_PICTURES} of a scene", got=str(most)
-            )
 
     @property
     def pixels(self) -> int:
@@ -216,7 +209,7 @@ class DepthSensor(Record):
             "distance_step_m": DISTANCE_STEP_M,
             "farther": FARTHEST,
             "behind_step_m": BEHIND_STEP_M,
-            **({"arm_hides": True} if self.arm_hides else {}),
+            "arm_hides": self.arm_hides,
             "codes": {"seen free": FREE, "no reading": MOST_BEHIND + 1, "out of view": OUT_OF_VIEW},
             "cameras": {
                 "count": list(views.count),

@@ -34,21 +34,18 @@ from cspace.worlds.spatial.view import write_view
 from cspace.worlds.spatial.world import SpatialWorld
 
 # Which coordinates are across and up.
-SIDE, ABOVE = (0, 2), (0, 1)
+SIDE = (0, 2)
 _ROUND = 24
 _SURFACE = (0.77, 0.19, 0.19)
 
 
-def draw_obstacles(axes: Any, obstacles: Obstacles, colour: str, plane: tuple[int, int] = SIDE) -> None:
-    """The outlines of obstacles on axes of matplotlib."""
-    shapes: tuple[Box | Cylinder, ...] = (*obstacles.boxes, *obstacles.cylinders)
-    for one in shapes:
-        corners = _corners(one)[:, plane]
+def draw_obstacles(axes: Any, obstacles: Obstacles, colour: str) -> None:
+    """The outlines of obstacles, from the side, on axes of matplotlib."""
+    for one in obstacles.shapes:
+        corners = _corners(one)[:, SIDE]
         outline = corners[ConvexHull(corners).vertices]
         axes.fill(*outline.T, facecolor=colour, edgecolor="black", linewidth=0.4, alpha=0.35)
-    axes.set_aspect("equal")
-    axes.set_xlabel(f"{'xyz'[plane[0]]} [m]")
-    axes.set_ylabel(f"{'xyz'[plane[1]]} [m]")
+    axes.set(aspect="equal", xlabel="x [m]", ylabel="z [m]")
 
 
 def draw_seen(axes: Any, observed: NDArray[np.uint8], grid: GridBox) -> None:

@@ -25,9 +25,9 @@ from cspace.worlds.spatial.bodies import (
 )
 from cspace.worlds.spatial.checks import KERNELS, scene_arrays
 from cspace.worlds.spatial.kinematics import arm_arrays, sphere_centres_batch
-from cspace.worlds.spatial.obstacles import Obstacles
+from cspace.worlds.spatial.obstacles import Obstacles, kernel_row
 from cspace.worlds.spatial.planning_scene import Attached, Body, BoxShape, PlanningScene
-from cspace.worlds.spatial.poses import HERE, moved
+from cspace.worlds.spatial.poses import HERE, moved, vector
 from cspace.worlds.spatial.sensor import NO_READING, OUT_OF_VIEW, GridBox
 from cspace.worlds.spatial.visibility import SLACK_M, lookup
 from cspace.worlds.spatial.world import SpatialWorld
@@ -196,15 +196,12 @@ class Situation:
             for part in np.flatnonzero(~self.bodies.exempt[:, number]):
                 away, sphere = part_contact(self.bodies, arrays, centres, number, part, 0.0)
                 if sphere >= 0 and (best is None or -away > best.depth_m):
-                    best = Contact("known", self.arm.parts[part].name, name, _place(centres[sphere]), -away)
+                    best = Contact("known", self.arm.parts[part].name, name, vector(centres[sphere]), -away)
         return best
 
     def _self_contact(self, centres: NDArray[np.float64]) -> Contact | None:
-        ends = np.cumsum([len(part.spheres_m) for part in self.arm.parts])
-        own = {
-            part.name: slice(end - len(part.spheres_m), end)
-            for part, end in zip(self.arm.parts, ends, strict=True)
-        }
+        ranges = zip(self.arm.parts, self.arm.sphere_ranges().tolist(), strict=True)
+        own = {part.name: slice(*span) for part, span in ranges}
         radii, overlaps, best = self.arm.spheres_m()[:, 3], arm_arrays(self.arm).overlaps, None
         for (one, other), overlap in zip(self.arm.touching, overlaps, strict=True):
             first, second = own[one], own[other]
@@ -213,7 +210,7 @@ class Situation:
             deep = -float(gaps.min() + overlap)
             if deep >= 0.0 and (best is None or deep > best.depth_m):
                 sphere = first.start + int(np.argmin(gaps) // gaps.shape[1])
-                best = Contact("self", one, other, _place(centres[sphere]), deep)
+                best = Contact("self", one, other, vector(centres[sphere]), deep)
         return best
 
     def _unfree(
@@ -230,10 +227,8 @@ class Situation:
                 return None
             at, depth = int(np.argmax(unseen)), 0.0
             kind = _UNSEEN.get(int(known.codes[at]), "hidden")
-        part = np.searchsorted(
-            np.cumsum([len(one.spheres_m) for one in self.arm.parts]), moving[at], side="right"
-        )
-        return Contact(kind, self.arm.parts[part].name, "", _place(centres[moving[at]]), depth)
+        part = np.searchsorted(self.arm.sphere_ranges()[:, 1], moving[at], side="right")
+        return Contact(kind, self.arm.parts[part].name, "", vector(centres[moving[at]]), depth)
 
     def _check_meshes(self, meshes: Mapping[str, NDArray[np.float64]]) -> None:
         every = (*self.known.scene, *self.known.attached, *self.known.ignore)
@@ -290,11 +285,6 @@ class Situation:
         return np.asarray(rows, dtype=np.bool_).reshape(len(self.arm.parts), len(self.names))
 
 
-def _place(centre: NDArray[np.float64]) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in centre)
-    return x, y, z
-
-
 def in_order(bodies: Iterable[Body]) -> list[Body]:
     """As :class:`cspace.worlds.spatial.bodies.BodyArrays` has them."""
     every = list(bodies)
@@ -307,13 +297,10 @@ def bodies_of(bodies: Iterable[Body], meshes: Mapping[str, NDArray[np.float64]])
     boxes, cylinders, spheres, triangles = [], [], [], []
     for one in bodies:
         pose = one.matrix
-        placed = (*pose[:3, 3], *pose[:3, :3].ravel())
         if one.box is not None:
-            half = np.asarray(one.box.size_m) / 2.0
-            boxes.append((*placed, *half, np.linalg.norm(half)))
+            boxes.append(kernel_row(pose, np.asarray(one.box.size_m) / 2.0))
         elif one.cylinder is not None:
-            size = one.cylinder.radius_m, one.cylinder.length_m / 2.0
-            cylinders.append((*placed, *size, np.hypot(*size)))
+            cylinders.append(kernel_row(pose, (one.cylinder.radius_m, one.cylinder.length_m / 2.0)))
         elif one.sphere is not None:
             spheres.append((*pose[:3, 3], one.sphere.radius_m))
         elif one.mesh is not None:

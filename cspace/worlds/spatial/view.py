@@ -20,7 +20,7 @@ from cspace.worlds.spatial.camera import (
     encode_depth,
     in_range,
 )
-from cspace.worlds.spatial.camera_info import PINHOLE, read_pinhole, read_pose, undistorted
+from cspace.worlds.spatial.camera_info import PINHOLE, camera_pose, read_pinhole, undistorted
 from cspace.worlds.spatial.depth_files import in_mm, pixels_in, read_depth, read_number
 from cspace.worlds.spatial.planning_scene import PlanningScene, read_planning_scene
 
@@ -164,7 +164,7 @@ def _in_base(number: int, camera: object, state: State | None, arm: SerialArm) -
             remedy="send state, or one for each picture; leave link out for a pose in the base",
         )
     try:
-        pose = arm.frame_of(link, state) @ np.array(read_pose(camera))
+        pose = arm.frame_of(link, state) @ np.array(camera_pose(camera))
     except ScenarioError as error:
         raise ImageError(error.what, expected=error.expected, got=error.got, remedy=error.remedy) from error
     kept = {name: value for name, value in camera.items() if name not in (_LINK, "frame")}

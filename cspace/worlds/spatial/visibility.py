@@ -6,8 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cspace.errors import ImageError
-from cspace.view_file import MAX_PICTURES
 from cspace.world import CheckCancelled
 from cspace.worlds.spatial.camera import MIN_SIDE, DepthCamera, in_range, resize_depth, to_m
 from cspace.worlds.spatial.distance_field import TRUNCATION_M, distance_codes, patches
@@ -66,12 +64,10 @@ def self_filter(
         spheres: (S, 4) that cover the arm as it stands: x, y, z, radius in m in the base frame.
         slack_m: added to every radius.
         check_cancelled: called between parts of some ms; what it raises passes through.
-
-    Raises:
-        ImageError: the picture has another shape than the camera's.
     """
-    check_picture(depth_mm, camera)
-    begins = _begins_m(camera, np.asarray(spheres, dtype=np.float64).reshape(-1, 4), slack_m, check_cancelled)
+    begins = arm_depth_m(
+        camera, np.asarray(spheres, dtype=np.float64).reshape(-1, 4), check_cancelled, slack_m
+    )
     shown = (depth_mm > 0) & (depth_mm * np.float32(1e-3) >= begins)
     return WithoutRobot(np.where(shown, np.uint16(0), depth_mm), np.where(shown, begins, np.float32(np.inf)))
 
@@ -102,31 +98,20 @@ def without_lone(surface_m: NDArray[np.float32], front_m: NDArray[np.float32]) -
     return np.where(lone, np.float32(0.0), surface_m)
 
 
-def check_picture(depth_mm: NDArray[np.uint16], camera: DepthCamera) -> None:
-    """Refuse what is no depth picture of a camera.
-
-    Raises:
-        ImageError: it has another shape than the camera's, or is not uint16.
-    """
-    if depth_mm.shape != camera.picture_shape or depth_mm.dtype != np.uint16:
-        raise ImageError(
-            "the depth picture does not fit the camera",
-            expected=f"{camera.width} x {camera.height} pixels, uint16",
-            got=f"an array of shape {depth_mm.shape}, {depth_mm.dtype}",
-        )
-
-
 def arm_depth_m(
-    camera: DepthCamera, spheres: ArrayLike, check_cancelled: CheckCancelled = lambda: None
+    camera: DepthCamera,
+    spheres: NDArray[np.float64],
+    check_cancelled: CheckCancelled = lambda: None,
+    slack_m: float = 0.0,
 ) -> NDArray[np.float32]:
-    """The arm as rendered: depth (H, W) m of spheres (S, 4) m, inf beside them; 0 for a camera within one."""
-    return _begins_m(camera, np.asarray(spheres, dtype=np.float64).reshape(-1, 4), 0.0, check_cancelled)
+    """The arm as rendered: depth (H, W) m at which the first of its spheres begins, inf beside them.
 
-
-def _begins_m(
-    camera: DepthCamera, spheres: NDArray[np.float64], slack_m: float, check_cancelled: CheckCancelled
-) -> NDArray[np.float32]:
-    """Depth (H, W) at which the first of the spheres begins, inf beside all; 0 for a camera within one."""
+    Args:
+        camera: of the picture.
+        spheres: (S, 4) m, as for :func:`self_filter`; the depth is 0 for a camera within one.
+        check_cancelled: called between parts of some ms; what it raises passes through.
+        slack_m: added to every radius.
+    """
     pose = camera.matrix
     centres = (spheres[:, :3] - pose[:3, 3]) @ pose[:3, :3]
     radii = spheres[:, 3] + slack_m
@@ -196,8 +181,6 @@ def sight(
     front_m: NDArray[np.float32],
     camera: DepthCamera,
     grid: GridBox,
-    *,
-    arm_hides: bool = True,
 ) -> NDArray[np.uint8]:
     """The codes of all voxels, (X, Y, Z).
 
@@ -209,7 +192,6 @@ def sight(
         front_m: (H, W) depth up to which the ray of a pixel without a surface was free, inf = not known.
         camera: of the picture.
         grid: of the voxels.
-        arm_hides: False tells what lies behind the arm as :data:`NO_READING`.
     """
     codes = np.full(int(np.prod(grid.counts)), OUT_OF_VIEW, dtype=np.uint8)
     voxels, column, row, depth = _in_view(camera, grid)
@@ -221,12 +203,11 @@ def sight(
     pixel = row * np.int32(camera.width) + column
     limit = _limits(surface_m, front_m, reach).ravel()[layer * np.int32(camera.width * camera.height) + pixel]
     found = np.full(len(voxels), FREE, dtype=np.uint8)
-    hidden = np.flatnonzero(depth > np.abs(limit) - np.float32(FREE_MARGIN_M))
+    hidden = np.flatnonzero(depth > limit - np.float32(FREE_MARGIN_M))
     limit, pixel = limit[hidden], pixel[hidden]
     rays = np.linalg.norm(camera.rays(), axis=2).astype(np.float32).ravel() / np.float32(BEHIND_STEP_M)
-    deep = np.clip((depth[hidden] - np.abs(limit)) * rays[pixel], 0.0, MOST_BEHIND - 1.0)
-    known = limit != 0.0 if arm_hides else limit > 0.0
-    found[hidden] = np.where(known, deep.astype(np.uint8) + np.uint8(1), np.uint8(NO_READING))
+    deep = np.clip((depth[hidden] - limit) * rays[pixel], 0.0, MOST_BEHIND - 1.0)
+    found[hidden] = np.where(limit > 0.0, deep.astype(np.uint8) + np.uint8(1), np.uint8(NO_READING))
     codes[voxels] = found
     return codes.reshape(grid.counts)
 
@@ -234,7 +215,7 @@ def sight(
 def _limits(surface_m: NDArray[np.float32], front_m: NDArray[np.float32], reach: int) -> NDArray[np.float32]:
     """Up to where rays are free, (reach + 1, H, W), the nearest within so many pixels, from 0.
 
-    Below 0 where no surface is what is in the way, and 0 where nothing is known.
+    0 where nothing is known.
     """
     read, robot = surface_m > 0, np.isfinite(front_m)
     surfaces = np.where(read, surface_m, np.float32(np.inf))
@@ -243,7 +224,7 @@ def _limits(surface_m: NDArray[np.float32], front_m: NDArray[np.float32], reach:
     for number in range(reach + 1):
         if number:
             surfaces, fronts = _widened(surfaces), _widened(fronts)
-        layers.append(np.where(read, surfaces, np.where(robot, -fronts, np.float32(0.0))))
+        layers.append(np.where(read, surfaces, np.where(robot, fronts, np.float32(0.0))))
     return np.stack(layers)
 
 
@@ -328,67 +309,32 @@ class Known:
 
 
 def observe(
-    pictures: Sequence[NDArray[np.uint16]],
-    cameras: Sequence[DepthCamera],
-    grid: GridBox,
-    spheres: ArrayLike | None = None,
-    *,
-    arm_hides: bool = True,
-    check_cancelled: CheckCancelled | None = None,
-) -> NDArray[np.uint8]:
-    """Fuse depth pictures of one scene.
-
-    Args:
-        pictures: one to four, each (H, W) uint16 mm along the optical axis; 0, and what no depth camera can
-            read, is no reading (:func:`cspace.worlds.spatial.camera.in_range`).
-        cameras: one each.
-        grid: of the array.
-        spheres: (S, 4) that cover the arm as it stands, x, y, z, radius in m in the base frame; None where
-            it is in no picture.
-        arm_hides: as :func:`cspace.worlds.spatial.visibility.sight` has it.
-        check_cancelled: called between parts of some ms; what it raises passes through.
-
-    Returns:
-        (X, Y, Z, 2) uint8. Channel 0 is the distance from a voxel's centre to the nearest surface seen, see
-        :func:`distances_m`. Channel 1 is the least code over the cameras of
-        :func:`cspace.worlds.spatial.visibility.sight`: what one has seen free is free.
-
-    Raises:
-        ImageError: there are too few or too many pictures, not a camera each, or one does not fit its camera.
-    """
-    if not 1 <= len(pictures) <= MAX_PICTURES or len(pictures) != len(cameras):
-        raise ImageError(
-            "the depth pictures do not fit",
-            expected=f"1 to {MAX_PICTURES} and a camera each",
-            got=f"{len(pictures)} pictures, {len(cameras)} cameras",
-        )
-    return fused(
-        [
-            observe_one(picture, camera, grid, spheres, arm_hides=arm_hides, check_cancelled=check_cancelled)
-            for picture, camera in zip(pictures, cameras, strict=True)
-        ]
-    )
-
-
-def observe_one(
     picture: NDArray[np.uint16],
     camera: DepthCamera,
     grid: GridBox,
     spheres: ArrayLike | None = None,
     *,
-    arm_hides: bool = True,
     is_explained: Callable[[NDArray[np.float64]], NDArray[np.bool_]] | None = None,
     check_cancelled: CheckCancelled | None = None,
 ) -> NDArray[np.uint8]:
-    """:func:`observe` of one picture.
+    """What a depth picture says of the space round an arm; see :func:`fused` for several.
 
-    Surfaces at points (N, 3) m that ``is_explained`` knows hide what is behind them and are none themselves.
+    Args:
+        picture: (H, W) uint16 mm along the optical axis; 0, and what no depth camera can read, is no reading
+            (:func:`cspace.worlds.spatial.camera.in_range`).
+        camera: of it.
+        grid: of the array.
+        spheres: (S, 4) that cover the arm as it stands, x, y, z, radius in m in the base frame; None where
+            it is not in the picture.
+        is_explained: surfaces at points (N, 3) m that it knows hide what is behind them and are none
+            themselves.
+        check_cancelled: called between parts of some ms; what it raises passes through.
 
-    Raises:
-        ImageError: it does not fit its camera.
+    Returns:
+        (X, Y, Z, 2) uint8. Channel 0 is the distance from a voxel's centre to the nearest surface seen, see
+        :func:`distances_m`; channel 1 is the code of :func:`sight`.
     """
     check_cancelled = check_cancelled or (lambda: None)
-    check_picture(picture, camera)
     smaller, camera = reduced(np.where(in_range(picture), picture, np.uint16(0)), camera)
     check_cancelled()
     kept = self_filter(
@@ -399,7 +345,7 @@ def observe_one(
     check_cancelled()
     away = distance_codes(shown, grid, check_cancelled)
     check_cancelled()
-    known = sight(surface_m, kept.front_m, camera, grid, arm_hides=arm_hides)
+    known = sight(surface_m, kept.front_m, camera, grid)
     check_cancelled()
     return np.stack((away, known), axis=-1)
 
@@ -426,7 +372,7 @@ def _unexplained(
 
 
 def fused(single: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
-    """What several pictures of one scene say together, each (X, Y, Z, 2)."""
+    """What several pictures of one scene say together, each (X, Y, Z, 2): what one has seen free is free."""
     return np.asarray(np.minimum.reduce(list(single)))
 
 
@@ -471,23 +417,6 @@ def lookup(observed: NDArray[np.uint8], grid: GridBox, points_m: ArrayLike) -> K
     return Known(distance.reshape(shape), codes.reshape(shape))
 
 
-def unseen_share(
-    observed: NDArray[np.uint8], grid: GridBox, centres_m: ArrayLike, weights: ArrayLike
-) -> NDArray[np.float64]:
-    """Which share of an arm lies where no camera saw that it is free, (N,).
-
-    Args:
-        observed: (X, Y, Z, 2).
-        grid: of it.
-        centres_m: (N, S, 3) of the arm's spheres in the base frame.
-        weights: (S,) of the spheres, such as their volumes; they need not sum to 1.
-    """
-    centres, weight = np.asarray(centres_m), np.asarray(weights, dtype=np.float64)
-    cell, inside, _ = _cells(grid, centres.reshape(-1, 3))
-    unseen = ~inside | (observed.reshape(-1).take(2 * cell + 1) != FREE)
-    return np.asarray(unseen.reshape(centres.shape[:-1]) @ (weight / weight.sum()))
-
-
 def _cells(
     grid: GridBox, points: NDArray[np.floating]
 ) -> tuple[NDArray[np.intp], NDArray[np.bool_], NDArray[np.float32]]:
@@ -509,5 +438,5 @@ def reduced(picture: NDArray[np.uint16], camera: DepthCamera) -> tuple[NDArray[n
     if share >= 1.0:
         return picture, camera
     height, width = (min(side, max(MIN_SIDE, int(side * share))) for side in picture.shape)
-    smaller = resize_depth(picture, height, width).astype(np.uint16)
+    smaller = resize_depth(picture, height, width)
     return smaller, camera.resized(width, height)

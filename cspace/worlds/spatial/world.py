@@ -56,7 +56,7 @@ from cspace.worlds.spatial.view import (
     view_tensors,
     write_view,
 )
-from cspace.worlds.spatial.visibility import fused, observe_one
+from cspace.worlds.spatial.visibility import fused, observe
 
 _ROBOTS = Path(__file__).with_name("robots")
 _BLANK_MM = 4000
@@ -183,23 +183,17 @@ class SpatialWorld(World):
     ) -> list[NDArray[np.uint8]]:
         """What each picture of a view says alone."""
         arm = self.body if known is None else known.arm
-        grid, hides = self.sensor.grid, self.sensor.arm_hides
         return [
-            observe_one(
+            observe(
                 picture,
                 camera,
-                grid,
+                self.sensor.grid,
                 spheres,
-                arm_hides=hides,
                 is_explained=None if known is None else known.explains,
                 check_cancelled=check_cancelled,
             )
             for picture, camera, spheres in zip(view.pictures, view.cameras, _spheres(arm, view), strict=True)
         ]
-
-    def spheres_at(self, state: tuple[float, ...]) -> NDArray[np.float64]:
-        """The arm's spheres at a configuration (d,) rad, (S, 4): place in the base frame and radius, m."""
-        return spheres_at(self.body, state)
 
     def grid_arm(self, groups: int) -> GridArm:
         """See :meth:`cspace.world.World.grid_arm`."""
@@ -258,13 +252,8 @@ class SpatialWorld(World):
 
 def _spheres(arm: SerialArm, view: DepthView) -> list[NDArray[np.float64] | None]:
     """Those of an arm at the state of each picture, (S, 4) m; None where it has none."""
-    known = {state: None if state is None else spheres_at(arm, state) for state in set(view.states)}
+    known = {state: None if state is None else arm.spheres_at(state) for state in set(view.states)}
     return [known[state] for state in view.states]
-
-
-def spheres_at(arm: SerialArm, state: tuple[float, ...]) -> NDArray[np.float64]:
-    """An arm's spheres at a configuration (d,) rad, (S, 4): place in the base frame and radius, m."""
-    return np.concatenate([arm.sphere_centres_m([state])[0], arm.spheres_m()[:, 3:]], axis=1)
 
 
 def usual(arm: SerialArm) -> SpatialWorld:
@@ -301,16 +290,13 @@ def read(values: Mapping[str, Any]) -> SpatialWorld:
         ScenarioError: a key is missing, unknown or of the wrong type.
     """
     parts = read_object(_Parts, values, "the world", ScenarioError)
-    # Written before there was a choice.
-    cameras = {"arm_hides": False, "holes": 0.0} | parts.cameras
-    sensor = read_object(DepthSensor, cameras, "the cameras", ScenarioError)
-    return SpatialWorld(SerialArm.from_dict(parts.robot), sensor, parts.scenes)
+    return SpatialWorld(SerialArm.from_dict(parts.robot), parts.cameras, parts.scenes)
 
 
 @validated(ScenarioError)
 class _Parts:
     robot: Any
-    cameras: dict[str, Any]
+    cameras: DepthSensor
     scenes: SpatialScenes | None
 
 

@@ -12,7 +12,7 @@ from cspace.worlds.spatial.camera_info import OPTICAL_IN_BODY
 from cspace.worlds.spatial.extrinsics import turn_deg
 from cspace.worlds.spatial.obstacles import Box, Obstacles
 from cspace.worlds.spatial.poses import make_pose, pose_of, turn
-from cspace.worlds.spatial.rendering import StructuredLight, render_depth
+from cspace.worlds.spatial.rendering import render_depth, structured_light
 from cspace.worlds.spatial.view import DepthView, write_view
 
 WORLD = examples()["panda"]
@@ -30,9 +30,9 @@ OBSTACLES = Obstacles.of((TABLE, FLOOR, box((0.6, 0.25, 0.32), (0.06, 0.06, 0.1)
 
 
 def taken(camera, state=STATE, obstacles=OBSTACLES):
-    spheres = None if state is None else WORLD.spheres_at(state)
+    spheres = None if state is None else WORLD.body.spheres_at(state)
     exact = render_depth(obstacles, camera, spheres).depth_m
-    return to_mm(StructuredLight().apply(np.random.default_rng(1), exact, camera))
+    return to_mm(structured_light(np.random.default_rng(1), exact, camera))
 
 
 PICTURE, SECOND = taken(CAMERA), taken(OTHER)
@@ -68,7 +68,7 @@ def test_a_wrong_pose_is_found_and_the_right_one_suggested(offset_m, deg):
     better = np.array(suggested.pose)
     assert turn_deg(better[:3, :3] @ CAMERA.matrix[:3, :3].T) < 1.0
     # Where the arm is, both poses agree.
-    arm = np.append(WORLD.spheres_at(STATE)[:, :3].mean(axis=0), 1.0)
+    arm = np.append(WORLD.body.spheres_at(STATE)[:, :3].mean(axis=0), 1.0)
     assert np.linalg.norm((better @ np.linalg.inv(pose) - CAMERA.matrix @ np.linalg.inv(pose)) @ arm) < 0.005
 
 
@@ -100,7 +100,7 @@ def test_another_unit_of_depths_is_named(scale, unit):
 
 def test_a_camera_inside_the_arm_is_found():
     pose = CAMERA.matrix
-    spheres = WORLD.spheres_at(STATE)
+    spheres = WORLD.body.spheres_at(STATE)
     pose[:3, 3] = spheres[np.argmax(spheres[:, 3]), :3]
     assert "camera-inside-arm" in codes(view_of(pose))
 
@@ -126,7 +126,7 @@ def test_what_the_arm_carries_is_found():
 
 def test_an_arm_that_reads_nothing_and_a_covered_lens_are_found():
     holes = PICTURE.copy()
-    holes[render_depth(OBSTACLES, CAMERA, WORLD.spheres_at(STATE)).robot] = 0
+    holes[render_depth(OBSTACLES, CAMERA, WORLD.body.spheres_at(STATE)).robot] = 0
     assert "holes" in codes(replace(VIEW, pictures=(holes,)))
     covered = np.where(np.random.default_rng(0).random(PICTURE.shape) < 0.01, PICTURE, 0).astype(np.uint16)
     assert "blank" in codes(replace(VIEW, pictures=(covered,)))

@@ -12,14 +12,13 @@ from cspace.worlds.spatial.furniture import (
     FAMILIES,
     Bins,
     Cages,
-    GoalRegion,
     Layout,
     Shelves,
     SpatialScenes,
     Tables,
 )
 from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles
-from cspace.worlds.spatial.poses import HERE, make_pose, pose_of
+from cspace.worlds.spatial.poses import make_pose, pose_of
 from cspace.worlds.spatial.scenes import base_clearance_m, draw_layout, scenes_of
 from cspace.worlds.spatial.world import shipped, usual
 
@@ -225,7 +224,6 @@ def test_goals_at_a_table_are_above_its_board_and_under_it_below_too():
         lambda: Tables(objects=(3, 1)),
         lambda: Bins(side_m=(float("nan"), 1.0)),
         lambda: Cages(spacing_m=(0.0, 0.2)),
-        lambda: GoalRegion(Box(HERE, (1, 1, 1)), (1, 1, 0)),
         lambda: draw_layout(SCENES, Split.TRAIN, 0, 0, "garage"),
         lambda: draw_layout(SpatialScenes(reach_m=0.05), Split.TRAIN, 0, 0, "shelf"),
     ],

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from cspace.errors import ScenarioError
 from cspace.worlds.spatial.arm import Joint, SerialArm
 from cspace.worlds.spatial.kinematics import Solving, solve_pose
 from cspace.worlds.spatial.poses import Frame
@@ -102,24 +101,3 @@ def test_beyond_its_limits_nothing_is_found():
     assert len(solve_pose(stiff, (1.9, 0.0, 0.0), np.random.default_rng(0))) == 0
     place = stiff.tool_frames([[0.2, -0.4]])[0, :3, 3]
     assert len(solve_pose(stiff, place, np.random.default_rng(0))) == 2
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"approach": (0.0, 0.0, 2.0)}, "approach that is none"),
-        ({"rotation": np.diag([1.0, 1.0, -1.0])}, "rotation is none"),
-        ({"rotation": np.ones((2, 2))}, "rotation is none"),
-        ({"approach": (0.0, 0.0, 1.0), "rotation": np.eye(3)}, "given twice"),
-        ({"place_m": (0.0, np.nan, 0.0)}, "place does not fit"),
-    ],
-)
-def test_a_pose_that_is_none_is_refused(arguments, message):
-    with pytest.raises(ScenarioError, match=message):
-        solve_pose(PANDA, **{"place_m": (0.5, 0.0, 0.5), "rng": np.random.default_rng(0)} | arguments)
-
-
-def test_solving_without_starts_or_tolerance_is_refused():
-    for wrong in ({"starts": 0}, {"iterations": 0}, {"place_m": 0.0}, {"turn_rad": float("nan")}):
-        with pytest.raises(ScenarioError, match="solving of poses"):
-            Solving(**wrong)

@@ -30,7 +30,7 @@ FRONT, BACK = camera(-0.6, 0.3), camera(1.8, 0.2)
 @pytest.fixture(scope="module")
 def picture():
     seen = to_mm(render_depth(BOARD, FRONT).depth_m)
-    return observe([seen], [FRONT], WORLD.sensor.grid)
+    return observe(seen, FRONT, WORLD.sensor.grid)
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 
-from cspace.errors import ImageError
 from cspace.simulator import Split
 from cspace.worlds.spatial import distance_field
 from cspace.worlds.spatial.camera import DepthCamera, looking, to_mm
@@ -27,13 +26,13 @@ from cspace.worlds.spatial.visibility import (
     FREE_MARGIN_M,
     SLACK_M,
     distances_m,
+    fused,
     lookup,
     observe,
-    unseen_share,
 )
 from tests.cspace.worlds.spatial.test_robots import PANDA, READY
 
-SPHERES = np.concatenate((PANDA.sphere_centres_m(READY)[0], PANDA.spheres_m()[:, 3:]), axis=1)
+SPHERES = PANDA.spheres_at(READY[0])
 GRID = GridBox((-0.4, -0.4, 0.0), 0.025, (32, 32, 32))
 CENTRES = GRID.centres_m()
 ABOVE = DepthCamera.of_field(96, 96, 60.0, looking((0.01, 0.02, 1.5), (0.01, 0.02, 0.0)))
@@ -49,7 +48,7 @@ def slab(top_m, half_m=(3.0, 3.0), tilt=0.0):
 
 def seen(obstacles, *cameras, grid=GRID, spheres=None):
     pictures = [to_mm(render_depth(obstacles, camera, spheres).depth_m) for camera in cameras]
-    return observe(pictures, cameras, grid, spheres)
+    return fused([observe(*one, grid, spheres) for one in zip(pictures, cameras, strict=True)])
 
 
 def test_a_plane_seen_head_on_is_as_far_as_it_is():
@@ -93,12 +92,12 @@ def test_before_a_plane_is_free_and_behind_it_unseen_and_how_deep():
 def test_a_pixel_without_a_reading_is_unseen_and_no_surface():
     picture = to_mm(render_depth(slab(PLANE_M), ABOVE).depth_m)
     picture[40:60, 30:50] = 0
-    found = observe([picture], [ABOVE], GRID)
+    found = observe(picture, ABOVE, GRID)
     column, row, _ = np.moveaxis(ABOVE.project(CENTRES), -1, 0)
     lost = (np.rint(column) >= 30) & (np.rint(column) < 50) & (np.rint(row) >= 40) & (np.rint(row) < 60)
     assert lost.sum() > 1000
     assert (found[lost, 1] == NO_READING).all()
-    nothing = observe([np.zeros_like(picture)], [ABOVE], GRID)
+    nothing = observe(np.zeros_like(picture), ABOVE, GRID)
     assert (nothing[..., 0] == 255).all()
     assert (nothing[..., 1] >= NO_READING).all()
     middle = np.abs(column - 39.5) + np.abs(row - 49.5) < 2.0
@@ -135,10 +134,6 @@ def test_the_arm_is_no_surface_and_hides_what_is_behind_it():
     assert np.abs(with_arm[..., 1] - deep)[shadow & (across < 0.02)].max() < 3.0
     hidden = with_arm[shadow | (gaps < 0.0), 1]
     assert FREE < hidden.min() <= hidden.max() < NO_READING
-    picture = to_mm(render_depth(slab(PLANE_M), ABOVE, ball).depth_m)
-    earlier = observe([picture], [ABOVE], GRID, ball, arm_hides=False)
-    assert (earlier[shadow | (gaps < 0.0), 1] == NO_READING).all()
-    assert ((earlier[..., 1] == FREE) == (with_arm[..., 1] == FREE)).all()
     assert (with_arm[(across < 0.2) & (CENTRES[..., 2] > 0.76), 1] == FREE).all()
     assert (with_arm[gaps > 0.25, 1] == arm_aside[gaps > 0.25, 1])[CENTRES[gaps > 0.25][:, 2] > 0.4].all()
 
@@ -174,7 +169,7 @@ def test_codes_are_those_of_the_definition(seed):
     picture = rng.integers(200, 1500, camera.picture_shape).astype(np.uint16)
     picture[rng.random(picture.shape) < 0.2] = 0
     grid = GridBox((-0.5, -0.4, -0.3), 0.07, (14, 12, 13))
-    found = observe([picture], [camera], grid)[..., 1]
+    found = observe(picture, camera, grid)[..., 1]
     expected = brute_codes(picture, camera, grid)
     assert len(np.unique(expected)) > 20
     assert (found == expected).mean() > 0.998, "but for roundings"
@@ -186,7 +181,7 @@ def test_distances_to_pixels_that_stand_alone_are_those_to_their_points(seed):
     camera = DepthCamera.of_field(32, 32, 60.0, looking((0.5, 0.6, 0.9), (0.0, 0.0, 0.4), 0.3))
     picture = np.zeros(camera.picture_shape, dtype=np.uint16)
     picture[::4, ::4] = rng.integers(500, 1200, (8, 8))
-    found = distances_m(observe([picture], [camera], GRID))
+    found = distances_m(observe(picture, camera, GRID))
     points = camera.points_m(picture * 1e-3)[picture > 0]
     expected = np.linalg.norm(CENTRES[..., None, :] - points, axis=-1).min(axis=-1)
     near = expected < TRUNCATION_M - DISTANCE_STEP_M
@@ -272,28 +267,3 @@ def test_lookup_of_a_linear_field_is_linear():
     assert lookup(found[:1, :1, :1], flat, (0.02, 0.09, 0.05)).distance_m == pytest.approx(
         4 * DISTANCE_STEP_M
     )
-
-
-def test_the_unseen_share_is_that_of_the_weights():
-    grid = GridBox((0.0, 0.0, 0.0), 0.1, (2, 1, 1))
-    found = np.zeros((2, 1, 1, 2), dtype=np.uint8)
-    found[1, 0, 0, 1] = 7
-    places = {"free": (0.05, 0.05, 0.05), "hidden": (0.15, 0.05, 0.05), "outside": (0.25, 0.05, 0.05)}
-    arms = [
-        [places[one] for one in arm] for arm in (("free", "free"), ("hidden", "free"), ("outside", "hidden"))
-    ]
-    np.testing.assert_allclose(unseen_share(found, grid, arms, (1.0, 3.0)), (0.0, 0.25, 1.0))
-
-
-@pytest.mark.parametrize(
-    "pictures",
-    [
-        [],
-        [np.zeros((96, 96), np.uint16)] * 2,
-        [np.zeros((96, 95), np.uint16)],
-        [np.zeros((96, 96), np.float32)],
-    ],
-)
-def test_pictures_that_do_not_fit_their_cameras_are_refused(pictures):
-    with pytest.raises(ImageError):
-        observe(pictures, [ABOVE][: len(pictures)], GRID)

@@ -41,15 +41,6 @@ def test_the_world_is_read_from_what_it_tells():
         read_world(values | {"colour": 1})
 
 
-def test_what_earlier_releases_wrote_has_arms_that_hide_nothing():
-    values = WORLD.to_dict()
-    older = {name: value for name, value in values["cameras"].items() if name not in ("arm_hides", "holes")}
-    found = read_world(values | {"cameras": older}).sensor
-    assert found == replace(WORLD.sensor, arm_hides=False, holes=0.0)
-    assert "arm_hides" not in found.convention
-    assert WORLD.sensor.convention == found.convention | {"arm_hides": True}
-
-
 def test_a_scene_is_that_of_its_split_seed_and_index(scenes):
     again = SIMULATOR.scenes(Split.VALIDATION, 0, 2)
     assert list(again) == list(scenes[:2])

@@ -10,7 +10,7 @@ from cspace.errors import ImageError
 from cspace.view_file import pack_view
 from cspace.world import ARM_IN_PICTURE
 from cspace.worlds.spatial.camera import encode_depth, looking
-from cspace.worlds.spatial.camera_info import OPTICAL_IN_BODY, read_pose
+from cspace.worlds.spatial.camera_info import OPTICAL_IN_BODY, camera_pose
 from cspace.worlds.spatial.poses import make_pose, turned
 from cspace.worlds.spatial.view import DepthView
 from tests.cspace.worlds.spatial.test_camera_forms import placed
@@ -48,7 +48,7 @@ def test_cameras_on_links_are_where_the_states_of_their_pictures_put_them():
     frames = [ARM.link_frames([state])[0, -1] for state in STATES]
     by_hand = [
         camera(frames[0] @ ON_LINK),
-        camera(frames[1] @ np.array(read_pose({"pose": body, "frame": "body"}))),
+        camera(frames[1] @ np.array(camera_pose({"pose": body, "frame": "body"}))),
         camera(ARM.tool_frames([MOVED])[0] @ tool),
         camera(fixed),
     ]

@@ -26,7 +26,7 @@ from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.camera import looking
 from cspace.worlds.spatial.sensor import grid_of
 from cspace.worlds.spatial.view import DepthView, write_view
-from cspace.worlds.spatial.visibility import unseen_share
+from cspace.worlds.spatial.visibility import lookup
 from cspace.worlds.spatial.world import SpatialWorld
 from inference_api.settings import PRETRAINED_FOLDER
 from tests.cspace.worlds.spatial.test_camera_forms import npy, placed, tiff
@@ -91,8 +91,8 @@ class Subject:
             confidence, unseen = self.bundle.predict(picture, self.rows)
             assert unseen is not None and picture.novelty is not None  # noqa: PT018
             return Seen(unseen, confidence, picture.novelty, codes)
-        weights = self.arm.spheres_m()[:, 3] ** 3
-        unseen = unseen_share(read.images[0], world.sensor.grid, self._centres, weights)
+        volumes = self.arm.spheres_m()[:, 3] ** 3
+        unseen = lookup(read.images[0], world.sensor.grid, self._centres).unseen @ (volumes / volumes.sum())
         return Seen(unseen, None, world.least_novelty(read.images[0]), codes)
 
     @staticmethod
