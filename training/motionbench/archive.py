@@ -70,7 +70,7 @@ def read_archive(archive: Path, sha256: str, robot: str = "panda") -> dict[Split
     result = {}
     for split, numbers in NUMBERS.items():
         result[split] = tuple(sorted((one for one in read if one.number in numbers), key=_place))
-        if {_place(one) for one in result[split]} != expected_names(split):
+        if {_place(one) for one in result[split]} != set(expected_names(split)):
             raise _bad(f"{len(read)} problems")
     return result
 

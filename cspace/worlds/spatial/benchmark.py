@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Annotated, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,7 +26,7 @@ from cspace.worlds.spatial.kinematics import arm_arrays, sphere_centres_batch
 from cspace.worlds.spatial.mesh_checker import Description, MeshChecker, RobotMeshes, panda_urdf
 from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles
 from cspace.worlds.spatial.planning_scene import Attached, Body, BoxShape, CylinderShape, PlanningScene
-from cspace.worlds.spatial.poses import Vector, pose_of
+from cspace.worlds.spatial.poses import Vector, pose_of, vector
 from cspace.worlds.spatial.problems import draw_problem
 from cspace.worlds.spatial.scenes import SpatialScene, scenes_of, seen
 from cspace.worlds.spatial.sensor import FREE
@@ -90,11 +90,6 @@ class BenchProblem(Record):
                 got=f"{len(self.start)} and {len(self.goal)}",
             )
 
-    @property
-    def split(self) -> Split:
-        """What the problem may be used for."""
-        return Split.VALIDATION if self.number in NUMBERS[Split.VALIDATION] else Split.TEST
-
     def layout(self, arm: SerialArm) -> Layout:
         """The scene, whose one region and whose cameras' focus are where the goal's tool is.
 
@@ -103,8 +98,8 @@ class BenchProblem(Record):
         """
         tool = arm.tool_frames([self.goal])[0]
         box = Box(pose_of(tool), (_GOAL_HALF_M, _GOAL_HALF_M, _GOAL_HALF_M))
-        region = GoalRegion(box, _vector(tool[:3, 2] / np.linalg.norm(tool[:3, 2])))
-        return Layout(self.family, self.obstacles, (region,), _vector(tool[:3, 3]))
+        region = GoalRegion(box, vector(tool[:3, 2] / np.linalg.norm(tool[:3, 2])))
+        return Layout(self.family, self.obstacles, (region,), vector(tool[:3, 3]))
 
 
 @validated(DatasetError)
@@ -141,35 +136,30 @@ def problems(
             got="none",
             remedy="python -m training.motionbench fetch --out FOLDER",
         )
-    found = read_problems(_file(SHIPPED if folder is None else folder, split))
-    if {(one.family, one.number) for one in found} != expected_names(split):
+    path = _file(SHIPPED if folder is None else folder, split)
+    try:
+        values = parse_json(gzip.decompress(path.read_bytes()))
+    except (OSError, EOFError, zlib.error, ValueError) as error:
+        raise DatasetError(
+            "the benchmark's problems cannot be read",
+            expected="the file that python -m training.motionbench fetch writes",
+            got=f"{path}: {error}"[:300],
+            remedy="python -m training.motionbench fetch --out FOLDER",
+        ) from error
+    found = read_object(_Problems, values, str(path), DatasetError).problems
+    by_name = {(one.family, one.number): one for one in found}
+    if len(by_name) != len(found) or set(by_name) != set(expected_names(split)):
         raise DatasetError(
             "the benchmark's file holds other problems",
             expected=f"numbers {NUMBERS[split][0]} to {NUMBERS[split][-1]} of each family",
             got=f"{len(found)} problems",
         )
-    return tuple(one for one in found if one.family in wanted)
+    return tuple(by_name[name] for name in expected_names(split) if name[0] in wanted)
 
 
-def expected_names(split: Split) -> set[tuple[str, int]]:
-    """Family and number of each problem of a split."""
-    return {(family, number) for family in BENCH_FAMILIES for number in NUMBERS[split]}
-
-
-def read_problems(path: Path) -> tuple[BenchProblem, ...]:
-    """What :func:`write_problems` wrote.
-
-    Raises:
-        DatasetError: there is no such file, or it holds something else.
-    """
-    try:
-        values = parse_json(gzip.decompress(path.read_bytes()))
-    except (OSError, EOFError, zlib.error, ValueError) as error:
-        raise _bad(path, str(error)) from error
-    found = read_object(_Problems, values, str(path), DatasetError).problems
-    if len({(one.family, one.number) for one in found}) != len(found):
-        raise _bad(path, "a problem twice")
-    return tuple(sorted(found, key=lambda one: (BENCH_FAMILIES.index(one.family), one.number)))
+def expected_names(split: Split) -> list[tuple[str, int]]:
+    """Family and number of each problem of a split, in order."""
+    return [(family, number) for family in BENCH_FAMILIES for number in NUMBERS[split]]
 
 
 def write_problems(folder: Path, split: Split, found: Iterable[BenchProblem]) -> Path:
@@ -188,20 +178,6 @@ def write_problems(folder: Path, split: Split, found: Iterable[BenchProblem]) ->
 
 def _file(folder: Path, split: Split) -> Path:
     return folder / f"{split.value}.json.gz"
-
-
-def _vector(values: Any) -> Vector:
-    x, y, z = (float(value) for value in values)
-    return (x, y, z)
-
-
-def _bad(path: Path, got: str) -> DatasetError:
-    return DatasetError(
-        "the benchmark's problems cannot be read",
-        expected="the file that python -m training.motionbench fetch writes",
-        got=f"{path}: {got}"[:300],
-        remedy="python -m training.motionbench fetch --out FOLDER",
-    )
 
 
 PREFIX = "motionbench_"
@@ -303,8 +279,7 @@ def level_face(box: Box) -> float:
 def body_of(name: str, shape: Box | Cylinder) -> Body:
     """An obstacle as a planner knows it."""
     if isinstance(shape, Box):
-        x, y, z = (2.0 * half for half in shape.half_m)
-        return Body(name, box=BoxShape((x, y, z)), pose=shape.pose)
+        return Body(name, box=BoxShape(vector(2.0 * half for half in shape.half_m)), pose=shape.pose)
     size = CylinderShape(shape.radius_m, 2.0 * shape.half_length_m)
     return Body(name, cylinder=size, pose=shape.pose)
 
@@ -318,13 +293,12 @@ def in_hand(
     largest level face.
     """
     tool = arm.tool_frames(goal[None])[0]
-    shapes: tuple[Box | Cylinder, ...] = (*obstacles.boxes, *obstacles.cylinders)
-    grasped = min(shapes, key=lambda one: float(distance_m(Obstacles.of([one]), tool[:3, 3])))
+    grasped = min(obstacles.shapes, key=lambda one: float(distance_m(Obstacles.of([one]), tool[:3, 3])))
     body = body_of("grasped", grasped)
     pose = pose_of(np.linalg.inv(tool) @ body.matrix)
     held = Attached(body.name, body.box, body.cylinder, pose=pose)
     table = body_of("table", max(obstacles.boxes, key=level_face))
-    rest = Obstacles.of([one for one in shapes if one is not grasped])
+    rest = Obstacles.of([one for one in obstacles.shapes if one is not grasped])
     return rest, PlanningScene((table,), (held,))
 
 
@@ -388,20 +362,18 @@ def from_both_sides(
             return scene
 
 
-def middle(obstacles: Obstacles) -> tuple[float, float, float]:
+def middle(obstacles: Obstacles) -> Vector:
     """Of the box round all that stands there, m."""
-    shapes: tuple[Box | Cylinder, ...] = (*obstacles.boxes, *obstacles.cylinders)
     solid = [
         (np.array(one.pose), np.array(one.half_m))
         if isinstance(one, Box)
         else (np.array(one.pose), np.array([one.radius_m, one.radius_m, one.half_length_m]))
-        for one in shapes
+        for one in obstacles.shapes
     ]
     reach = [(pose[:3, 3], np.abs(pose[:3, :3]) @ half) for pose, half in solid]
     low = np.min([centre - half for centre, half in reach], axis=0)
     high = np.max([centre + half for centre, half in reach], axis=0)
-    x, y, z = ((low + high) / 2.0).tolist()
-    return x, y, z
+    return vector((low + high) / 2.0)
 
 
 _Found = tuple[Layout, tuple[float, ...], tuple[float, ...], tuple[int, ...]]
