@@ -97,7 +97,7 @@ def diagnose(
     """
     grid = sensor.grid
     reach = _reach(arm, grid)
-    blind = tuple(number for number, one in enumerate(single) if not reach.seen(one).any())
+    blind = _numbers(not reach.seen(one).any() for one in single)
     if len(blind) == len(single):
         raise ImageError(
             "the camera sees none of the space that the arm can reach"
@@ -113,7 +113,7 @@ def diagnose(
         *_of_reach(reach, view, blind, fused),
         *view_findings(arm, sensor, view),
     ]
-    lacking = tuple(number for number, state in enumerate(view.states) if state is None)
+    lacking = _numbers(state is None for state in view.states)
     if lacking and _base_is_solid(arm, grid, np.minimum.reduce([single[number] for number in lacking])):
         seen = "surfaces stand inside the arm's own base, and no `state` was sent"
         found.append(arm_in_picture(seen, lacking if len(lacking) < len(single) else ()))
@@ -196,7 +196,7 @@ def _of_reach(reach: _Reach, view: DepthView, blind: tuple[int, ...], fused: Ima
 
 
 def _of_cameras(cameras: Sequence[DepthCamera], shoulder_m: NDArray[np.float64]) -> Iterable[Finding]:
-    off = tuple(number for number, one in enumerate(cameras) if _off_centre(one) > _OFF_CENTRE)
+    off = _numbers(_off_centre(one) > _OFF_CENTRE for one in cameras)
     if off:
         one = cameras[off[0]]
         yield Finding(
@@ -207,11 +207,7 @@ def _of_cameras(cameras: Sequence[DepthCamera], shoulder_m: NDArray[np.float64])
             "send fx, fy, cx and cy of this picture's size; ignore this for a picture that was cut out",
             off,
         )
-    uneven = tuple(
-        number
-        for number, one in enumerate(cameras)
-        if not 1.0 / _FOCAL_RATIO <= one.fx / one.fy <= _FOCAL_RATIO
-    )
+    uneven = _numbers(not 1.0 / _FOCAL_RATIO <= one.fx / one.fy <= _FOCAL_RATIO for one in cameras)
     if uneven:
         one = cameras[uneven[0]]
         yield Finding(
@@ -223,7 +219,7 @@ def _of_cameras(cameras: Sequence[DepthCamera], shoulder_m: NDArray[np.float64])
         )
 
     wide = [float(np.linalg.norm(one.matrix[:3, 3] - shoulder_m)) / min(one.fx, one.fy) for one in cameras]
-    coarse = tuple(number for number, metres in enumerate(wide) if metres > _COARSE_M)
+    coarse = _numbers(metres > _COARSE_M for metres in wide)
     if coarse:
         yield Finding(
             "coarse-picture",
@@ -236,7 +232,7 @@ def _of_cameras(cameras: Sequence[DepthCamera], shoulder_m: NDArray[np.float64])
 
 def _of_readings(view: DepthView) -> Iterable[Finding]:
     lost = [_lost_share(one) for one in view.pictures]
-    where = tuple(number for number, share in enumerate(lost) if share > _LOST_SHARE)
+    where = _numbers(share > _LOST_SHARE for share in lost)
     if where:
         yield Finding(
             "out-of-range",
@@ -250,7 +246,7 @@ def _of_readings(view: DepthView) -> Iterable[Finding]:
 
 def _of_poses(arm: SerialArm, view: DepthView) -> Iterable[Finding]:
     rolls = [_roll_deg(one) for one in view.cameras]
-    rolled = tuple(number for number, deg in enumerate(rolls) if abs(deg) > _ROLLED_DEG)
+    rolled = _numbers(abs(deg) > _ROLLED_DEG for deg in rolls)
     if rolled:
         yield Finding(
             "rolled",
@@ -261,7 +257,7 @@ def _of_poses(arm: SerialArm, view: DepthView) -> Iterable[Finding]:
             "not the inverse, and that no driver turns the picture; ignore this for a camera mounted so",
             rolled,
         )
-    up = tuple(number for number, one in enumerate(view.cameras) if one.matrix[2, 2] > _LOOKS_UP)
+    up = _numbers(one.matrix[2, 2] > _LOOKS_UP for one in view.cameras)
     if up:
         yield Finding(
             "looks-up",
@@ -273,16 +269,11 @@ def _of_poses(arm: SerialArm, view: DepthView) -> Iterable[Finding]:
         )
     if not arm.sphere_count:
         return
-    radii = arm.spheres_m()[:, 3]
     depths = [
-        -np.inf
-        if state is None
-        else float(
-            (radii - np.linalg.norm(arm.sphere_centres_m([state])[0] - one.matrix[:3, 3], axis=1)).max()
-        )
+        -np.inf if state is None else _depth_m(arm.spheres_at(state), one.matrix[:3, 3])
         for one, state in zip(view.cameras, view.states, strict=True)
     ]
-    inside = tuple(number for number, depth_m in enumerate(depths) if depth_m > _INSIDE_M)
+    inside = _numbers(depth_m > _INSIDE_M for depth_m in depths)
     if inside:
         yield Finding(
             "camera-inside-arm",
@@ -298,7 +289,7 @@ def _of_training(
 ) -> Iterable[Finding]:
     fields = [field_deg(one) for one in cameras]
     low, high = views.field_deg[0] - _FIELD_SLACK_DEG, views.field_deg[1] + _FIELD_SLACK_DEG
-    other = tuple(number for number, deg in enumerate(fields) if not low <= deg <= high)
+    other = _numbers(not low <= deg <= high for deg in fields)
     if other:
         yield Finding(
             "field-of-view",
@@ -310,7 +301,7 @@ def _of_training(
         )
     away = [float(np.linalg.norm(one.matrix[:3, 3] - shoulder_m)) for one in cameras]
     most = views.distance_m[1] + _FARTHER_M
-    far = tuple(number for number, metres in enumerate(away) if metres > most)
+    far = _numbers(metres > most for metres in away)
     if far:
         yield Finding(
             "far-camera",
@@ -324,6 +315,16 @@ def _of_training(
 def field_deg(camera: DepthCamera) -> float:
     """How wide a camera's pictures are, degrees."""
     return float(np.degrees(2.0 * np.arctan(0.5 * camera.width / camera.fx)))
+
+
+def _numbers(holds: Iterable[bool | np.bool_]) -> tuple[int, ...]:
+    """Of the pictures that something holds for."""
+    return tuple(number for number, one in enumerate(holds) if one)
+
+
+def _depth_m(spheres: NDArray[np.float64], place_m: NDArray[np.float64]) -> float:
+    """How deep a place (3,) lies in spheres (S, 4), below 0 outside of all."""
+    return float((spheres[:, 3] - np.linalg.norm(spheres[:, :3] - place_m, axis=1)).max())
 
 
 def _roll_deg(camera: DepthCamera) -> float:

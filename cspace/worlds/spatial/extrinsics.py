@@ -82,7 +82,6 @@ class PoseFit:
         shift_m: how far the readings on the arm move by it, the root of the mean square.
         before_m: median distance of these readings from the arm's surface, as told.
         after_m: likewise with the pose.
-        points: how many these are.
         stated: match of the arm as told.
         match: match with the pose.
     """
@@ -91,7 +90,6 @@ class PoseFit:
     shift_m: float
     before_m: float
     after_m: float
-    points: int
     stated: ArmMatch
     match: ArmMatch
 
@@ -180,7 +178,6 @@ def _fit(
         float(np.sqrt((shifts**2).sum(axis=1).mean())),
         float(np.median(before)),
         float(np.median(after[on_arm])),
-        int(on_arm.sum()),
         arm_match(depth_m, camera, shrunk, check_cancelled),
         arm_match(depth_m, found, shrunk, check_cancelled),
     )

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from cspace.errors import ScenarioError
 from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles
+from cspace.worlds.spatial.poses import nearest_rotation
 
 # Of the arm's kinematics and the description's, m.
 _SAME_M = 1e-6
@@ -89,10 +90,9 @@ class RobotMeshes:
         own = [number for number, one in enumerate(geometry.geometryObjects) if one.parentJoint > 0]
         for pair in self.pairs:
             geometry.addCollisionPair(self._pin.CollisionPair(*pair))
-        shapes: tuple[Box | Cylinder, ...] = (*obstacles.boxes, *obstacles.cylinders)
-        for number, shape in enumerate(shapes):
+        for number, shape in enumerate(obstacles.shapes):
             pose = np.asarray(shape.pose)
-            place = self._pin.SE3(_nearest_turn(pose[:3, :3]), pose[:3, 3])
+            place = self._pin.SE3(nearest_rotation(pose[:3, :3]), pose[:3, 3])
             added = self._pin.GeometryObject(f"obstacle {number}", 0, place, self._shape(shape))
             last = geometry.addGeometryObject(added)
             for index in own:
@@ -178,27 +178,19 @@ class MeshChecker:
         )
 
     def valid_batch(self, configurations: ArrayLike) -> NDArray[np.bool_]:
-        """Whether no two shapes that are held apart meet: (N, d) rad to (N,).
-
-        Raises:
-            ScenarioError: the configurations are of another shape.
-        """
+        """Whether no two shapes that are held apart meet: (N, d) rad to (N,)."""
         model, data, walk = self._meshes.model, self._data, self._pin.computeCollisions
         return np.array(
             [
                 not walk(model, data, self._broad, self._meshes.configuration(row), True)  # noqa: FBT003
-                for row in self._rows(configurations)
+                for row in np.asarray(configurations, dtype=np.float64)
             ],
             dtype=np.bool_,
         )
 
     def clearance_m(self, configurations: ArrayLike) -> NDArray[np.float64]:
-        """Signed distance of the closest shapes that are held apart: (N, d) rad to (N,) m; inf without such.
-
-        Raises:
-            ScenarioError: the configurations are of another shape.
-        """
-        rows = self._rows(configurations)
+        """Signed distance of the closest shapes held apart: (N, d) rad to (N,) m; inf without such."""
+        rows = np.asarray(configurations, dtype=np.float64)
         found = np.full(len(rows), np.inf)
         if len(self._geometry.collisionPairs):
             for index, row in enumerate(rows):
@@ -207,16 +199,6 @@ class MeshChecker:
                 closest = self._pin.computeDistances(model, data, self._geometry, self._shapes, at)
                 found[index] = self._shapes.distanceResults[closest].min_distance
         return found
-
-    def _rows(self, configurations: ArrayLike) -> NDArray[np.float64]:
-        rows = np.asarray(configurations, dtype=np.float64)
-        if rows.ndim != 2 or rows.shape[1] != self._meshes.arm.dim:
-            raise ScenarioError(
-                "the configurations do not fit the robot",
-                expected=f"shape (N, {self._meshes.arm.dim})",
-                got=str(rows.shape),
-            )
-        return rows
 
 
 def panda_urdf() -> Path | None:
@@ -241,12 +223,6 @@ def _libraries() -> tuple[Any, Any]:
             remedy="pip install -c constraints.txt '.[spatial]'",
         ) from error
     return pinocchio, coal
-
-
-def _nearest_turn(turn: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The rotation closest to one that was written with a few digits."""
-    left, _, right = np.linalg.svd(turn)
-    return np.asarray(left @ right)
 
 
 def _bad(description: Description, got: str) -> ScenarioError:
