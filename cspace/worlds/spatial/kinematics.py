@@ -266,7 +266,8 @@ def aligned(
 
 
 def _chain(arm: SerialArm, space: JointSpace, tool: NDArray[np.float64]) -> _Chain:
-    return _Chain(*_joints(arm), tool, *limit_arrays(space))
+    origins, axes = _joints(arm)
+    return _Chain(origins, axes, tool, *limit_arrays(space))
 
 
 def limit_arrays(space: JointSpace) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:

@@ -118,7 +118,7 @@ def make_pose(rotation: ArrayLike, place_m: ArrayLike) -> NDArray[np.float64]:
     return pose
 
 
-def nearest_rotation(written: ArrayLike) -> NDArray[np.float64]:
+def nearest_rotation(written: NDArray[np.float64]) -> NDArray[np.float64]:
     """The rotation (3, 3) closest to one that was written with a few digits."""
     left, _, right = np.linalg.svd(written)
     return np.asarray(left @ right)
