@@ -1,10 +1,10 @@
-"""How a command ends that fails: a line for people, an exit code for programs."""
+"""What commands share: how one ends that fails, a question to its user, numbers among its options."""
 
 import argparse
 import math
 import sys
 
-from cspace.errors import CspaceError
+from cspace.errors import ConfigError, CspaceError
 
 
 def report_error(error: CspaceError, *wrong: type[CspaceError], program: str = "error") -> int:
@@ -17,6 +17,17 @@ def report_error(error: CspaceError, *wrong: type[CspaceError], program: str = "
     """
     sys.stderr.write(f"{program}: {error}\n")
     return 2 if isinstance(error, wrong) else 1
+
+
+def confirmed(question: str) -> bool:
+    """Whether the person at the terminal says yes.
+
+    Raises:
+        ConfigError: there is no terminal.
+    """
+    if not sys.stdin.isatty():
+        raise ConfigError("there is nobody to ask", expected="a terminal", remedy="confirm with --yes")
+    return input(f"{question} [y/N] ").strip().lower() in {"y", "yes"}
 
 
 def finite(text: str) -> float:

@@ -5,15 +5,16 @@ import os
 import sys
 import webbrowser
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
-from cspace.errors import ConfigError
-from services.local.quickstart import TOURS, USUAL
+from services.command_errors import confirmed
+from services.evaluator.tables import aligned
+from services.local.own_arm import import_arm, serve_untrained, tour_of_arm
+from services.local.quickstart import TOURS, USUAL, quickstart
 from services.local.settings import Settings, drop_state, shell_lines, size_text, state_parts
 from services.local.stack import (
     addresses,
-    aligned,
     api_server,
     down,
     require_down,
@@ -67,13 +68,9 @@ def demo(
 NOT_RUNNING = 4
 
 
-@dataclass(frozen=True, slots=True)
-class Command:
-    """A command: what it says about itself, its options, and what it does."""
-
-    help: str
-    run: Callable[[Settings, argparse.Namespace], int]
-    options: Callable[[argparse.ArgumentParser], object] = lambda _: None
+EXIT_CODES = (
+    "Exit codes: 0 done, 1 failed, 2 wrong usage or setting, 3 a port is taken, 4 services do not run."
+)
 
 
 def _say(line: str) -> None:
@@ -113,7 +110,7 @@ def _clean_state(settings: Settings, options: argparse.Namespace) -> int:
     rows = [(str(part), size_text(size)) for part, size in parts.items()]
     if not options.yes:
         _say(aligned(rows))
-        if not _confirmed("delete all of this: runs, models and data?"):
+        if not confirmed("delete all of this: runs, models and data?"):
             _say("nothing was deleted")
             return 1
     drop_state(settings)
@@ -124,16 +121,7 @@ def _clean_state(settings: Settings, options: argparse.Namespace) -> int:
     return 0
 
 
-def _confirmed(question: str) -> bool:
-    if not sys.stdin.isatty():
-        raise ConfigError("there is nobody to ask", expected="a terminal", remedy="confirm with --yes")
-    return input(f"{question} [y/N] ").strip().lower() in {"y", "yes"}
-
-
 def _quickstart(settings: Settings, options: argparse.Namespace) -> int:
-    # Imported here: it brings the evaluator's and the planner's libraries, which no other command needs.
-    from services.local.quickstart import quickstart  # noqa: PLC0415
-
     tour = TOURS[options.world]
     train, evaluate = options.train or tour.train, options.evaluate or tour.evaluate
     quickstart(settings, replace(tour, train=train, evaluate=evaluate), _say)
@@ -141,9 +129,6 @@ def _quickstart(settings: Settings, options: argparse.Namespace) -> int:
 
 
 def _arm(settings: Settings, options: argparse.Namespace) -> int:
-    from services.local.own_arm import import_arm, serve_untrained, tour_of_arm  # noqa: PLC0415 - as above
-    from services.local.quickstart import quickstart  # noqa: PLC0415
-
     file = import_arm(settings, options.urdf, options.import_options, _say)
     if options.untrained:
         serve_untrained(settings, file, _say)
@@ -153,61 +138,63 @@ def _arm(settings: Settings, options: argparse.Namespace) -> int:
     return 0
 
 
-def _arm_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--untrained", action="store_true", help="serve it by the scene model alone, without training"
-    )
-    parser.add_argument("urdf", type=Path, help="the description; a name that ends with .xacro is expanded")
-    parser.add_argument(
-        "import_options",
-        nargs=argparse.REMAINDER,
-        metavar="OPTION",
-        help="of python -m training.robots import, such as --tip LINK --name NAME --ready A,B,...",
-    )
-
-
-def _quickstart_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--world", choices=sorted(TOURS), default=USUAL, help="whose job it is (default: %(default)s)"
-    )
-    usual = TOURS[USUAL]
-    parser.add_argument(
-        "--train",
-        metavar="COMMAND",
-        help=f"entry point of the training job (default: the world's; {usual.train})",
-    )
-    parser.add_argument(
-        "--evaluate",
-        metavar="COMMAND",
-        help="entry point of the evaluation job; {model} is the new version "
-        f"(default: the world's; {usual.evaluate})",
-    )
-
-
 def _demo(settings: Settings, options: argparse.Namespace) -> int:
     demo(settings, _say, browser=not options.no_browser)
     return 0
 
 
-def _no_browser(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--no-browser", action="store_true", help="print the address alone")
+def make_parser() -> argparse.ArgumentParser:
+    """The parser of all commands; ``run`` of its options takes the settings and these options."""
+    parser = argparse.ArgumentParser(
+        prog="python -m services.local",
+        description="MLflow, a Ray head and the inference API on loopback. "
+        "Settings: CSPACE_HOME (state folder), CSPACE_API_PORT, CSPACE_RAY_PORT, CSPACE_MLFLOW_PORT, "
+        "CSPACE_VIEWER_PORT, CSPACE_RAY_CPUS.",
+        epilog=EXIT_CODES,
+    )
+    commands = parser.add_subparsers(required=True, metavar="command")
 
+    def add(
+        name: str, run: Callable[[Settings, argparse.Namespace], int], words: str
+    ) -> argparse.ArgumentParser:
+        command = commands.add_parser(name, help=words, description=words, epilog=EXIT_CODES)
+        command.set_defaults(run=run)
+        return command
 
-def _yes(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--yes", action="store_true", help="do not ask")
-
-
-COMMANDS = {
-    "up": Command("start what does not run, wait until it is ready, print the addresses", _up),
-    "down": Command("end exactly what was started, by process id", _down),
-    "status": Command("show what runs, since when, where, whether it answers; and the state folder", _status),
-    "demo": Command(
-        "start the API on the shipped models and the 3D viewer, and open the viewer", _demo, _no_browser
-    ),
-    "quickstart": Command(
-        "the main job: up, train, evaluate, promote, serve, plan", _quickstart, _quickstart_options
-    ),
-    "arm": Command("your own arm, from its URDF or xacro file to a served model", _arm, _arm_options),
-    "clean-state": Command("delete the state folder: runs, models, data, logs", _clean_state, _yes),
-    "env": Command('print the lines that set a shell up for jobs: eval "$(... env)"', _env),
-}
+    add("up", _up, "start what does not run, wait until it is ready, print the addresses")
+    add("down", _down, "end exactly what was started, by process id")
+    add("status", _status, "show what runs, since when, where, whether it answers; and the state folder")
+    add(
+        "demo", _demo, "start the API on the shipped models and the 3D viewer, and open the viewer"
+    ).add_argument("--no-browser", action="store_true", help="print the address alone")
+    main_job = add("quickstart", _quickstart, "the main job: up, train, evaluate, promote, serve, plan")
+    main_job.add_argument(
+        "--world", choices=sorted(TOURS), default=USUAL, help="whose job it is (default: %(default)s)"
+    )
+    main_job.add_argument(
+        "--train",
+        metavar="COMMAND",
+        help=f"entry point of the training job (default: the world's; {TOURS[USUAL].train})",
+    )
+    main_job.add_argument(
+        "--evaluate",
+        metavar="COMMAND",
+        help="entry point of the evaluation job; {model} is the new version "
+        f"(default: the world's; {TOURS[USUAL].evaluate})",
+    )
+    arm = add("arm", _arm, "your own arm, from its URDF or xacro file to a served model")
+    arm.add_argument(
+        "--untrained", action="store_true", help="serve it by the scene model alone, without training"
+    )
+    arm.add_argument("urdf", type=Path, help="the description; a name that ends with .xacro is expanded")
+    arm.add_argument(
+        "import_options",
+        nargs=argparse.REMAINDER,
+        metavar="OPTION",
+        help="of python -m training.robots import, such as --tip LINK --name NAME --ready A,B,...",
+    )
+    add("clean-state", _clean_state, "delete the state folder: runs, models, data, logs").add_argument(
+        "--yes", action="store_true", help="do not ask"
+    )
+    add("env", _env, 'print the lines that set a shell up for jobs: eval "$(... env)"')
+    return parser

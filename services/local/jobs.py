@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import httpx
 from pydantic import BaseModel, StrictBool, ValidationError
@@ -81,9 +81,7 @@ def last_result(log: str, kind: type[Result]) -> Result:
 RUN_FOLDER = "figures"
 
 
-def fetch_pictures(
-    url: str, run_id: str, names: Sequence[str], folder: Path, transport: httpx.BaseTransport | None = None
-) -> list[Path]:
+def fetch_pictures(url: str, run_id: str, names: Sequence[str], folder: Path) -> list[Path]:
     """Copy a run's figures by name; the files.
 
     Args:
@@ -91,28 +89,25 @@ def fetch_pictures(
         run_id: whose figures.
         names: with or without ``.png``.
         folder: that the files go to; made if it is not there.
-        transport: of httpx; None for the network.
 
     Raises:
         RegistryError: a figure is not there, or the server does not answer.
     """
     folder.mkdir(parents=True, exist_ok=True)
     found = []
-    with httpx.Client(base_url=url, timeout=30.0, trust_env=False, transport=transport) as client:
-        for name in names:
-            # A name is a run's word, not a path of this machine.
-            file = f"{Path(name).name.removesuffix('.png')}.png"
-            found.append(folder / file)
-            found[-1].write_bytes(_download(client, run_id, f"{RUN_FOLDER}/{file}"))
+    for name in names:
+        # A name is a run's word, not a path of this machine.
+        file = f"{Path(name).name.removesuffix('.png')}.png"
+        query = {"run_uuid": run_id, "path": f"{RUN_FOLDER}/{file}"}
+        try:
+            answer = httpx.get(f"{url}/get-artifact", params=query, timeout=30.0, trust_env=False)
+            answer.raise_for_status()
+        except httpx.HTTPError as error:
+            what = f"the figure {RUN_FOLDER}/{file} of run {run_id} cannot be fetched"
+            raise RegistryError(what, got=str(error)) from error
+        found.append(folder / file)
+        found[-1].write_bytes(answer.content)
     return found
-
-
-def _download(client: httpx.Client, run_id: str, path: str) -> bytes:
-    try:
-        answer = client.get("/get-artifact", params={"run_uuid": run_id, "path": path}).raise_for_status()
-    except httpx.HTTPError as error:
-        raise RegistryError(f"the figure {path} of run {run_id} cannot be fetched", got=str(error)) from error
-    return answer.content
 
 
 if TYPE_CHECKING:
@@ -124,22 +119,6 @@ LAST_LINES = 30
 SUCCEEDED = "SUCCEEDED"
 ENDED = (SUCCEEDED, "FAILED", "STOPPED")
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
-
-
-class Jobs(Protocol):
-    """What is needed of a jobs API."""
-
-    def submit(self, entrypoint: str) -> str:
-        """Submit a job; its id."""
-        ...
-
-    def state(self, job: str) -> str:
-        """PENDING, RUNNING, SUCCEEDED, FAILED or STOPPED."""
-        ...
-
-    def log(self, job: str) -> str:
-        """All that the job has written so far."""
-        ...
 
 
 class RayJobs:
@@ -160,7 +139,7 @@ class RayJobs:
         return self._ask(lambda client: client.submit_job(entrypoint=entrypoint))
 
     def state(self, job: str) -> str:
-        """See :class:`Jobs`.
+        """PENDING, RUNNING, SUCCEEDED, FAILED or STOPPED.
 
         Raises:
             JobError: the head does not answer.
@@ -168,7 +147,7 @@ class RayJobs:
         return self._ask(lambda client: str(client.get_job_status(job).value))
 
     def log(self, job: str) -> str:
-        """See :class:`Jobs`.
+        """All that the job has written so far.
 
         Raises:
             JobError: the head does not answer.
@@ -176,8 +155,12 @@ class RayJobs:
         return self._ask(lambda client: str(client.get_job_logs(job)))
 
     def _ask(self, question: "Callable[[JobSubmissionClient], str]") -> str:
+        # Imported here: Ray takes a second, and the commands that submit nothing need not wait for it.
+        from ray.job_submission import JobSubmissionClient  # noqa: PLC0415
+
         try:
-            self._client = self._client or _connect(self.settings)
+            # The token goes with the request, so that this process needs no Ray settings in its environment.
+            self._client = self._client or JobSubmissionClient(self.settings.ray_url, headers=token_headers())
             return question(self._client)
         except (RuntimeError, ConnectionError, OSError) as error:
             raise JobError(
@@ -188,7 +171,7 @@ class RayJobs:
 
 
 def follow(
-    jobs: Jobs, job: str, show: Callable[[str], None], sleep: Callable[[float], None] = time.sleep
+    jobs: RayJobs, job: str, show: Callable[[str], None], sleep: Callable[[float], None] = time.sleep
 ) -> str:
     """Show a job's lines as they come until it ends; its whole log, without colours.
 
@@ -214,7 +197,7 @@ def follow(
     return log
 
 
-def _look(jobs: Jobs, job: str, sleep: Callable[[float], None]) -> tuple[str, str]:
+def _look(jobs: RayJobs, job: str, sleep: Callable[[float], None]) -> tuple[str, str]:
     """A job's state and what it had written then or a little later."""
     for _ in range(LOOKS - 1):
         # A head whose machine is busy with trials may miss a question; the job goes on all the same.
@@ -222,11 +205,3 @@ def _look(jobs: Jobs, job: str, sleep: Callable[[float], None]) -> tuple[str, st
             return jobs.state(job), _COLOUR.sub("", jobs.log(job))
         sleep(POLL_S)
     return jobs.state(job), _COLOUR.sub("", jobs.log(job))
-
-
-def _connect(settings: Settings) -> "JobSubmissionClient":
-    # Imported here: Ray takes a second, and the commands that submit nothing need not wait for it.
-    from ray.job_submission import JobSubmissionClient  # noqa: PLC0415
-
-    # The token goes with the request, so that this process needs no Ray settings in its environment.
-    return JobSubmissionClient(settings.ray_url, headers=token_headers())

@@ -1,15 +1,14 @@
 """From an arm's description to a served model: import, then the main job with that robot, or no training."""
 
 import shlex
-import subprocess
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from cspace.errors import ConfigError, JobError, ScenarioError
 from cspace.world import World
 from cspace.worlds import named_world, robot_digest
-from services.local.quickstart import EVALUATE, NOT_SOLVED, PLANNING_SEED, Progress, Tour, wait_served
+from services.local.quickstart import EVALUATE, Progress, Tour, plan_and_draw, run_shown, wait_served
 from services.local.settings import Settings, service_environment
 from services.local.stack import addresses, services, up
 from services.names import label, model_name
@@ -36,7 +35,7 @@ def import_arm(settings: Settings, urdf: Path, options: Sequence[str], say: Call
     command = [sys.executable, "-m", "training.robots", "import", str(urdf), *options, "--out", str(file)]
     progress = Progress(say)
     progress.stage(f"import: {shlex.join(command[1:])}")
-    if _followed(command, None, progress)[0] != 0:
+    if run_shown(command, progress.line)[0] != 0:
         raise ConfigError(
             f"{urdf} was not imported",
             expected="a description and options that the import takes",
@@ -78,7 +77,8 @@ def serve_untrained(settings: Settings, file: Path, say: Callable[[str], None]) 
     Raises:
         ConfigError: the file cannot be read.
         ScenarioError: its robot cannot be, or is one whose model ships.
-        JobError: the model was not made, or the planner failed.
+        JobError: the model was not made.
+        PlanningError: the planner failed.
         CspaceError: another stage failed.
     """
     world = named_world(str(file))
@@ -90,20 +90,15 @@ def serve_untrained(settings: Settings, file: Path, say: Callable[[str], None]) 
     folder = settings.arms_folder / f"{name}-untrained-{robot_digest(world)[:8]}"
     command = [sys.executable, "-m", "training.untrained", str(file), str(folder), "--register", "champion"]
     progress.stage(shlex.join(command[1:]))
-    code, last = _followed(command, environment, progress)
+    code, last = run_shown(command, progress.line, environment)
     if code != 0:
         raise JobError("the model was not made", got=f"exit code {code}, the lines above")
     reference = last.split()[-1]
     progress.stage(f"waiting until the inference API serves {reference}")
     wait_served(settings.api_url, reference, default=False)
-    picture = settings.figures_folder / f"{name}-plan.png"
-    picture.parent.mkdir(parents=True, exist_ok=True)
-    command = [sys.executable, "-m", "services.planner", "--api", settings.api_url, "--robot", str(file)]
-    command += ["--family", "table", "--seed", str(PLANNING_SEED), "--whole-plan", "--plot", str(picture)]
-    progress.stage(shlex.join(command[1:]))
-    code, _ = _followed(command, environment, progress)
-    if code not in (0, NOT_SOLVED):
-        raise JobError("the planner failed", got=f"exit code {code}, the lines above")
+    progress.stage("planning with POST /plan")
+    folder, options = settings.figures_folder / f"{name}-untrained", ("--robot", str(file), "--whole-plan")
+    plan_and_draw(settings.api_url, folder, environment, progress.line, ("table",), options)
     progress.stage("done")
     say(f"\n{addresses(settings)}\n\nThe services stay up; `make down` ends them.")
     say(f"POST /plan, /validity and /sample take model={model}.")
@@ -120,21 +115,3 @@ def _name(world: World) -> str:
             remedy="give it one with --name",
         )
     return name
-
-
-def _followed(
-    command: Sequence[str], environment: Mapping[str, str] | None, progress: Progress
-) -> tuple[int, str]:
-    """Run a command and show its lines; its exit code and the last line."""
-    last = ""
-    with subprocess.Popen(
-        command,
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    ) as process:
-        for line in process.stdout or ():
-            last = line.rstrip()
-            progress.line(last)
-    return process.returncode, last

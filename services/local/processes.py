@@ -1,23 +1,20 @@
 """Detached processes of this machine: started, recorded, watched and ended by process id."""
 
-import http.client
-import json
-import os
 import socket
 import subprocess
-import time
-import urllib.error
-import urllib.request
 import uuid
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
+import httpx
 import psutil
+from pydantic import ValidationError
 
 from cspace.errors import PortTakenError, ServiceError, ServiceStartError
 from cspace.files import holding, write_json
+from cspace.strict_json import adapter_of, refused
 from services.local.settings import HOST
 
 
@@ -70,7 +67,10 @@ def holder(port: int) -> str | None:
     for connection in connections:
         listens = connection.status == psutil.CONN_LISTEN
         if listens and connection.laddr and connection.laddr.port == port and connection.pid:
-            return _describe(connection.pid)
+            with suppress(psutil.Error):
+                command = " ".join(psutil.Process(connection.pid).cmdline())
+                return f"process {connection.pid}: {command[:120]}"
+            return f"process {connection.pid}"
     return None
 
 
@@ -86,31 +86,20 @@ def free_ports(count: int) -> list[int]:
             one.close()
 
 
-def _describe(pid: int) -> str:
-    try:
-        command = " ".join(psutil.Process(pid).cmdline())
-    except psutil.Error:
-        return f"process {pid}"
-    return f"process {pid}: {command[:120]}"
-
-
 @dataclass(frozen=True, slots=True)
 class ProcessId:
-    """A process for good: its id and when it came to be, as ids are used again."""
+    """A process for good: its id and when it came to be (Unix time in s), as ids are used again."""
 
     pid: int
     create_time: float
 
 
 @dataclass(frozen=True, slots=True)
-class Record:
+class Record(ProcessId):
     """A process that was started here.
 
     Args:
         service: short name of the service.
-        pid: its process id.
-        create_time: when it came to be, Unix time in s; a process id alone may be somebody else's by now.
-        argv: its command line.
         marker: a value in the environment of the process and all that it starts.
         root: the project that it was started from.
         address: where it listens.
@@ -120,19 +109,11 @@ class Record:
     """
 
     service: str
-    pid: int
-    create_time: float
-    argv: tuple[str, ...]
     marker: str
     root: str
     address: str
     log: str
     children: tuple[ProcessId, ...] = ()
-
-    @property
-    def process(self) -> ProcessId:
-        """The process itself."""
-        return ProcessId(self.pid, self.create_time)
 
 
 def write_record(folder: Path, record: Record) -> None:
@@ -148,17 +129,13 @@ def read_record(folder: Path, service: str) -> Record | None:
     """
     path = _path(folder, service)
     try:
-        fields = json.loads(path.read_text(encoding="utf-8"))
-        children = tuple(ProcessId(**child) for child in fields["children"])
-        return Record(**{**fields, "argv": tuple(fields["argv"]), "children": children})
+        record: Record = adapter_of(Record).validate_json(path.read_bytes())
     except FileNotFoundError:
         return None
-    except (ValueError, TypeError, KeyError, UnicodeDecodeError) as error:
-        raise ServiceError(
-            f"the record {path} is damaged",
-            got=str(error),
-            remedy="end the process that it was about, if there is one, and delete the file",
-        ) from error
+    except ValidationError as error:
+        remedy = "end the process that it was about, if there is one, and delete the file"
+        raise refused(error, ServiceError, f"the record {path}", remedy) from error
+    return record
 
 
 def drop_record(folder: Path, service: str) -> None:
@@ -211,33 +188,42 @@ def start_detached(
         created = psutil.Process(process.pid).create_time()
     except (OSError, psutil.Error) as error:
         raise ServiceStartError(f"{service} cannot be started", got=str(error)) from error
-    return Record(service, process.pid, created, tuple(argv), marker, str(root), address, str(log))
+    return Record(process.pid, created, service, marker, str(root), address, str(log))
 
 
 def find(known: ProcessId) -> psutil.Process | None:
     """A process if it still runs: the same id *and* the same creation time."""
-    try:
+    with suppress(psutil.Error):
         process = psutil.Process(known.pid)
-        same = abs(process.create_time() - known.create_time) < CREATE_TIME_TOLERANCE_S
-        return process if same and process.status() != psutil.STATUS_ZOMBIE else None
-    except psutil.Error:
-        return None
+        if abs(process.create_time() - known.create_time) < CREATE_TIME_TOLERANCE_S and _runs(process):
+            return process
+    return None
 
 
 def is_alive(record: Record) -> bool:
     """Whether the recorded process still runs."""
-    return find(record.process) is not None
+    return find(record) is not None
 
 
 def with_children(record: Record) -> Record:
     """The record with all that its process has started so far."""
-    return replace(record, children=tuple(_ids(family(record))))
+    children = []
+    for process in family(record):
+        with suppress(psutil.Error):  # it may end in between
+            children.append(ProcessId(process.pid, process.create_time()))
+    return replace(record, children=tuple(children))
 
 
 def family(record: Record) -> list[psutil.Process]:
     """All that the recorded process has started and that still runs, without the process itself."""
-    known = [find(one) for one in (record.process, *record.children)]
-    found = {process.pid: process for process in [*known, *_marked(record.marker)] if process is not None}
+    known = [find(one) for one in (record, *record.children)]
+    # Where a process may not be looked into, its environment is None.
+    marked = [
+        process
+        for process in psutil.process_iter(["environ"])
+        if (process.info["environ"] or {}).get(MARKER) == record.marker
+    ]
+    found = {process.pid: process for process in [*known, *marked] if process is not None}
     for process in list(found.values()):
         with suppress(psutil.Error):  # it may end in between
             found |= {child.pid: child for child in process.children(recursive=True)}
@@ -250,7 +236,7 @@ def stop(record: Record, grace_s: float) -> int:
     The process is asked first and given time to end its own children in order; then those that are left are
     asked, and at last killed. A stranger with a recorded id is left alone.
     """
-    root, children = find(record.process), family(record)
+    root, children = find(record), family(record)
     ended = {process.pid for process in children}
     if root is not None:
         ended.add(root.pid)
@@ -262,23 +248,18 @@ def stop(record: Record, grace_s: float) -> int:
 
 
 def _end(processes: Sequence[psutil.Process], grace_s: float) -> None:
+    """Ask processes to end, and kill those that have not after a time.
+
+    psutil compares creation times before it sends a signal, so that a reused id is never hit.
+    """
     for process in processes:
-        _signal(process, kill=False)
+        with suppress(psutil.Error):
+            process.terminate()
     _, alive = psutil.wait_procs(processes, timeout=grace_s)
     for process in alive:
-        _signal(process, kill=True)
-    psutil.wait_procs(alive, timeout=KILL_WAIT_S)
-
-
-def _signal(process: psutil.Process, *, kill: bool) -> None:
-    # psutil compares creation times before it sends, so that a reused id is never hit.
-    try:
-        if kill:
+        with suppress(psutil.Error):
             process.kill()
-        else:
-            process.terminate()
-    except psutil.Error:
-        return
+    psutil.wait_procs(alive, timeout=KILL_WAIT_S)
 
 
 def _runs(process: psutil.Process) -> bool:
@@ -288,28 +269,7 @@ def _runs(process: psutil.Process) -> bool:
         return False
 
 
-def _ids(processes: Iterable[psutil.Process]) -> Iterator[ProcessId]:
-    for process in processes:
-        with suppress(psutil.Error):
-            yield ProcessId(process.pid, process.create_time())
-
-
-def _marked(marker: str) -> Iterable[psutil.Process]:
-    user = os.getuid()
-    for process in psutil.process_iter():
-        try:
-            if process.uids().real == user and process.environ().get(MARKER) == marker:
-                yield process
-        except (psutil.Error, OSError):  # ended in between, or not ours to look into
-            continue
-
-
 PROBE_TIMEOUT_S = 5.0
-POLL_S = 0.2
-LOG_LINES = 25
-
-# Loopback addresses are never reached through a proxy.
-_OPENER = urllib.request.build_opener(urllib.request.ProxyHandler({}))
 
 
 def answers(url: str, headers: Mapping[str, str] | None = None) -> bool:
@@ -319,63 +279,23 @@ def answers(url: str, headers: Mapping[str, str] | None = None) -> bool:
 
 def answer_of(url: str, headers: Mapping[str, str] | None = None) -> bytes | None:
     """What an address answers with a status of 200; None where it does not."""
-    request = urllib.request.Request(url, headers=dict(headers or {}))  # noqa: S310 - loopback, from settings
-    try:
-        with _OPENER.open(request, timeout=PROBE_TIMEOUT_S) as response:
-            return bytes(response.read()) if response.status == http.client.OK else None
-    except (OSError, http.client.HTTPException):
-        return None
+    with suppress(httpx.HTTPError):
+        answer = _get(url, headers)
+        if answer.status_code == httpx.codes.OK:
+            return answer.content
+    return None
 
 
 def problem_at(url: str) -> str:
     """The ``type`` of the problem that an address answers; empty where it answers none."""
-    try:
-        _OPENER.open(url, timeout=PROBE_TIMEOUT_S).close()
-    except urllib.error.HTTPError as error:
-        with error, suppress(ValueError, KeyError, TypeError):
-            return str(json.load(error)["type"])
-    except (OSError, http.client.HTTPException):
-        pass
+    with suppress(httpx.HTTPError, ValueError, KeyError, TypeError):
+        return str(_get(url).json()["type"])
     return ""
 
 
-def wait_ready(
-    title: str, log: Path, *, ready: Callable[[], bool], alive: Callable[[], bool], limit_s: float
-) -> None:
-    """Wait until a service is ready.
-
-    Args:
-        title: of the service, for messages.
-        log: its log file, whose end is shown where it fails.
-        ready: whether it answers.
-        alive: whether its process runs.
-        limit_s: when to give up.
-
-    Raises:
-        ServiceStartError: the process ended, or the time is up.
-    """
-    until = time.monotonic() + limit_s
-    while not ready():
-        if not alive():
-            raise _failed(f"{title} ended while it was starting", log)
-        if time.monotonic() > until:
-            raise _failed(f"{title} did not answer within {limit_s:.0f} s", log)
-        time.sleep(POLL_S)
-
-
-def log_end(log: Path, lines: int = LOG_LINES) -> str:
-    """The last lines of a log file."""
-    try:
-        text = log.read_text(encoding="utf-8", errors="replace")
-    except OSError as error:
-        return f"(no log: {error})"
-    return "\n".join(text.splitlines()[-lines:])
-
-
-def _failed(what: str, log: Path) -> ServiceStartError:
-    return ServiceStartError(
-        what, remedy=f"the end of its log {log}:\n{log_end(log)}\nthen `make down` and start again"
-    )
+def _get(url: str, headers: Mapping[str, str] | None = None) -> httpx.Response:
+    # Loopback addresses are never reached through a proxy.
+    return httpx.get(url, headers=headers, timeout=PROBE_TIMEOUT_S, trust_env=False)
 
 
 @dataclass(frozen=True, slots=True)

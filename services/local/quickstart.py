@@ -1,6 +1,7 @@
 """The guided run: services, training, evaluation, serving, quality over HTTP, planning, summary."""
 
 import json
+import shlex
 import subprocess
 import sys
 import time
@@ -24,9 +25,9 @@ from services.evaluator.measures.sample_quality import (
 )
 from services.evaluator.measures.scenes import Scene, Stage
 from services.evaluator.statistics import Interval
+from services.evaluator.tables import aligned
 from services.local.jobs import (
     EvaluationResult,
-    Jobs,
     RayJobs,
     TrainingResult,
     fetch_pictures,
@@ -34,7 +35,7 @@ from services.local.jobs import (
     last_result,
 )
 from services.local.settings import Settings, service_environment
-from services.local.stack import addresses, aligned, services, shell_help, up
+from services.local.stack import addresses, services, shell_help, up
 from services.names import MODEL_NAME
 from services.planner.client import SamplingClient
 from services.planner.samples import SampleSource
@@ -95,15 +96,7 @@ POLL_S = 0.5
 LIMIT_S = 60.0
 
 
-def wait_served(
-    url: str,
-    reference: str,
-    *,
-    default: bool,
-    limit_s: float = LIMIT_S,
-    transport: httpx.BaseTransport | None = None,
-    sleep: Callable[[float], None] = time.sleep,
-) -> None:
+def wait_served(url: str, reference: str, *, default: bool, limit_s: float = LIMIT_S) -> None:
     """Wait until ``GET /models`` lists a version.
 
     Args:
@@ -111,38 +104,32 @@ def wait_served(
         reference: ``name/version``.
         default: whether it must also be what requests get that name no model.
         limit_s: when to give up.
-        transport: of httpx; None for the network.
-        sleep: between two looks.
 
     Raises:
         ServiceStartError: the time is up.
     """
     until = time.monotonic() + limit_s
-    with httpx.Client(base_url=url, timeout=5.0, trust_env=False, transport=transport) as client:
-        while True:
-            seen = _models(client, reference.partition("/")[0])
-            if any(ref == reference and (chosen or not default) for ref, chosen in seen.items()):
-                return
-            if time.monotonic() > until:
-                break
-            sleep(POLL_S)
-    raise ServiceStartError(
-        f"the inference API does not serve {reference}{' by default' if default else ''}",
-        got=f"{sorted(seen)} after {limit_s:.0f} s",
-        remedy="see its log, api.log in the logs folder",
-    )
+    while True:
+        seen = listed_models(url, reference.partition("/")[0])
+        if reference in seen and (seen[reference] or not default):
+            return
+        if time.monotonic() > until:
+            raise ServiceStartError(
+                f"the inference API does not serve {reference}{' by default' if default else ''}",
+                got=f"{sorted(seen)} after {limit_s:.0f} s",
+                remedy="see its log, api.log in the logs folder",
+            )
+        time.sleep(POLL_S)
 
 
-def listed_models(url: str, name: str) -> frozenset[str]:
-    """What requests may name of a model and of what is shipped; empty while the API does not answer."""
-    with httpx.Client(base_url=url, timeout=5.0, trust_env=False) as client:
-        return frozenset(_models(client, name))
+def listed_models(url: str, name: str) -> dict[str, bool]:
+    """What requests may name of a model and of what is shipped, with whether each is the default.
 
-
-def _models(client: httpx.Client, name: str) -> dict[str, bool]:
-    """References of a model with whether each is the default; empty while the API does not answer."""
+    It is empty while the API does not answer.
+    """
     try:
-        listed = client.get("/models", params={"name": name}).raise_for_status().json()["models"]
+        answer = httpx.get(f"{url}/models", params={"name": name}, timeout=5.0, trust_env=False)
+        listed = answer.raise_for_status().json()["models"]
         return {str(one["reference"]): one["default"] is True for one in listed}
     except (httpx.HTTPError, json.JSONDecodeError, KeyError, TypeError):
         return {}
@@ -194,71 +181,60 @@ def _rows(scene: Scene, client: SampleSource, references: Sequence[str]) -> dict
 
 
 PLANNING_SEED = 7
-PLANNING_LIMIT_S = 120.0
 # What the command ends with when the planner found no path: an outcome, which it has printed and drawn.
 NOT_SOLVED = 1
 
 
 def plan_and_draw(
     url: str,
-    root: Path,
     folder: Path,
     environment: Mapping[str, str],
     show: Callable[[str], None],
-    tour: Tour,
-    model: str | None = None,
+    families: Sequence[str],
+    options: Sequence[str] = (),
 ) -> list[Path]:
     """Plan one problem of each family and draw it; the pictures.
 
     Args:
         url: of the inference API.
-        root: the project's root.
         folder: for the pictures; made if it is not there.
         environment: of the command.
         show: takes the command's lines.
-        tour: whose problems.
-        model: that is asked; None for the API's default.
+        families: of the problems.
+        options: of the command besides, such as ``--robot`` and ``--model``.
 
     Raises:
         PlanningError: the command failed.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    pictures = [folder / f"plan-{family}.png" for family in tour.families]
-    # The default robot and the default model need no words.
-    named = [] if model is None else ["--robot", tour.robot, "--model", model]
-    for family, picture in zip(tour.families, pictures, strict=True):
+    pictures = [folder / f"plan-{family}.png" for family in families]
+    for family, picture in zip(families, pictures, strict=True):
         picture.unlink(missing_ok=True)
         # A process of its own: OMPL seeds its generator once a process.
-        arguments = [
-            "--api",
-            url,
-            *named,
-            "--family",
-            family,
-            "--seed",
-            str(PLANNING_SEED),
-            "--plot",
-            str(picture),
-        ]
-        show(f"$ python -m services.planner {' '.join(arguments)}")
-        outcome = subprocess.run(
-            [sys.executable, "-m", "services.planner", *arguments],
-            cwd=root,
-            env=dict(environment),
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=PLANNING_LIMIT_S,
-        )
-        for line in outcome.stdout.splitlines():
-            show(line)
+        command = ["-m", "services.planner", "--api", url, *options, "--family", family]
+        command += ["--seed", str(PLANNING_SEED), "--plot", str(picture)]
+        show(f"$ python {shlex.join(command)}")
+        code, _ = run_shown([sys.executable, *command], show, environment)
         # A crash ends with the same code, but draws nothing.
-        if outcome.returncode not in (0, NOT_SOLVED) or not picture.is_file():
+        if code not in (0, NOT_SOLVED) or not picture.is_file():
             raise PlanningError(
-                f"the planner failed on the family {family}",
-                got=f"exit code {outcome.returncode}: {outcome.stderr[-1000:] or outcome.stdout[-1000:]}",
+                f"the planner failed on the family {family}", got=f"exit code {code}, the lines above"
             )
     return pictures
+
+
+def run_shown(
+    command: Sequence[str], show: Callable[[str], None], environment: Mapping[str, str] | None = None
+) -> tuple[int, str]:
+    """Run a command and show its lines; its exit code and the last line."""
+    last = ""
+    with subprocess.Popen(
+        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    ) as process:
+        for line in process.stdout or ():
+            last = line.rstrip()
+            show(last)
+    return process.returncode, last
 
 
 def summary(
@@ -373,7 +349,7 @@ def quickstart(settings: Settings, tour: Tour, say: Callable[[str], None]) -> No
     say(f"\nLook at what was trained: {f'{settings.api_url}/' if flat else viewer}")
 
 
-def _run(jobs: Jobs, entrypoint: str, progress: Progress) -> str:
+def _run(jobs: RayJobs, entrypoint: str, progress: Progress) -> str:
     progress.stage(f"job: {entrypoint}")
     job = jobs.submit(entrypoint)
     progress.line(f"submitted as {job}; its first line comes when Ray's workers are up")
@@ -395,8 +371,10 @@ def _pictures(
 ) -> list[Path]:
     folder = settings.figures_folder / f"{training.model}-{training.version}"
     environment = service_environment(settings)
-    model = None if training.model == MODEL_NAME else training.reference
-    pictures = plan_and_draw(settings.api_url, settings.root, folder, environment, progress.line, tour, model)
+    # The default robot and the default model need no words.
+    is_default = training.model == MODEL_NAME
+    options = () if is_default else ("--robot", tour.robot, "--model", training.reference)
+    pictures = plan_and_draw(settings.api_url, folder, environment, progress.line, tour.families, options)
     for run_id, names in ((training.run_id, training.figures), (evaluation.run_id, evaluation.figures)):
         pictures += fetch_pictures(settings.mlflow_url, run_id, names, folder)
     return pictures

@@ -9,7 +9,7 @@ import shlex
 import shutil
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,54 +23,6 @@ MARKER = ".cspace-sampler.json"
 MAX_TEMP_PATH = 38
 # Ray starts its processes by a shell that is given their paths without quotes.
 SHELL_SPECIAL = re.compile(r"""[][\s"'`$&;()<>|*?#\\:]""")
-
-
-def claim(home: Path, parts: Sequence[str]) -> None:
-    """Mark a folder as this project's, with the names of what it keeps there.
-
-    A new or empty folder is marked and ignores itself.
-
-    Raises:
-        ConfigError: it holds something else.
-        OSError: it cannot be made or written.
-    """
-    home.mkdir(mode=0o700, parents=True, exist_ok=True)
-    if not marked(home):
-        found = sorted(path.name for path in home.iterdir())
-        if found:
-            raise ConfigError(
-                f"{home} is not a state folder of this project",
-                expected="a new or an empty folder",
-                got=", ".join(found[:5]) + (f" and {len(found) - 5} more" if len(found) > 5 else ""),
-                remedy="set CSPACE_HOME to a folder of its own",
-            )
-        write_json(home / MARKER, {"made_by": "cspace-sampler", "parts": list(parts)})
-        ignore(home)
-
-
-def marked(home: Path) -> bool:
-    """Whether the folder bears the mark."""
-    return (home / MARKER).is_file()
-
-
-def owned(home: Path, parts: Sequence[str]) -> tuple[str, ...]:
-    """Those parts that the mark lists; none where there is no folder.
-
-    Raises:
-        ConfigError: the folder is not this project's, or its mark is damaged.
-    """
-    if not home.is_dir():
-        return ()
-    try:
-        listed = json.loads((home / MARKER).read_text(encoding="utf-8"))["parts"]
-        return tuple(name for name in parts if name in listed)
-    except (OSError, ValueError, LookupError, TypeError) as error:
-        raise ConfigError(
-            f"{home} is not a state folder of this project",
-            expected=f"{MARKER} in it, which `make up` writes",
-            got=f"{type(error).__name__} on reading it",
-            remedy="see what CSPACE_HOME says, or delete the folder yourself",
-        ) from error
 
 
 HOST = "127.0.0.1"
@@ -184,7 +136,7 @@ class Settings:
             ConfigError: it cannot be made, or is somebody else's.
         """
         try:
-            claim(self.home, FOLDERS)
+            claim(self.home)
             for name in FOLDERS:
                 (self.home / name).mkdir(exist_ok=True)
         except OSError as error:
@@ -245,6 +197,49 @@ def _cores() -> int:
     return os.cpu_count() or 1
 
 
+def claim(home: Path) -> None:
+    """Mark a folder as this project's, with the names of what it keeps there.
+
+    A new or empty folder is marked and ignores itself.
+
+    Raises:
+        ConfigError: it holds something else.
+        OSError: it cannot be made or written.
+    """
+    home.mkdir(mode=0o700, parents=True, exist_ok=True)
+    if not (home / MARKER).is_file():
+        found = sorted(path.name for path in home.iterdir())
+        if found:
+            raise ConfigError(
+                f"{home} is not a state folder of this project",
+                expected="a new or an empty folder",
+                got=", ".join(found[:5]) + (f" and {len(found) - 5} more" if len(found) > 5 else ""),
+                remedy="set CSPACE_HOME to a folder of its own",
+            )
+        write_json(home / MARKER, {"made_by": "cspace-sampler", "parts": FOLDERS})
+        ignore(home)
+
+
+def owned(home: Path) -> tuple[str, ...]:
+    """The parts that the mark lists; none where there is no folder.
+
+    Raises:
+        ConfigError: the folder is not this project's, or its mark is damaged.
+    """
+    if not home.is_dir():
+        return ()
+    try:
+        listed = json.loads((home / MARKER).read_text(encoding="utf-8"))["parts"]
+        return tuple(name for name in FOLDERS if name in listed)
+    except (OSError, ValueError, LookupError, TypeError) as error:
+        raise ConfigError(
+            f"{home} is not a state folder of this project",
+            expected=f"{MARKER} in it, which `make up` writes",
+            got=f"{type(error).__name__} on reading it",
+            remedy="see what CSPACE_HOME says, or delete the folder yourself",
+        ) from error
+
+
 def size_bytes(folder: Path) -> int:
     """Sum over the files below a folder, 0 where there is none; links are not followed."""
     total = 0
@@ -272,7 +267,7 @@ def state_parts(settings: Settings) -> dict[Path, int]:
     Raises:
         ConfigError: the state folder is not this project's.
     """
-    parts = [settings.home / name for name in owned(settings.home, FOLDERS)]
+    parts = [settings.home / name for name in owned(settings.home)]
     return {part: size_bytes(part) for part in [*parts, temp_folder(settings)] if part.is_dir()}
 
 
@@ -369,11 +364,7 @@ def service_environment(settings: Settings, base: Mapping[str, str] = os.environ
         "CSPACE_MODEL_CACHE": str(settings.home / "models"),
         # Empty switches it off; another folder would be that of another state folder.
         OUTCOMES: "" if base.get(OUTCOMES) == "" else str(settings.outcomes_folder),
-        "MLFLOW_DISABLE_TELEMETRY": "true",
-        # Progress bars turn a log into noise.
-        "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false",
-        "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true",
-        "MLFLOW_TRACKING_URI": settings.mlflow_url,
+        **_mlflow_environment(settings),
         "OMP_NUM_THREADS": "1",
         # onnxruntime reports on its use from the import on, unless told not to.
         "ORT_DISABLE_TELEMETRY": "1",
@@ -389,6 +380,16 @@ def service_environment(settings: Settings, base: Mapping[str, str] = os.environ
         # named after the systems on which a head keeps to the loopback address by default.
         "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",
         "RAY_USAGE_STATS_ENABLED": "0",
+    }
+
+
+def _mlflow_environment(settings: Settings) -> dict[str, str]:
+    return {
+        "MLFLOW_TRACKING_URI": settings.mlflow_url,
+        "MLFLOW_DISABLE_TELEMETRY": "true",
+        # Progress bars and addresses turn a log into noise.
+        "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false",
+        "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true",
     }
 
 
@@ -409,10 +410,7 @@ def shell_lines(settings: Settings) -> list[str]:
         "RAY_JOB_SUBMIT_HOOK": "services.local.upload.check_upload",
         API_URL: settings.api_url,
         OUTCOMES: str(settings.outcomes_folder),
-        "MLFLOW_TRACKING_URI": settings.mlflow_url,
-        "MLFLOW_DISABLE_TELEMETRY": "true",
-        "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false",
-        "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true",
+        **_mlflow_environment(settings),
     }
     lines = [f"export {name}={shlex.quote(value)}" for name, value in values.items()]
     return [*lines, f'export PATH={shlex.quote(str(binaries()))}:"$PATH"']

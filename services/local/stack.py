@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cspace.errors import ServiceError, ServiceStartError
+from services.evaluator.tables import aligned
 from services.local.processes import (
     Record,
     Service,
@@ -25,7 +26,6 @@ from services.local.processes import (
     require_free,
     start_detached,
     stop,
-    wait_ready,
     with_children,
     write_record,
 )
@@ -125,38 +125,25 @@ def _command(settings: Settings) -> tuple[str, ...]:
     )
 
 
-def require_plain(folder: Path) -> None:
-    """Refuse a path below which Ray cannot run.
-
-    Raises:
-        ServiceStartError: it has a space, or a character that means something to a shell.
-    """
-    if SHELL_SPECIAL.search(str(folder)):
-        raise ServiceStartError(
-            f"Ray cannot run below the folder '{folder}'",
-            expected="a path without spaces and characters of the shell",
-            remedy="move the project, delete its .venv, and run make there",
-        )
-
-
 def _prepare(settings: Settings, environment: dict[str, str]) -> None:
     for used in (settings.root, binaries()):
-        require_plain(used)
+        if SHELL_SPECIAL.search(str(used)):
+            raise ServiceStartError(
+                f"Ray cannot run below the folder '{used}'",
+                expected="a path without spaces and characters of the shell",
+                remedy="move the project, delete its .venv, and run make there",
+            )
     folder = temp_folder(settings)
     folder.mkdir(mode=0o700, exist_ok=True)
     if folder.is_symlink() or folder.stat().st_uid != os.getuid():
         raise ServiceStartError(
             f"{folder} belongs to somebody else", remedy="set TMPDIR to a folder of yours with a short path"
         )
-    _drop_old_sessions(folder)
-    ensure_token(environment)
-
-
-def _drop_old_sessions(folder: Path) -> None:
-    """Delete all sessions but the last, whose logs may still be wanted."""
+    # The last session's logs may still be wanted.
     sessions = [path for path in folder.glob("session_*") if path.is_dir() and not path.is_symlink()]
     for path in sorted(sessions)[:-1]:
         shutil.rmtree(path, ignore_errors=True)
+    ensure_token(environment)
 
 
 def mlflow_server(settings: Settings) -> Service:
@@ -249,6 +236,8 @@ def viewer(settings: Settings) -> Service:
 
 
 Report = Callable[[str], None]
+POLL_S = 0.2
+LOG_LINES = 25
 
 
 @dataclass(frozen=True, slots=True)
@@ -292,7 +281,10 @@ def up(settings: Settings, wanted: Sequence[Service], report: Report) -> None:
         began = time.monotonic()
         absent = [service for service in wanted if not _runs(settings, service)]
         for service in absent:
-            _end_leftovers(settings, service)
+            # What a killed service left behind would hold its ports.
+            record = read_record(settings.run_folder, service.name)
+            if record is not None:
+                _end(settings, service, record)
             require_free(service.port, service.title, service.setting)
         for service in absent:
             service.prepare()
@@ -327,8 +319,7 @@ def down(settings: Settings, wanted: Sequence[Service], report: Report) -> int:
                     report(line)
         for service, record in records:
             ended += is_alive(record)
-            count = stop(record, service.stop_grace_s)
-            drop_record(settings.run_folder, service.name)
+            count = _end(settings, service, record)
             report(f"{service.title}: ended" if count else f"{service.title}: had ended before")
     return ended
 
@@ -379,12 +370,11 @@ def _require_own(settings: Settings, service: Service, record: Record) -> None:
         )
 
 
-def _end_leftovers(settings: Settings, service: Service) -> None:
-    """What a killed service left behind would hold its ports."""
-    record = read_record(settings.run_folder, service.name)
-    if record is not None:
-        stop(record, service.stop_grace_s)
-        drop_record(settings.run_folder, service.name)
+def _end(settings: Settings, service: Service, record: Record) -> int:
+    """End a service and forget it; how many processes that were."""
+    count = stop(record, service.stop_grace_s)
+    drop_record(settings.run_folder, service.name)
+    return count
 
 
 def _start(settings: Settings, service: Service) -> None:
@@ -401,22 +391,27 @@ def _start(settings: Settings, service: Service) -> None:
 
 
 def _wait(settings: Settings, service: Service) -> Record:
+    """Wait until a service is ready; one that ends, or takes too long, is ended."""
     record = read_record(settings.run_folder, service.name)
     if record is None:
         raise ServiceError(f"the record of {service.title} is gone", remedy="`make down`, then `make up`")
-    try:
-        wait_ready(
-            service.title,
-            Path(record.log),
-            ready=service.ready,
-            alive=lambda: is_alive(record),
-            limit_s=service.start_limit_s,
-        )
-    except ServiceStartError:
-        stop(record, service.stop_grace_s)
-        drop_record(settings.run_folder, service.name)
-        raise
-    return record
+    until, failure = time.monotonic() + service.start_limit_s, None
+    while failure is None and not service.ready():
+        if not is_alive(record):
+            failure = "ended while it was starting"
+        elif time.monotonic() > until:
+            failure = f"did not answer within {service.start_limit_s:.0f} s"
+        else:
+            time.sleep(POLL_S)
+    if failure is None:
+        return record
+    _end(settings, service, record)
+    log = Path(record.log)
+    last = log.read_text(encoding="utf-8", errors="replace").splitlines()[-LOG_LINES:]
+    raise ServiceStartError(
+        f"{service.title} {failure}",
+        remedy="\n".join([f"the end of its log {log}:", *last, "then `make down` and start again"]),
+    )
 
 
 def _log(settings: Settings, service: Service) -> Path:
@@ -467,10 +462,3 @@ def status_table(settings: Settings, statuses: Sequence[ServiceStatus]) -> str:
         rows.append((one.title, state, str(one.pid or "-"), since, one.address))
     folder = f"state folder {settings.home}, {size_text(size_bytes(settings.home))}"
     return f"{aligned(rows)}\n{folder}"
-
-
-def aligned(rows: Sequence[Sequence[str]]) -> str:
-    """Columns of texts, left-aligned."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = ("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in rows)
-    return "\n".join(line.rstrip() for line in lines)

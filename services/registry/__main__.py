@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from cspace.errors import ConfigError, CspaceError, InputError, ModelNotFoundError
-from services.command_errors import report_error
+from services.command_errors import confirmed, report_error
 from services.names import ALIAS_CHAMPION, TAG_SIGNATURE
 from services.registry import promotion
 from services.registry.mlflow_registry import MlflowRegistry
@@ -139,12 +139,9 @@ def _shadow(registry: ModelRegistry, options: argparse.Namespace) -> None:
 
 def _delete(registry: ModelRegistry, options: argparse.Namespace) -> None:
     version = _version(registry, options)
-    if not options.yes:
-        if not sys.stdin.isatty():
-            raise ConfigError("there is nobody to ask", expected="a terminal", remedy="confirm with --yes")
-        if input(f"delete {version} for good? [y/N] ").strip().lower() not in {"y", "yes"}:
-            print("nothing was deleted")
-            return
+    if not options.yes and not confirmed(f"delete {version} for good?"):
+        print("nothing was deleted")
+        return
     promotion.delete(registry, version)
     print(f"deleted {version}")
 

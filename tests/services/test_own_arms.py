@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from cspace.errors import ConfigError, JobError, ScenarioError
+from cspace.errors import ConfigError, JobError, PlanningError, ScenarioError
 from cspace.worlds import robot_digest
 from cspace.worlds.spatial.world import shipped, usual
 from services.local.own_arm import import_arm, serve_untrained, tour_of_arm
@@ -114,7 +114,7 @@ def stub_python(folder: Path, monkeypatch: pytest.MonkeyPatch, making: int, plan
 echo "$@" >> {said}
 case "$2" in
   training.untrained) echo "  registered as bench-arm-5-sampler/1"; exit {making};;
-  *) echo "  plan     solved"; exit {planning};;
+  *) echo "  plan     solved"; for picture; do :; done; touch "$picture"; exit {planning};;
 esac
 """
     )
@@ -136,8 +136,8 @@ def test_an_arm_without_training_is_registered_served_and_planned_with(
     make, plan = said.read_text().splitlines()
     folder = settings.arms_folder / f"bench-arm-5-untrained-{DIGEST[:8]}"
     assert make == f"-m training.untrained {file} {folder} --register champion"
-    assert plan.startswith(f"-m services.planner --api {settings.api_url} --robot {file} --family table")
-    assert "--whole-plan" in plan
+    robot = f"--robot {file} --whole-plan --family table"
+    assert plan.startswith(f"-m services.planner --api {settings.api_url} {robot}")
     assert served == ["bench-arm-5-sampler/1"]
     assert any("model=bench-arm-5-sampler" in line for line in lines)
 
@@ -149,5 +149,5 @@ def test_a_step_that_fails_ends_it(
     stub_python(tmp_path, monkeypatch, making, planning)
     monkeypatch.setattr("services.local.own_arm.wait_served", lambda *_, **__: None)
     settings = Settings.from_environment({"CSPACE_HOME": str(tmp_path / "home")})
-    with pytest.raises(JobError, match=says):
+    with pytest.raises((JobError, PlanningError), match=says):
         serve_untrained(settings, file, lambda _: None)

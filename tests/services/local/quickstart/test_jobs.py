@@ -1,6 +1,7 @@
 """Jobs on a Ray head: what is shown while they run, their results, their pictures."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import httpx
@@ -123,19 +124,29 @@ def test_what_is_no_result_is_an_error(text: str, words: str) -> None:
         last_result(text, EvaluationResult)
 
 
-def server(request: httpx.Request) -> httpx.Response:
-    known = request.url.path == "/get-artifact" and request.url.params["path"] == "figures/losses.png"
-    return httpx.Response(200, content=b"png") if known else httpx.Response(404)
+@pytest.fixture
+def mlflow(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A tracking server whose run has one figure."""
+
+    def serve(request: httpx.Request) -> httpx.Response:
+        known = request.url.path == "/get-artifact" and request.url.params["path"] == "figures/losses.png"
+        return httpx.Response(200, content=b"png") if known else httpx.Response(404)
+
+    with httpx.Client(transport=httpx.MockTransport(serve)) as client:
+        monkeypatch.setattr(httpx, "get", lambda url, *, params, **_: client.get(url, params=params))
+        yield
 
 
 @pytest.mark.parametrize("name", ["losses", "losses.png", "../../losses.png"])
+@pytest.mark.usefixtures("mlflow")
 def test_a_figure_is_copied_by_its_name_into_the_folder(tmp_path: Path, name: str) -> None:
     folder = tmp_path / "figures"
-    found = fetch_pictures("http://mlflow", "r1", [name], folder, httpx.MockTransport(server))
+    found = fetch_pictures("http://mlflow", "r1", [name], folder)
     assert found == [folder / "losses.png"]
     assert found[0].read_bytes() == b"png"
 
 
+@pytest.mark.usefixtures("mlflow")
 def test_a_figure_that_is_not_there_is_an_error_that_names_it(tmp_path: Path) -> None:
     with pytest.raises(RegistryError, match=r"figures/other\.png of run r1"):
-        fetch_pictures("http://mlflow", "r1", ["other"], tmp_path, httpx.MockTransport(server))
+        fetch_pictures("http://mlflow", "r1", ["other"], tmp_path)

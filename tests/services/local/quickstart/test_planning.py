@@ -7,7 +7,9 @@ import pytest
 
 from cspace.errors import PlanningError
 from services.local import quickstart
-from services.local.quickstart import TOURS
+from services.local.jobs import EvaluationResult, TrainingResult
+from services.local.quickstart import TOURS, Progress
+from services.local.settings import Settings
 
 
 def command(folder: Path, script: str) -> str:
@@ -21,9 +23,8 @@ def command(folder: Path, script: str) -> str:
 def plan(folder: Path, script: str, monkeypatch: pytest.MonkeyPatch) -> tuple[list[Path], list[str]]:
     monkeypatch.setattr(quickstart.sys, "executable", command(folder, script))
     lines: list[str] = []
-    tour = TOURS["planar"]
     pictures = quickstart.plan_and_draw(
-        "http://127.0.0.1:1", folder, folder / "out", os.environ, lines.append, tour
+        "http://127.0.0.1:1", folder / "out", os.environ, lines.append, TOURS["planar"].families
     )
     return pictures, lines
 
@@ -51,8 +52,12 @@ def test_an_older_picture_does_not_hide_a_crash(tmp_path: Path, monkeypatch: pyt
 def test_a_model_that_is_not_the_apis_default_is_named_with_its_robot(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(quickstart.sys, "executable", command(tmp_path, 'echo "$*" >&2; exit 2'))
-    with pytest.raises(PlanningError, match=r"--robot panda --model panda-sampler/3 --family uniform"):
-        quickstart.plan_and_draw(
-            "http://127.0.0.1:1", tmp_path, tmp_path, os.environ, print, TOURS["panda"], "panda-sampler/3"
-        )
+    monkeypatch.setattr(quickstart.sys, "executable", command(tmp_path, 'echo "$*" >&2; touch "$picture"'))
+    monkeypatch.setattr(quickstart, "fetch_pictures", lambda *_: [])
+    lines: list[str] = []
+    training = TrainingResult(run_id="r1", model="panda-sampler", version=3, digest="d")
+    evaluation = EvaluationResult(run_id="r2", version=3, promoted=True, reasons=(), metrics={})
+    settings = Settings(home=tmp_path, root=tmp_path)
+    progress = Progress(lines.append)
+    quickstart._pictures(settings, TOURS["panda"], training, evaluation, progress)
+    assert "--robot panda --model panda-sampler/3 --family uniform" in lines[1]

@@ -22,14 +22,10 @@ def api(*answers: object) -> httpx.MockTransport:
 
 def wait(transport: httpx.MockTransport, *, default: bool, limit_s: float = 60.0) -> list[float]:
     pauses: list[float] = []
-    wait_served(
-        "http://api",
-        "cspace-sampler/2",
-        default=default,
-        limit_s=limit_s,
-        transport=transport,
-        sleep=pauses.append,
-    )
+    with httpx.Client(transport=transport) as client, pytest.MonkeyPatch.context() as patch:
+        patch.setattr(httpx, "get", lambda url, *, params, **_: client.get(url, params=params))
+        patch.setattr("services.local.quickstart.time.sleep", pauses.append)
+        wait_served("http://api", "cspace-sampler/2", default=default, limit_s=limit_s)
     return pauses
 
 

@@ -70,7 +70,7 @@ def test_a_started_process_is_known_runs_in_a_session_of_its_own_and_is_gone_whe
 ) -> None:
     record = start_python()
     first_line(record)
-    process = find(record.process)
+    process = find(record)
     assert process is not None
     assert process.create_time() == pytest.approx(record.create_time)
     assert is_alive(record)
