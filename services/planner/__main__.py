@@ -55,40 +55,20 @@ class Command:
     """What the user asked for, checked.
 
     Args:
-        url: of the inference API.
-        timeout_s: of a request to it.
-        family: of the problem.
-        seed: of the problem.
-        index: of the problem among those of its seed.
+        options: of :func:`make_parser`.
         world: robot and sensor.
         settings: of the planner.
         request: to the sampling endpoint.
-        uniform_share: of uniform samples among the learned ones.
         scene: a file that holds the problem; None for one of a family.
-        plot: the figure's file, or None.
-        json: whether the outcome is printed as JSON.
-        whole: whether the API plans the whole path.
-        ways: number of paths that it chooses from then.
         constraints: ``limits``, ``upright`` and ``unwrapped`` of its :class:`cspace.query.PlanQuery`.
-        outcomes: whether the API is told what the exact checks found.
     """
 
-    url: str
-    timeout_s: float
-    family: str
-    seed: int
-    index: int
+    options: argparse.Namespace
     world: World
     settings: PlannerSettings
     request: SampleRequest
-    uniform_share: float
     scene: SceneFile | None
-    plot: Path | None
-    json: bool
-    whole: bool
-    ways: int
     constraints: dict[str, Any]
-    outcomes: bool
 
 
 def parse_command(arguments: Sequence[str] | None = None) -> Command:
@@ -123,24 +103,7 @@ def parse_command(arguments: Sequence[str] | None = None) -> Command:
         request = request.of_robot(world, scene.name)
     elif options.robot not in WORLDS:
         request = request.of_robot(world)
-    return Command(
-        url=options.api,
-        timeout_s=options.timeout,
-        family=options.family,
-        seed=options.seed,
-        index=options.index,
-        world=world,
-        settings=settings,
-        request=request,
-        uniform_share=options.uniform_share,
-        scene=scene,
-        plot=options.plot,
-        json=options.json,
-        whole=options.whole_plan,
-        ways=options.ways,
-        constraints=_constraints(options.constraints),
-        outcomes=options.outcomes,
-    )
+    return Command(options, world, settings, request, scene, _constraints(options.constraints))
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -259,7 +222,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if obstruction is not None:
             print(f"there is no path: {obstruction}", file=sys.stderr)
             return 1
-        if command.whole:
+        if command.options.whole_plan:
             return _plan_whole(command, problem)
         comparison = _compare(command, problem)
         _report(command, partial(report_samples, comparison))
@@ -274,34 +237,36 @@ def _problem(command: Command) -> Problem:
     if command.scene is not None:
         return command.scene.problem()
     simulator = simulator_of(command.world)
-    return simulator.problem(command.family, Split.DEMO, command.seed, command.index)
+    options = command.options
+    return simulator.problem(options.family, Split.DEMO, options.seed, options.index)
 
 
 def _plan_whole(command: Command, problem: Problem) -> int:
-    settings, request = command.settings, command.request
+    options, settings, request = command.options, command.settings, command.request
     start, goal = (tuple(float(angle) for angle in end) for end in (problem.start, problem.goal))
     least, limit_s = request.query.min_confidence, settings.time_limit_s
-    query = PlanQuery(start, goal, settings.seed, least, limit_s, command.ways, **command.constraints)
+    query = PlanQuery(start, goal, settings.seed, least, limit_s, options.ways, **command.constraints)
     # The search is a part of the request.
-    timeout_s = command.timeout_s + settings.time_limit_s
-    with SamplingClient(command.url, timeout_s) as client:
+    # The search is a part of the request.
+    with SamplingClient(options.api, options.timeout + limit_s) as client:
         whole = ask_for_plan(problem, client, query, request.model)
     _report(command, whole.report)
-    print(json.dumps(as_json(whole), allow_nan=False) if command.json else plan_text(whole))
-    if command.plot is not None:
+    print(json.dumps(as_json(whole), allow_nan=False) if options.json else plan_text(whole))
+    if options.plot is not None:
         title = f"{problem_line(problem)}: {whole.found.plan.status}"
-        save_figure(plot_plan(problem, whole.result, None, title), command.plot)
+        save_figure(plot_plan(problem, whole.result, None, title), options.plot)
     return 0 if whole.free else 1
 
 
 def _compare(command: Command, problem: Problem) -> Comparison:
-    with SamplingClient(command.url, command.timeout_s) as client:
-        return compare_with_api(problem, client, command.settings, command.request, command.uniform_share)
+    options = command.options
+    with SamplingClient(options.api, options.timeout) as client:
+        return compare_with_api(problem, client, command.settings, command.request, options.uniform_share)
 
 
 def _report(command: Command, report: Callable[[OutcomeSender], None]) -> None:
-    if command.outcomes:
-        with OutcomeSender(command.url) as sender:
+    if command.options.outcomes:
+        with OutcomeSender(command.options.api) as sender:
             report(sender)
         if not sender.sent:
             print("the API was not told of the outcome", file=sys.stderr)
@@ -309,20 +274,21 @@ def _report(command: Command, report: Callable[[OutcomeSender], None]) -> None:
 
 def _print(command: Command, comparison: Comparison) -> None:
     planner = command.settings.planner
-    if command.json:
+    if command.options.json:
         print(json.dumps(comparison_json(comparison, planner), allow_nan=False))
     else:
         print(comparison_table(comparison, planner))
 
 
 def _draw(command: Command, comparison: Comparison) -> None:
-    if command.plot is None:
+    figure = command.options.plot
+    if figure is None:
         return
     learned = comparison.learned
     samples = None if learned.batch is None else learned.batch.samples
-    save_figure(plot_plan(comparison.problem, learned.result, samples), command.plot)
-    if not command.json:
-        print(f"\nfigure   {command.plot}")
+    save_figure(plot_plan(comparison.problem, learned.result, samples), figure)
+    if not command.options.json:
+        print(f"\nfigure   {figure}")
 
 
 if __name__ == "__main__":

@@ -39,7 +39,6 @@ __all__ = [
     "ServedPlan",
     "mapped",
     "open_local",
-    "stand_in",
     "usual_api",
 ]
 
@@ -170,6 +169,7 @@ class ClientOptions(TypedDict, total=False):
     connect_timeout_s: float | None
     policy: RetryPolicy
     api_key: str | None
+    fallback: cspace_client.Source | None
     transport: httpx.BaseTransport | None
     robot: str | None
 
@@ -180,31 +180,17 @@ class SamplingClient(SampleSource):
     Args:
         url: as :class:`cspace_client.SamplingClient` has it, and so the rest.
         timeout_s: likewise.
-        fallback: answers while the API stays away or its answers can not be used, with the same seed; the
-            batch says so. The deadline does not hold for it.
-        options: likewise.
+        options: likewise; the fallback may be a :class:`ClientSource`.
 
     Raises:
         ConfigError: the address, a time limit, the key or the robot can not be.
     """
 
     def __init__(
-        self,
-        url: str,
-        timeout_s: float = DEFAULT_TIMEOUT_S,
-        *,
-        fallback: SampleSource | None = None,
-        **options: Unpack[ClientOptions],
+        self, url: str, timeout_s: float = DEFAULT_TIMEOUT_S, **options: Unpack[ClientOptions]
     ) -> None:
         with mapped():
-            self._client = cspace_client.SamplingClient(
-                url, timeout_s, fallback=stand_in(fallback), **options
-            )
-
-    @property
-    def url(self) -> str:
-        """Of the API, without a slash at its end."""
-        return self._client.url
+            self._client = cspace_client.SamplingClient(url, timeout_s, **options)
 
     def answer(self, picture: Picture, query: SampleQuery, model: str | None = None) -> SampleBatch:
         """See :class:`services.planner.samples.SampleSource`.
@@ -219,35 +205,21 @@ class SamplingClient(SampleSource):
             return self._client.answer(picture, query, model)
 
     def validity(self, picture: Picture, configurations: ArrayLike, model: str | None = None) -> Predictions:
-        """A model's confidence that configurations are free; no fallback answers.
+        """See :meth:`cspace_client.SamplingClient.validity`.
 
-        Args:
-            picture: of the scenario; of depth cameras a file of :func:`cspace.view_file.pack_view`.
-            configurations: (n, d) rad, at most ``MAX_SAMPLES``.
-            model: as :meth:`answer` has it.
+        The picture of depth cameras is a file of :func:`cspace.view_file.pack_view`.
 
         Raises:
-            SamplerUnavailableError: as :meth:`answer` has it.
-            SamplerAnswerError: likewise.
-            SamplerError: likewise, or the configurations can not be asked about.
+            SamplerError: and its kinds, as there.
         """
         with mapped():
             return self._client.validity(picture, configurations, model)
 
     def plan(self, picture: Picture, query: PlanQuery, model: str | None = None) -> FoundPlan:
-        """A path from start to goal by what a model predicts from a picture; no fallback answers.
-
-        The client's time limits have to leave room for that of the search.
-
-        Args:
-            picture: as :meth:`validity` has it.
-            query: the problem; the server checks it.
-            model: as :meth:`answer` has it.
+        """See :meth:`cspace_client.SamplingClient.plan`; the picture is as :meth:`validity` has it.
 
         Raises:
-            SamplerUnavailableError: as :meth:`answer` has it, or the server does not plan (501).
-            SamplerAnswerError: likewise, for a path that does not lead from start to goal, for example.
-            SamplerError: likewise.
+            SamplerError: and its kinds, as there.
         """
         with mapped():
             return self._client.plan(picture, query, model)
@@ -261,8 +233,3 @@ class SamplingClient(SampleSource):
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-def stand_in(source: SampleSource | None) -> ClientSource | None:
-    """A source as the client's fallback."""
-    return None if source is None else ClientSource(source)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
+from scipy.cluster.hierarchy import DisjointSet
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
@@ -101,7 +102,7 @@ class Roadmap(EdgeValidator):
         super().__init__(information, checker, resolution_rad)
         # Milestones by the bits of their angles, as OMPL copies these; equal ones are one here.
         self._numbers: dict[bytes, int] = {}
-        self._parents: list[int] = []
+        self._connected = DisjointSet()
         self._edges: list[tuple[int, int]] = []
 
     def checkMotion(self, start: Any, end: Any) -> bool:  # noqa: N802 - OMPL's name
@@ -111,19 +112,18 @@ class Roadmap(EdgeValidator):
             first, second = self.number(self._from), self.number(self._to)
             if first != second:
                 self._edges.append((first, second))
-                self._parents[self._root(first)] = self._root(second)
+                self._connected.merge(first, second)
         return free
 
     def number(self, milestone: NDArray[np.float64]) -> int:
         """The number of a milestone (d,) rad, a new one if it is new."""
-        number = self._numbers.setdefault(milestone.tobytes(), len(self._parents))
-        if number == len(self._parents):
-            self._parents.append(number)
+        number = self._numbers.setdefault(milestone.tobytes(), len(self._numbers))
+        self._connected.add(number)
         return number
 
     def joined(self, first: int, second: int) -> bool:
         """Whether edges lead from one milestone to another."""
-        return self._root(first) == self._root(second)
+        return bool(self._connected.connected(first, second))
 
     def shortest_path(self, space: JointSpace, first: int, second: int) -> NDArray[np.float64]:
         """The shortest way (torus length, L2) between two joined milestones, (k, d) rad."""
@@ -144,12 +144,6 @@ class Roadmap(EdgeValidator):
 
     def _rows(self) -> NDArray[np.float64]:
         return np.frombuffer(b"".join(self._numbers), dtype=np.float64).reshape(-1, len(self._from))
-
-    def _root(self, number: int) -> int:
-        while self._parents[number] != number:
-            self._parents[number] = self._parents[self._parents[number]]
-            number = self._parents[number]
-        return number
 
 
 ANY_COST = 1e9

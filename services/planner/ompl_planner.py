@@ -24,14 +24,13 @@ from cspace_client.ompl.state_space import StateAccess
 from services.planner.ompl_adapters import (
     CostRecord,
     EdgeValidator,
-    OmplSearch,
     Roadmap,
     StoppingRule,
     copy_tree,
     free_test,
     set_up,
 )
-from services.planner.result import CHECK_FACTOR, Counts, PlanResult, Reason, SearchTree, after, outcome
+from services.planner.result import CHECK_FACTOR, Counts, PlanResult, Reason, after, outcome
 from services.planner.rrt_connect import connect
 from services.planner.settings import (
     BIT_STAR,
@@ -265,7 +264,9 @@ def _search(
         # BIT* draws in batches and asks before each edge. It checks what it draws, and the start.
         sample_count=(lambda: max(0, run.states.checks - 1)) if settings.planner == BIT_STAR else None,
     )
-    record = _cost_record(run, rule) if settings.planner in OPTIMISING_PLANNERS else None
+    record = None
+    if settings.planner in OPTIMISING_PLANNERS:
+        record = CostRecord(rule, lambda: float(run.planner.bestCost().value()), lambda: run.edges.checks)
     began = time.perf_counter()
     status = run.planner.solve(ob.PlannerTerminationCondition(record or rule))
     solve_time_s = time.perf_counter() - began
@@ -274,6 +275,9 @@ def _search(
         found = run.access.rows(run.definition.getSolutionPath().getStates())
     if record is not None:
         record.look()
+    tree = None
+    if keep_tree:
+        tree = run.edges.copy() if isinstance(run.edges, Roadmap) else copy_tree(run)
     mixed = isinstance(draws, SampleMixture)
     counts = Counts(
         iterations=rule.iterations,
@@ -289,17 +293,9 @@ def _search(
         found,
         rule.reason or Reason.NO_PATH,
         counts,
-        tree=_copy_tree(run) if keep_tree else None,
+        tree=tree,
         costs=tuple(record.points) if record is not None else (),
     )
-
-
-def _copy_tree(run: OmplSearch[EdgeValidator]) -> SearchTree:
-    return run.edges.copy() if isinstance(run.edges, Roadmap) else copy_tree(run)
-
-
-def _cost_record(run: OmplSearch[EdgeValidator], rule: StoppingRule) -> CostRecord:
-    return CostRecord(rule, lambda: float(run.planner.bestCost().value()), lambda: run.edges.checks)
 
 
 def _ompl_samples(settings: PlannerSettings, iterations: int, draws: StateDraws) -> int:

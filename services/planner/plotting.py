@@ -14,6 +14,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from cspace.errors import ConfigError, StorageError
+from cspace.planning.paths import spread_points
 from cspace.simulator import OWN, Problem
 from cspace.space import JointSpace
 from cspace.worlds import checker_of, simulator_of
@@ -27,20 +28,10 @@ GOAL = "#c0392b"
 PATH = "#e08a1e"
 LEARNED = "#1a9e8c"
 TREE = "#8d97a8"
-
-
-def blend(share: float, tint: float) -> str:
-    """A colour on the way from the start's to the goal's, lightened.
-
-    Args:
-        share: 0 at the start, 1 at the goal.
-        tint: 0 for the full colour, 1 for white.
-    """
-    start, goal = np.array(to_rgb(START)), np.array(to_rgb(GOAL))
-    full = start + share * (goal - start)
-    return str(to_hex(full + tint * (1.0 - full)))
-
-
+# From the start to the goal, 72 % of the way to white.
+_ALONG = LinearSegmentedColormap.from_list(
+    "along", [0.28 * np.array(to_rgb(colour)) + 0.72 for colour in (START, GOAL)]
+)
 _SAME_RAD = 1e-9
 
 
@@ -73,16 +64,6 @@ def wrapped_segments(
     copies = [lines + 2.0 * np.pi * np.array(turn) for turn in product(*turns)]
     seen = [copy[np.all((copy.max(axis=1) >= low) & (copy.min(axis=1) <= high), axis=-1)] for copy in copies]
     return np.concatenate(seen)
-
-
-def poses_along(space: JointSpace, path: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """``count`` configurations along a path (k, d), ends included, at equal distances; (count, d) rad."""
-    steps = space.difference(path[:-1], path[1:])
-    travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(steps, axis=-1))])
-    unrolled = path[0] + np.concatenate([np.zeros((1, space.dim)), np.cumsum(steps, axis=0)])
-    at = np.linspace(0.0, travelled[-1], count)
-    columns = [np.interp(at, travelled, unrolled[:, joint]) for joint in range(space.dim)]
-    return space.wrap(np.stack(columns, axis=-1))
 
 
 CELLS = 320
@@ -186,10 +167,10 @@ def plot_workspace(axes: Any, problem: Problem, path: NDArray[np.float64]) -> No
     simulator.draw_scene(axes, problem.scenario, OBSTACLE)
     if len(path) > 1:
         shares = np.linspace(0.0, 1.0, POSES + 2)[1:-1]
-        poses = poses_along(problem.space, path, POSES + 2)[1:-1]
+        poses = spread_points(path, POSES + 2, problem.space)[1:-1]
         for share, configuration in zip(shares, poses, strict=True):
-            simulator.draw_robot(axes, configuration, blend(share, 0.72), 2)
-        tips = simulator.drawn_joints_m(poses_along(problem.space, path, _TRACE_POINTS))[:, -1]
+            simulator.draw_robot(axes, configuration, to_hex(_ALONG(share)), 2)
+        tips = simulator.drawn_joints_m(spread_points(path, _TRACE_POINTS, problem.space))[:, -1]
         axes.plot(*tips.T, color=PATH, linewidth=1.8, zorder=3)
     for configuration, colour in ((problem.start, START), (problem.goal, GOAL)):
         simulator.draw_robot(axes, configuration, colour, 4)

@@ -190,11 +190,7 @@ class WholePlan:
             solved=len(plan.path) > 0,
             path=plan.path,
             length_rad=plan.length_rad if len(plan.path) else math.nan,
-            iterations=0,
-            edge_checks=0,
             solve_time_s=1e-3 * (plan.search_ms + plan.score_ms),
-            learned_drawn=0,
-            uniform_drawn=0,
             reason=Reason.SOLVED if len(plan.path) else Reason.NO_PATH,
         )
 

@@ -7,6 +7,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from cspace.planning.paths import length_rad
 from cspace.simulator import Problem
 from cspace.worlds import checker_of
 from services.planner.settings import PlannerSettings
@@ -57,24 +58,39 @@ class CostPoint:
     length_rad: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PlanResult:
-    """One run of a planner.
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Counts:
+    """What a search took.
+
+    Args:
+        iterations: states that the planner drew, free or not, the goal among them; for PRM without the goal,
+            which it holds from the start. InformedRRT* counts those that its sampler gave up as well.
+        edge_checks: motions that the planner had checked.
+        state_checks: states that were looked at, within motions and alone.
+        solve_time_s: wall time of the search alone.
+        learned_drawn: how many of the drawn states came from the batch of learned samples.
+        uniform_drawn: how many were uniform.
+    """
+
+    iterations: int = 0
+    edge_checks: int = 0
+    state_checks: int = 0
+    solve_time_s: float = 0.0
+    learned_drawn: int = 0
+    uniform_drawn: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class PlanResult(Counts):
+    """One run of a planner, with what it took.
 
     Args:
         solved: a path from the start to within 1e-6 rad of the goal passed the check at ten times the
             resolution.
         path: (k, d) rad; (0, d) unless solved.
         length_rad: torus length (L2) of the path; nan unless solved.
-        iterations: states that the planner drew, free or not, the goal among them; for PRM without the goal,
-            which it holds from the start. InformedRRT* counts those that its sampler gave up as well.
-        edge_checks: motions that the planner had checked.
-        solve_time_s: wall time of the search alone.
-        learned_drawn: how many of the drawn states came from the batch of learned samples.
-        uniform_drawn: how many were uniform.
         reason: why the search ended.
         tree: the search tree, where it was asked for.
-        state_checks: states that were looked at, within motions and alone.
         resolution_rad: largest distance between checked states of a motion in any joint.
         costs: how the length fell, from the first solution on; empty unless solved by an optimising planner.
     """
@@ -82,14 +98,8 @@ class PlanResult:
     solved: bool
     path: NDArray[np.float64]
     length_rad: float
-    iterations: int
-    edge_checks: int
-    solve_time_s: float
-    learned_drawn: int
-    uniform_drawn: int
     reason: str
     tree: SearchTree | None = None
-    state_checks: int = 0
     resolution_rad: float = math.nan
     costs: tuple[CostPoint, ...] = ()
 
@@ -118,26 +128,6 @@ def check_path(problem: Problem, path: NDArray[np.float64], resolution_rad: floa
     checker = checker_of(problem.scenario)
     free = checker.edge_batch(path[:-1], path[1:], resolution_rad / CHECK_FACTOR)
     return Reason.SOLVED if np.all(free) else Reason.REJECTED
-
-
-def path_length_rad(problem: Problem, path: NDArray[np.float64]) -> float:
-    """Torus length of a path (k, d): the sum of its segments' L2 lengths, rad.
-
-    OMPL's own length adds up the joints (L1) on a product of circles.
-    """
-    return float(np.sum(problem.space.distance(path[:-1], path[1:])))
-
-
-@dataclass(frozen=True, slots=True)
-class Counts:
-    """What a search took; see :class:`services.planner.result.PlanResult`."""
-
-    iterations: int = 0
-    edge_checks: int = 0
-    state_checks: int = 0
-    solve_time_s: float = 0.0
-    learned_drawn: int = 0
-    uniform_drawn: int = 0
 
 
 def outcome(
@@ -170,7 +160,7 @@ def outcome(
     return PlanResult(
         solved=solved,
         path=path,
-        length_rad=path_length_rad(problem, path) if solved else float("nan"),
+        length_rad=length_rad(path, problem.space) if solved else math.nan,
         reason=reason,
         tree=tree,
         resolution_rad=settings.resolution_rad,

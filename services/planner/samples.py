@@ -69,11 +69,6 @@ class SampleSource(Protocol):
         return self.answer(picture, query, model)
 
 
-def for_robot(query: SampleQuery, robot: str | None) -> SampleQuery:
-    """A query for the robot that it names, else for this one."""
-    return query if robot is None or query.robot is not None else replace(query, robot=robot)
-
-
 PRETRAINED = "pretrained"
 
 
@@ -104,7 +99,8 @@ class BundleSampler(SampleSource):
         Raises:
             SamplerError: the request does not fit the bundle.
         """
-        query = for_robot(query, self._robot)
+        if query.robot is None:
+            query = replace(query, robot=self._robot)
         known = (None, self._name, f"{self._name}/{self._version}")
         if model not in known or query.n > MAX_SAMPLES:
             raise SamplerError(

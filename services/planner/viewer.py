@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Protocol, cast
+from typing import Any, cast
 
 import httpx
 import numpy as np
@@ -33,12 +33,11 @@ from cspace.world import World
 from cspace.worlds import partly_seen, read_world, simulator_of
 from cspace.worlds.spatial.obstacles import Box
 from cspace.worlds.spatial.planning_scene import read_planning_scene
+from cspace.worlds.spatial.poses import HERE, make_pose, pose_of
 from cspace.worlds.spatial.situation import Situation
 from cspace_client import (
-    Belief,
     ClientError,
     DepthPictures,
-    Diagnosis,
     FoundPlan,
     Known,
     PlanQuery,
@@ -103,25 +102,6 @@ class Samples:
     unseen: float | None
 
 
-class Api(Protocol):
-    """What the viewer asks the API for: a :class:`cspace_client.SamplingClient`."""
-
-    def sample(self, picture: DepthPictures, n: int, seed: int, *, model: str, min_confidence: float) -> Any:
-        """Samples."""
-
-    def validity(self, picture: DepthPictures, configurations: Floats, model: str) -> Any:
-        """Confidence of configurations."""
-
-    def plan(self, picture: DepthPictures, query: PlanQuery, model: str) -> FoundPlan:
-        """A path."""
-
-    def belief(self, picture: DepthPictures, model: str) -> Belief:
-        """What the model takes the scene to be."""
-
-    def doctor(self, picture: DepthPictures, model: str) -> Diagnosis:
-        """What is wrong with pictures, cameras and state."""
-
-
 class SceneState:
     """A planning problem that a person changes, and what the API answers about it.
 
@@ -131,7 +111,7 @@ class SceneState:
         model: that answers.
     """
 
-    def __init__(self, api: Api, world: World, model: str) -> None:
+    def __init__(self, api: SamplingClient, world: World, model: str) -> None:
         self.api, self.world, self.model = api, world, model
         self.simulator, self.benchmark = simulator_of(world), partly_seen(world)
         self.opened: Any = None
@@ -307,10 +287,6 @@ def _table(shares: Mapping[str, float]) -> str:
     return f'<table style="margin:0 0.5em;font-size:0.85em;border-spacing:0.5em 0">{"".join(rows)}</table>'
 
 
-def _pose(place_m: Floats) -> Any:
-    return vtf.SE3.from_translation(place_m).as_matrix().tolist()
-
-
 def _thinned(points: Floats) -> Floats:
     """At most twice as many points (N, 3) as are shown."""
     return points[:: max(1, len(points) // POINTS_AT_MOST)]
@@ -351,22 +327,25 @@ def _placed(pose: Any) -> dict[str, Any]:
     return {"wxyz": frame.rotation().wxyz, "position": frame.translation()}
 
 
+def _moved(shapes: Sequence[Any], at: int, pose: Any) -> tuple[Any, ...]:
+    """The same boxes, cylinders or cameras, one of them at another pose (4, 4)."""
+    return tuple(replace(shape, pose=pose) if at == one else shape for one, shape in enumerate(shapes))
+
+
 def _turned(pose: Floats, angle_rad: float) -> Floats:
     """A pose (4, 4) turned about the vertical through the focus."""
-    turn = vtf.SO3.from_z_radians(angle_rad).as_matrix()
-    turned = pose.copy()
-    turned[:3, :3] = turn @ pose[:3, :3]
-    turned[:3, 3] = turn @ (pose[:3, 3] - FOCUS_M) + FOCUS_M
-    return turned
+    focus = vtf.SE3.from_translation(FOCUS_M)
+    turn = vtf.SE3.from_rotation(vtf.SO3.from_z_radians(angle_rad))
+    return np.asarray((focus @ turn @ focus.inverse()).as_matrix() @ pose)
 
 
 class Viewer:
     """The page: a viser server that shows a :class:`SceneState` and changes it."""
 
-    def __init__(self, api_url: str, api: Api, model: str, host: str, port: int) -> None:
-        self.api_url, self.api = api_url, api
+    def __init__(self, api: SamplingClient, model: str, host: str, port: int) -> None:
+        self.api = api
         # Before a port is taken: whoever names a wrong model gets an error and no page.
-        state = SceneState(api, world_of(api_url, model), model)
+        state = SceneState(api, world_of(api.url, model), model)
         self.ball = trimesh.creation.icosphere(subdivisions=1)
         self.server = viser.ViserServer(host, port, label="cspace-sampler", verbose=False)
         self.server.initial_camera.position = (1.6, -1.3, 1.3)
@@ -391,7 +370,7 @@ class Viewer:
 
     def _list_models(self) -> None:
         with suppress(httpx.HTTPError):
-            self.model.options = models_of_arms(self.api_url, self.state.model)
+            self.model.options = models_of_arms(self.api.url, self.state.model)
 
     def _choose(self) -> None:
         wanted = self.model.value
@@ -399,11 +378,11 @@ class Viewer:
             self.message.content = f"Loading {wanted} ..."
             # Until it is there, and for good where it cannot be shown.
             self.model.value = self.state.model
-            self.show(SceneState(self.api, world_of(self.api_url, wanted), wanted))
+            self.show(SceneState(self.api, world_of(self.api.url, wanted), wanted))
 
     def _add_controls(self) -> None:
         gui, state = self.server.gui, self.state
-        models = models_of_arms(self.api_url, state.model)
+        models = models_of_arms(self.api.url, state.model)
         self.model: Any = gui.add_dropdown("model", models, initial_value=state.model)
         self.model.on_update(lambda _: self._guarded(self._choose))
         with gui.add_folder("Scene"):
@@ -498,9 +477,9 @@ class Viewer:
     def _know(self, what: str) -> None:
         half: Any = tuple(size / 2.0 for size in self.size_m.value)
         if what == "add":
-            self.state.boxes += (Box(_pose(FOCUS_M), half),)
+            self.state.boxes += (Box(pose_of(make_pose(np.eye(3), FOCUS_M)), half),)
         elif what == "hold":
-            self.state.hold(Box(_pose(np.zeros(3)), half))
+            self.state.hold(Box(HERE, half))
         else:
             self.state.boxes = ()
             self.state.hold(None)
@@ -591,7 +570,7 @@ class Viewer:
             if event.phase == "end":
                 rotation = vtf.SO3(np.asarray(handle.wxyz, dtype=np.float64))
                 pose = vtf.SE3.from_rotation_and_translation(rotation, np.asarray(handle.position))
-                self._guarded(lambda: moved(pose.as_matrix().astype(np.float64)))
+                self._guarded(partial(self._put, moved, pose.as_matrix().astype(np.float64)))
 
         def select(_: object) -> None:
             handle = self.server.scene.add_transform_controls(
@@ -601,27 +580,21 @@ class Viewer:
 
         shape.on_click(select)
 
+    def _put(self, moved: Callable[[Floats], None], pose: Floats) -> None:
+        moved(pose)
+        self._forget_path()
+        self.show_samples()
+
     def _move(self, kind: str, at: int, pose: Floats) -> None:
         obstacles = self.state.scene.obstacles
-        shapes = list(getattr(obstacles, kind))
-        shapes[at] = replace(shapes[at], pose=pose)
-        self.state.change(obstacles=replace(obstacles, **{kind: tuple(shapes)}))
-        self._forget_path()
-        self.show_samples()
+        shapes = _moved(getattr(obstacles, kind), at, pose)
+        self.state.change(obstacles=replace(obstacles, **{kind: shapes}))
 
     def _move_known(self, at: int, pose: Floats) -> None:
-        boxes = list(self.state.boxes)
-        boxes[at] = Box(cast("Any", pose.tolist()), boxes[at].half_m)
-        self.state.boxes = tuple(boxes)
-        self._forget_path()
-        self.show_samples()
+        self.state.boxes = _moved(self.state.boxes, at, pose.tolist())
 
     def _move_camera(self, at: int, pose: Floats) -> None:
-        cameras = list(self.state.scene.cameras)
-        cameras[at] = replace(cameras[at], pose=pose)
-        self.state.change(cameras=tuple(cameras))
-        self._forget_path()
-        self.show_samples()
+        self.state.change(cameras=_moved(self.state.scene.cameras, at, pose))
 
     def show_samples(self) -> None:
         """Draw what the cameras read, and samples coloured by confidence."""
@@ -666,13 +639,10 @@ class Viewer:
         if not self.believed.value:
             return
         centres, surely, cell_m = self.state.believed()
-        box = trimesh.creation.box((cell_m,) * 3)
-        self.server.scene.add_batched_meshes_simple(
+        self._show_copies(
             "/scene/believed",
-            box.vertices.astype(np.float32),
-            box.faces.astype(np.uint32),
-            np.tile(np.array([1.0, 0.0, 0.0, 0.0], np.float32), (len(centres), 1)),
-            centres.astype(np.float32),
+            trimesh.creation.box((cell_m,) * 3),
+            centres,
             batched_colors=EXPECTED,
             batched_opacities=(0.5 * surely).astype(np.float32),
             cast_shadow=False,
@@ -714,16 +684,24 @@ class Viewer:
     def _show_arm(
         self, name: str, configuration: Floats, colour: tuple[int, int, int], opacity: float
     ) -> None:
-        radii = self.state.arm.spheres_m()[:, 3]
-        self.server.scene.add_batched_meshes_simple(
+        self._show_copies(
             name,
-            self.ball.vertices.astype(np.float32),
-            self.ball.faces.astype(np.uint32),
-            np.tile(np.array([1.0, 0.0, 0.0, 0.0], np.float32), (len(radii), 1)),
-            self.state.arm.sphere_centres_m(configuration[None])[0].astype(np.float32),
-            batched_scales=radii.astype(np.float32),
+            self.ball,
+            self.state.arm.sphere_centres_m(configuration[None])[0],
+            batched_scales=self.state.arm.spheres_m()[:, 3].astype(np.float32),
             batched_colors=colour,
             opacity=None if opacity == 1.0 else opacity,
+        )
+
+    def _show_copies(self, name: str, mesh: trimesh.Trimesh, centres_m: Floats, **options: Any) -> None:
+        """Draw a mesh around each of (N, 3) places, unturned."""
+        self.server.scene.add_batched_meshes_simple(
+            name,
+            mesh.vertices.astype(np.float32),
+            mesh.faces.astype(np.uint32),
+            np.tile(np.array([1.0, 0.0, 0.0, 0.0], np.float32), (len(centres_m), 1)),
+            centres_m.astype(np.float32),
+            **options,
         )
 
 
@@ -788,7 +766,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     try:
         with SamplingClient(options.api) as api:
-            Viewer(options.api, api, options.model, options.host, options.port)
+            Viewer(api, options.model, options.host, options.port)
             sys.stdout.write(f"http://{options.host}:{options.port}/\n")
             sys.stdout.flush()
             threading.Event().wait()

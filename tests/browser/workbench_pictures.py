@@ -57,7 +57,7 @@ def main() -> int:
             _write(page.screenshot(), options.out / "viewer.png")
         page.goto("about:blank")
         with SamplingClient(address) as api:
-            _animate(page, Viewer(address, api, "pretrained-panda", "127.0.0.1", *free_ports(1)), options.out)
+            _animate(page, Viewer(api, "pretrained-panda", "127.0.0.1", *free_ports(1)), options.out)
         page.goto("about:blank")
     return 0
 

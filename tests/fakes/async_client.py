@@ -3,13 +3,13 @@
 from typing import Any
 
 import cspace_client
-from services.planner.client import mapped, stand_in
+from services.planner.client import mapped
 
 
 class AsyncSamplingClient(cspace_client.AsyncSamplingClient):
-    def __init__(self, url: str, *values: Any, fallback: Any = None, **options: Any) -> None:
+    def __init__(self, url: str, *values: Any, **options: Any) -> None:
         with mapped():
-            super().__init__(url, *values, fallback=stand_in(fallback), **options)
+            super().__init__(url, *values, **options)
 
     async def answer(self, *values: Any, **options: Any) -> Any:
         with mapped():

@@ -13,7 +13,7 @@ from cspace.errors import ConfigError, SamplerError, SamplerUnavailableError
 from cspace.png import encode_png
 from cspace_client import client as clients
 from cspace_client.transport import LIMITS, DeadlineTransport
-from services.planner.client import RetryPolicy, SamplingClient
+from services.planner.client import ClientSource, RetryPolicy, SamplingClient
 from services.planner.samples import LocalSampler, SampleBatch
 from tests.bundles import picture, write_tiny_bundle
 from tests.fakes.async_client import AsyncSamplingClient
@@ -176,7 +176,7 @@ def test_connecting_and_reading_have_time_limits_of_their_own(ask: Client) -> No
 
 def test_the_fallback_answers_with_the_same_seed_while_the_server_is_away(ask: Client) -> None:
     source = FakeSampleSource()
-    batch = ask(*(httpx.Response(503) for _ in range(3)), fallback=source)
+    batch = ask(*(httpx.Response(503) for _ in range(3)), fallback=ClientSource(source))
     assert (batch.fallback, batch.digest, len(batch.samples)) == (True, DIGEST, 2)
     sent = read_form(ask.requests[0].headers["content-type"], ask.requests[0].content)
     assert str(source.requests[0].query.seed).encode() == sent["seed"][0]
@@ -185,20 +185,20 @@ def test_the_fallback_answers_with_the_same_seed_while_the_server_is_away(ask: C
 
 def test_the_fallback_is_not_asked_when_the_server_refuses_or_answers(ask: Client) -> None:
     source = FakeSampleSource()
-    assert ask(good(), fallback=source).fallback is False
+    assert ask(good(), fallback=ClientSource(source)).fallback is False
     with pytest.raises(SamplerError, match="422"):
-        ask(httpx.Response(422), fallback=source)
+        ask(httpx.Response(422), fallback=ClientSource(source))
     assert source.requests == []
 
 
 def test_a_fallback_that_has_no_answer_leaves_the_server_s_absence_to_be_told(ask: Client) -> None:
     with pytest.raises(SamplerUnavailableError, match="503"):
-        ask(*(httpx.Response(503) for _ in range(3)), fallback=FakeSampleSource(ready=False))
+        ask(*(httpx.Response(503) for _ in range(3)), fallback=ClientSource(FakeSampleSource(ready=False)))
 
 
 def test_a_bundle_stands_in_for_a_server_that_is_not_there(ask: Client, tmp_path: Path) -> None:
     local = LocalSampler(write_tiny_bundle(tmp_path / "bundle"))
-    batch = ask.over("http://127.0.0.1:9", policy=POLICY, fallback=local)
+    batch = ask.over("http://127.0.0.1:9", policy=POLICY, fallback=ClientSource(local))
     again = local.sample(PNG, 2, seed=batch.seed)
     assert batch.fallback
     assert np.array_equal(batch.samples, again.samples)

@@ -7,7 +7,7 @@ import tracemalloc
 import pytest
 
 from cspace.errors import SamplerAnswerError, SamplerError, SamplerUnavailableError
-from services.planner.client import RetryPolicy
+from services.planner.client import ClientSource, RetryPolicy
 from services.planner.samples import SampleBatch
 from tests.fakes.sample_source import DIGEST, FakeSampleSource
 from tests.services.planner.clients import KINDS, ask
@@ -79,7 +79,7 @@ def test_an_answer_without_end_takes_no_memory_to_speak_of(kind: str, name: str)
 def test_whatever_comes_the_fallback_answers_within_the_deadline(kind: str, name: str) -> None:
     with hostile_server(ATTACKS[name]) as server:
         began = time.monotonic()
-        batch = sampled(kind, server.url, policy=policy_for(name), fallback=FakeSampleSource())
+        batch = sampled(kind, server.url, policy=policy_for(name), fallback=ClientSource(FakeSampleSource()))
         assert time.monotonic() - began < DEADLINE_S + MARGIN_S
     assert (batch.fallback, batch.digest, batch.seed) == (True, DIGEST, SEED)
 
@@ -88,7 +88,7 @@ def test_whatever_comes_the_fallback_answers_within_the_deadline(kind: str, name
 @pytest.mark.parametrize("name", ["body: no number", "head: another seed", "endless: tiny chunks"])
 def test_no_request_follows_on_the_connection_of_an_answer_that_was_refused(kind: str, name: str) -> None:
     with hostile_server(ATTACKS[name]) as server:
-        sampled(kind, server.url, times=3, fallback=FakeSampleSource())
+        sampled(kind, server.url, times=3, fallback=ClientSource(FakeSampleSource()))
     assert (server.connections, len(server.heads)) == (3, 3)
 
 
@@ -113,7 +113,7 @@ def test_a_refusal_of_the_request_is_the_caller_s_affair_and_no_fallback_s(kind:
     source = FakeSampleSource()
     answer = problem(f"{status} No", {"title": ANSI, "detail": "why"})
     with hostile_server(plays(answer)) as server, pytest.raises(SamplerError, match="why") as caught:
-        sampled(kind, server.url, fallback=source)
+        sampled(kind, server.url, fallback=ClientSource(source))
     assert not isinstance(caught.value, SamplerUnavailableError)
     assert str(caught.value).isprintable()
     assert source.requests == []
@@ -148,5 +148,5 @@ def test_a_request_or_a_handshake_that_never_ends_is_left_at_the_deadline(
     with hostile_server(script, reads=False) as server:
         began = time.monotonic()
         url = server.url.replace("http", scheme)
-        assert sampled(kind, url, png, policy=HASTY, fallback=FakeSampleSource()).fallback
+        assert sampled(kind, url, png, policy=HASTY, fallback=ClientSource(FakeSampleSource())).fallback
         assert time.monotonic() - began < DEADLINE_S + MARGIN_S

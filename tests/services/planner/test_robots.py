@@ -9,7 +9,7 @@ from cspace.query import SampleQuery
 from cspace.simulator import Split
 from cspace.worlds import default_world, examples, robot_digest
 from cspace.worlds.planar.problems import Family, draw_problem
-from services.planner.client import RetryPolicy, SamplingClient
+from services.planner.client import ClientSource, RetryPolicy, SamplingClient
 from services.planner.planning import SampleRequest, plan_with_api
 from services.planner.samples import LocalSampler
 from services.planner.settings import PlannerSettings
@@ -122,7 +122,7 @@ def test_a_bundle_looks_at_a_requests_robot_once(tmp_path, monkeypatch):
 
 
 def test_a_fallback_of_another_robot_does_not_stand_in(tmp_path):
-    local = LocalSampler(write_tiny_bundle(tmp_path / "bundle"))
+    local = ClientSource(LocalSampler(write_tiny_bundle(tmp_path / "bundle")))
     policy = RetryPolicy(attempts=1)
     with SamplingClient("http://127.0.0.1:9", policy=policy, fallback=local, robot=THREE) as client:
         with pytest.raises(SamplerUnavailableError):

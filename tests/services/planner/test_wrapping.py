@@ -3,7 +3,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
-from services.planner.plotting import poses_along, wrapped_segments
+from services.planner.plotting import wrapped_segments
 
 ANGLE = st.floats(-np.pi, 3.14159)
 PAIR = st.tuples(ANGLE, ANGLE)
@@ -30,18 +30,3 @@ def test_no_line_is_longer_than_its_segment_and_both_ends_are_shown(start, end):
     assert np.allclose(lengths, space.distance(start, end))
     assert np.min(np.linalg.norm(lines[:, 0] - start, axis=-1)) < 1e-9
     assert np.min(np.linalg.norm(lines[:, 1] - end, axis=-1)) < 1e-9
-
-
-def test_poses_lie_at_equal_distances_along_the_path_and_hold_its_ends():
-    path = np.array([[3.0, 0.0], [-3.0, 0.0], [-3.0, 1.0]])
-    length = 2 * np.pi - 6.0 + 1.0
-    poses = poses_along(TWO_LINK.space, path, 9)
-    corner = path[1]
-    travelled = [
-        TWO_LINK.space.distance(path[0], pose)
-        if np.isclose(pose[1], 0.0)
-        else TWO_LINK.space.distance(path[0], corner) + TWO_LINK.space.distance(corner, pose)
-        for pose in poses
-    ]
-    assert np.allclose(travelled, np.linspace(0.0, length, 9))
-    assert np.allclose(poses[[0, -1]], path[[0, -1]])
