@@ -8,7 +8,8 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -96,8 +97,7 @@ class MlflowRegistry:
         self, name: str, run_id: str, tags: Mapping[str, str], *, alias: str | None = None
     ) -> ModelVersion:
         """Make a version of tags; see :meth:`services.registry.ports.ModelRegistry.record`."""
-        self._ready()
-        with mapped(f"recording {name} of run {run_id}"):
+        with self._asking(f"recording {name} of run {run_id}"):
             run = self._client.get_run(run_id)
             _create_model(self._client, name)
             source = str(run.info.artifact_uri)
@@ -121,14 +121,12 @@ class MlflowRegistry:
 
     def version(self, name: str, number: int) -> ModelVersion:
         """One version by its number; see :meth:`services.registry.ports.ModelRegistry.version`."""
-        self._ready()
-        with mapped(f"looking up {name}/{number}", lookup=True):
+        with self._asking(f"looking up {name}/{number}", lookup=True):
             return _version(self._client.get_model_version(name, str(number)))
 
     def by_alias(self, name: str, alias: str) -> ModelVersion:
         """The version of an alias; see :meth:`services.registry.ports.ModelRegistry.by_alias`."""
-        self._ready()
-        with mapped(f"looking up {name}@{alias}", lookup=True):
+        with self._asking(f"looking up {name}@{alias}", lookup=True):
             return _version(self._client.get_model_version_by_alias(name, alias))
 
     def versions(self, name: str) -> tuple[ModelVersion, ...]:
@@ -136,8 +134,7 @@ class MlflowRegistry:
         if "'" in name:
             # It would end the filter's quotes, and MLflow has no way to escape it.
             return ()
-        self._ready()
-        with mapped(f"listing the versions of {name}"):
+        with self._asking(f"listing the versions of {name}"):
             found = all_pages(self._client.search_model_versions, f"name='{name}'", max_results=_PAGE)
             # MLflow's search for versions leaves the aliases out.
             aliases = self._client.get_registered_model(name).aliases if found else {}
@@ -149,53 +146,45 @@ class MlflowRegistry:
 
     def names(self) -> tuple[str, ...]:
         """The registered models; see :meth:`services.registry.ports.ModelReader.names`."""
-        self._ready()
-        with mapped("listing the models"):
+        with self._asking("listing the models"):
             found = all_pages(self._client.search_registered_models, max_results=_PAGE)
             return tuple(sorted(model.name for model in found))
 
     def delete(self, name: str, number: int) -> None:
         """Delete a version; see :meth:`services.registry.ports.ModelRegistry.delete`."""
-        self._ready()
-        with mapped(f"deleting {name}/{number}", lookup=True):
+        with self._asking(f"deleting {name}/{number}", lookup=True):
             self._client.delete_model_version(name, str(number))
 
     def set_alias(self, name: str, alias: str, number: int) -> None:
         """Point an alias to a version; see :meth:`services.registry.ports.ModelRegistry.set_alias`."""
-        self._ready()
-        with mapped(f"pointing {name}@{alias} to {number}", lookup=True):
+        with self._asking(f"pointing {name}@{alias} to {number}", lookup=True):
             self._client.set_registered_model_alias(name, alias, str(number))
 
     def remove_alias(self, name: str, alias: str) -> None:
         """Take an alias away; see :meth:`services.registry.ports.ModelRegistry.remove_alias`."""
-        self._ready()
-        with mapped(f"taking {name}@{alias} away", lookup=True):
+        with self._asking(f"taking {name}@{alias} away", lookup=True):
             self._client.delete_registered_model_alias(name, alias)
 
     def set_tags(self, name: str, number: int, tags: Mapping[str, str]) -> None:
         """Set tags on a version; see :meth:`services.registry.ports.ModelRegistry.set_tags`."""
-        self._ready()
-        with mapped(f"setting tags on {name}/{number}", lookup=True):
+        with self._asking(f"setting tags on {name}/{number}", lookup=True):
             for key, value in tags.items():
                 self._client.set_model_version_tag(name, str(number), key, value)
 
     def remove_tag(self, name: str, number: int, tag: str) -> None:
         """Take a tag off; see :meth:`services.registry.ports.ModelRegistry.remove_tag`."""
-        self._ready()
-        with mapped(f"taking a tag off {name}/{number}", lookup=True):
+        with self._asking(f"taking a tag off {name}/{number}", lookup=True):
             self._client.delete_model_version_tag(name, str(number), tag)
 
     def describe(self, name: str, note: str) -> None:
         """Show a note on a model's page; see :meth:`services.registry.ports.ModelRegistry.describe`."""
-        self._ready()
-        with mapped(f"describing {name}", lookup=True):
+        with self._asking(f"describing {name}", lookup=True):
             self._client.update_registered_model(name, note)
 
     def show(self, version: ModelVersion, shown: Shown) -> None:
         """Show figures and a note; see :meth:`services.registry.ports.ModelRegistry.show`."""
-        self._ready()
         name, number = version.name, str(version.number)
-        with mapped(f"showing figures of {version}", lookup=True):
+        with self._asking(f"showing figures of {version}", lookup=True):
             self._client.update_model_version(name, number, shown.note)
         with mapped(f"showing figures of {version}"):
             models = _logged_models(self._client, name, self._client.get_run(version.run_id), version.digest)
@@ -212,9 +201,8 @@ class MlflowRegistry:
         """Fetch a version's bundle; see :meth:`services.registry.ports.ModelRegistry.download`."""
         if folder.exists():
             raise StorageError("the download's folder exists", expected="a new folder", got=str(folder))
-        self._ready()
         label = str(version)
-        with mapped(f"looking up {label}", lookup=True):
+        with self._asking(f"looking up {label}", lookup=True):
             source = self._client.get_model_version_download_uri(version.name, str(version.number))
         check_source(label, source, self._uri, self._artifact_store)
         with mapped(f"downloading {label}"):
@@ -234,8 +222,12 @@ class MlflowRegistry:
                 got.rename(folder)
         return folder
 
-    def _ready(self) -> None:
+    @contextmanager
+    def _asking(self, action: str, *, lookup: bool = False) -> Iterator[None]:
+        """See :func:`mapped`; a server that is away is found out first, with this registry's patience."""
         check_reachable(self._uri, self._patience_s)
+        with mapped(action, lookup=lookup):
+            yield
 
 
 def check_source(label: str, source: str, tracking_uri: str, artifact_store: str = "") -> None:

@@ -34,7 +34,7 @@ from services.names import (
     TAG_STAGE,
 )
 from services.registry.mlflow_errors import all_pages, mapped, patiently
-from services.registry.ports import ID, ID_LENGTH, FoundRun, Picture, RunLog, RunStatus, flatten
+from services.registry.ports import ID, ID_LENGTH, FoundRun, RunLog, RunStatus, flatten
 
 # Limits of the server: metrics and parameters in one call, and characters of a data set's digest.
 MAX_BATCH, _MAX_PARAMS, MAX_DIGEST = 1000, 100, 36
@@ -126,20 +126,19 @@ class MlflowTracking:
 
     def children(self, run_id: str) -> tuple[FoundRun, ...]:
         """The runs under another; see :meth:`services.registry.ports.Tracking.children`."""
-        query, newest = f"tags.`{_PARENT}` = '{run_id}'", ["attributes.start_time DESC"]
         with mapped(f"looking up the runs under {run_id}"):
             experiment_id = self.client.get_run(run_id).info.experiment_id
-            found = all_pages(self.client.search_runs, [experiment_id], query, order_by=newest)
-        return tuple(map(_found, found))
+            return self._search(experiment_id, f"tags.`{_PARENT}` = '{run_id}'")
 
     def finished(self, experiment: str) -> tuple[FoundRun, ...]:
         """The runs of an experiment; see :meth:`services.registry.ports.Tracking.finished`."""
-        finished, newest = "attributes.status = 'FINISHED'", ["attributes.start_time DESC"]
         with mapped(f"looking up the runs of {experiment}"):
             one = self.client.get_experiment_by_name(experiment)
-            if one is None:
-                return ()
-            found = all_pages(self.client.search_runs, [one.experiment_id], finished, order_by=newest)
+            return () if one is None else self._search(one.experiment_id, "attributes.status = 'FINISHED'")
+
+    def _search(self, experiment_id: str, query: str) -> tuple[FoundRun, ...]:
+        newest = ["attributes.start_time DESC"]
+        found = all_pages(self.client.search_runs, [experiment_id], query, order_by=newest)
         return tuple(map(_found, found))
 
     def file(self, run_id: str, path: str, folder: Path) -> Path | None:
@@ -262,7 +261,7 @@ class MlflowRun(RunLog):
         upload = self._client.log_artifacts if path.is_dir() else self._client.log_artifact
         self._ask(f"uploading {path.name}", lambda: upload(self.run_id, str(path), folder or None))
 
-    def figure(self, fig: Picture, name: str) -> None:
+    def figure(self, fig: Any, name: str) -> None:
         """Render a figure as PNG and upload it, also as the UI's image grid takes it."""
         key = name.removesuffix(".png")
         with tempfile.TemporaryDirectory(prefix="cspace-figure-") as folder:

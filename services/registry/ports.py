@@ -273,14 +273,6 @@ ID, ID_LENGTH = "{id}", 6
 """In a run's name, and how much of the run's id stands there instead."""
 
 
-class Picture(Protocol):
-    """What can draw itself as a PNG file, as matplotlib's figures do."""
-
-    def savefig(self, fname: Any, *, format: str) -> None:  # noqa: A002 - matplotlib's own name
-        """Write the picture to a file."""
-        ...
-
-
 class RunLog(ABC):
     """One run that is being written. Not for sharing between threads.
 
@@ -308,10 +300,10 @@ class RunLog(ABC):
         """Keep a copy of a file, or of a folder's content, in a folder of the run."""
 
     @abstractmethod
-    def figure(self, fig: Picture, name: str) -> None:
+    def figure(self, fig: Any, name: str) -> None:
         """Keep a figure as ``figures/<name>.png``, and where the UI sets runs' pictures beside each other.
 
-        The figure stays open.
+        It is one of matplotlib, and stays open.
         """
 
     @abstractmethod

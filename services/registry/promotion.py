@@ -385,21 +385,16 @@ def _by_hand(registry: ModelRegistry, version: ModelVersion, reason: str) -> Dec
     with tempfile.TemporaryDirectory(prefix="cspace-promote-") as folder:
         bundle = registry.download(version, Path(folder) / BUNDLE_FOLDER)
         world = load_verified(bundle, version.digest).spec.world
-    decisions = decisions_of(version)
+    decisions, champion = decisions_of(version), None
+    with suppress(ModelNotFoundError):
+        champion = registry.by_alias(version.name, ALIAS_CHAMPION).number
     return Decision(
         version.name,
         version.number,
         promoted=True,
         reasons=(f"{BY_HAND}: {reason}",),
         metrics=decisions[-1].metrics if decisions else {},
-        against=_champion(registry, version.name),
+        against=champion,
         created_ms=time.time_ns() // 1_000_000,
         robot=robot_digest(world),
     )
-
-
-def _champion(registry: ModelRegistry, name: str) -> int | None:
-    try:
-        return registry.by_alias(name, ALIAS_CHAMPION).number
-    except ModelNotFoundError:
-        return None

@@ -23,7 +23,6 @@ from services.registry.ports import (
     ID_LENGTH,
     FoundRun,
     ModelVersion,
-    Picture,
     RunLog,
     RunStatus,
     Shown,
@@ -74,7 +73,7 @@ class FakeRunLog(RunLog):
         for one in files:
             self._run.artifacts[(Path(folder) / one.relative_to(root)).as_posix()] = one.read_bytes()
 
-    def figure(self, fig: Picture, name: str) -> None:
+    def figure(self, fig: Any, name: str) -> None:
         # The pixels are nobody's business in a unit test, and rendering is slow.
         self._run.artifacts[f"figures/{name.removesuffix('.png')}.png"] = b"\x89PNG"
 
