@@ -24,26 +24,10 @@ from inference_api.settings import (
     WORKBENCH,
     ApiSettings,
     bracketed,
+    described_settings,
     is_wildcard,
     usable_cores,
 )
-
-DESCRIPTION = (
-    "Serve POST /sample. Settings: MLFLOW_TRACKING_URI (registry; none serves the shipped model only), "
-    "CSPACE_MODEL_CACHE, CSPACE_MODEL_NAME, CSPACE_MODEL_POLL_S, CSPACE_PRETRAINED_MODEL, "
-    "CSPACE_LOADED_MODELS, CSPACE_STORED_MODELS, CSPACE_CACHED_PICTURES, CSPACE_API_THREADS, "
-    "CSPACE_API_KEYS_FILE, CSPACE_API_MAX_IN_FLIGHT, CSPACE_API_BODY_TIMEOUT_S, CSPACE_API_RATE, "
-    "CSPACE_API_BURST, CSPACE_API_HELD_BODIES_MIB, CSPACE_API_MAX_CONNECTIONS, CSPACE_API_HEADER_TIMEOUT_S, "
-    "CSPACE_API_WRITE_TIMEOUT_S, CSPACE_API_GRACE_S, "
-    "CSPACE_API_LOAD_PLANNER (0 leaves that to the first plan), CSPACE_API_HOSTS (names that the server "
-    "answers to beside loopback and --host, * for any), CSPACE_API_ORIGINS (of other sites' pages), "
-    "CSPACE_API_TRUSTED_PROXIES (addresses or networks whose X-Forwarded-For is believed), CSPACE_API_GUIDE "
-    "(folder of the built documentation site, for /guide), CSPACE_API_WORKBENCH (1 is as --workbench), "
-    "CSPACE_API_MLFLOW_PAGES (where browsers find MLflow), CSPACE_OUTCOMES (folder that keeps what POST "
-    "/outcomes is told; none keeps nothing), CSPACE_OUTCOMES_MIB (of that folder), CSPACE_TRUSTED_KEY (PEM "
-    "file of a public key that registered models have to be signed by)."
-)
-
 
 # Uvicorn's supervisor looks at its signals twice a second.
 SUPERVISOR_MARGIN_S = 0.5
@@ -54,7 +38,12 @@ def main(arguments: list[str] | None = None) -> int:
 
     A shutdown that threads hold up ends the process with 3.
     """
-    parser = argparse.ArgumentParser(prog="python -m inference_api", description=DESCRIPTION)
+    parser = argparse.ArgumentParser(
+        prog="python -m inference_api",
+        description="Serve POST /sample and the rest of the API.",
+        epilog="\n".join(("settings, as environment variables:", *described_settings())),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: %(default)s)")
     parser.add_argument("--port", type=int, default=8000, help="0 for a free one (default: %(default)s)")
     parser.add_argument(

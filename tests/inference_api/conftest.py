@@ -147,6 +147,6 @@ def space_api(
 @pytest.fixture(scope="session")
 def panda_api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ApiClient]:
     """An API with the shipped models of both worlds, without a registry."""
-    settings = ApiSettings(None, tmp_path_factory.mktemp("cache"), further_folders=further_folders())
+    settings = ApiSettings(cache_folder=tmp_path_factory.mktemp("cache"), further_folders=further_folders())
     with running(create_app(settings)) as client:
         yield client

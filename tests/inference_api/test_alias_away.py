@@ -22,7 +22,7 @@ NPY = {"accept": "application/x-npy"}
 @pytest.fixture
 def api(tmp_path: Path, registry: CountingRegistry, bundles: dict[str, Path]) -> Iterator[ApiClient]:
     # Nothing is trusted for longer than a question takes.
-    settings = ApiSettings(None, tmp_path / "cache", poll_s=1e-6, pretrained_folder=bundles["shipped"])
+    settings = ApiSettings(cache_folder=tmp_path / "cache", poll_s=1e-6, pretrained_folder=bundles["shipped"])
     with running(create_app(settings, stock(registry, bundles))) as client:
         yield client
 

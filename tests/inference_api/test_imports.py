@@ -41,7 +41,7 @@ import numpy as np
 from tests.inference_api.client import running
 from cspace.png import encode_png
 
-settings = ApiSettings(None, Path({cache!r}), pretrained_folder=Path({bundle!r}))
+settings = ApiSettings(cache_folder=Path({cache!r}), pretrained_folder=Path({bundle!r}))
 with running(create_app(settings)) as api:
     image = encode_png(np.zeros((48, 48, 3), np.uint8))
     answer = api.post("/sample", files={{"image": image}}, data={{"n": "3"}})

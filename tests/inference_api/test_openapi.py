@@ -171,7 +171,7 @@ def test_the_documentation_needs_nothing_from_elsewhere(api: ApiClient) -> None:
 
 
 def test_the_default_model_that_is_shown_is_the_one_that_answers(tmp_path) -> None:
-    settings = ApiSettings(None, tmp_path, "three-link-sampler")
+    settings = ApiSettings(cache_folder=tmp_path, model_name="three-link-sampler")
     found = create_app(settings).openapi()
     named = [schema for schema in _properties(found) if schema.get("maxLength") == 300]
     assert len(named) == 10

@@ -120,7 +120,9 @@ def test_a_version_of_an_older_release_or_with_strange_tags_is_listed_without(
 
 
 def server(folder: Path, shipped: Path, registry: CountingRegistry | None, name: str) -> ApiSettings:
-    return ApiSettings(None, folder / "cache", poll_s=3600.0, pretrained_folder=shipped, model_name=name)
+    return ApiSettings(
+        cache_folder=folder / "cache", poll_s=3600.0, pretrained_folder=shipped, model_name=name
+    )
 
 
 @pytest.mark.parametrize("kind", ["no registry", "an empty registry", "away"])

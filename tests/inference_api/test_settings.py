@@ -8,9 +8,6 @@ from inference_api.settings import (
     ConnectionLimits,
     Protection,
     further_folders,
-    host_names,
-    origins,
-    proxies,
 )
 from services.registry.ports import PRETRAINED, SHIPPED
 
@@ -18,7 +15,7 @@ from services.registry.ports import PRETRAINED, SHIPPED
 def test_an_empty_environment_serves_the_shipped_models_from_defaults() -> None:
     settings = ApiSettings.from_environment({"XDG_CACHE_HOME": "/var/cache/user"})
     folders = Path("/var/cache/user/cspace-sampler/models")
-    assert settings == ApiSettings(None, folders, further_folders=further_folders())
+    assert settings == ApiSettings(cache_folder=folders, further_folders=further_folders())
     assert set(further_folders()) == set(SHIPPED) - {PRETRAINED}
 
 
@@ -66,17 +63,17 @@ def test_every_setting_is_read() -> None:
         trusted_proxies=("10.0.0.0/8",),
     )
     assert ApiSettings.from_environment(environment) == ApiSettings(
-        "http://127.0.0.1:5000",
-        Path("/srv/models"),
-        "a.b_c-d",
-        0.5,
-        Path("/srv/shipped"),
-        7,
-        9,
-        3,
+        registry_uri="http://127.0.0.1:5000",
+        cache_folder=Path("/srv/models"),
+        model_name="a.b_c-d",
+        poll_s=0.5,
+        pretrained_folder=Path("/srv/shipped"),
+        loaded_bundles=7,
+        cached_pictures=9,
+        threads=3,
         protection=protection,
         stored_bundles=8,
-        connections=ConnectionLimits(7, 1.5, 2.5),
+        connections=ConnectionLimits(connections=7, header_timeout_s=1.5, write_timeout_s=2.5),
         grace_s=3,
         guide_folder=Path("/srv/guide"),
         workbench=True,
@@ -88,10 +85,16 @@ def test_every_setting_is_read() -> None:
 
 
 def test_lists_of_names_are_read() -> None:
-    assert host_names(" api, 10.0.0.1,::1,[::2],*,") == ("api", "10.0.0.1", "[::1]", "[::2]", "*")
-    assert origins("https://a.example:8443,http://[::1]:1") == ("https://a.example:8443", "http://[::1]:1")
-    assert proxies("10.0.0.0/8, ::1") == ("10.0.0.0/8", "::1")
-    assert host_names("") == origins("") == proxies("") == ()
+    names = {
+        "CSPACE_API_HOSTS": " api, 10.0.0.1,::1,[::2],*,",
+        "CSPACE_API_ORIGINS": "https://a.example:8443,http://[::1]:1",
+        "CSPACE_API_TRUSTED_PROXIES": "10.0.0.0/8, ::1",
+    }
+    read = ApiSettings.from_environment(names).protection
+    assert read.hosts == ("api", "10.0.0.1", "[::1]", "[::2]", "*")
+    assert read.origins == ("https://a.example:8443", "http://[::1]:1")
+    assert read.trusted_proxies == ("10.0.0.0/8", "::1")
+    assert ApiSettings.from_environment(dict.fromkeys(names, "")).protection == Protection()
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,13 @@ def folders(tmp_path: Path, bundles: dict[str, Path]) -> dict[str, Path]:
 
 def settings(folder: Path, folders: dict[str, Path], name: str = "cspace-sampler") -> ApiSettings:
     first, further = folders["pretrained"], {THREE_NAME: folders[THREE_NAME]}
-    return ApiSettings(None, folder / "cache", name, 0.2, pretrained_folder=first, further_folders=further)
+    return ApiSettings(
+        cache_folder=folder / "cache",
+        model_name=name,
+        poll_s=0.2,
+        pretrained_folder=first,
+        further_folders=further,
+    )
 
 
 @pytest.fixture
