@@ -19,7 +19,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
 from inference_api.keys import ApiKeys, bearer_token, warn_of_readers
-from inference_api.logs import note_client
+from inference_api.logs import request_record
 from inference_api.problem_types import (
     BODY_TOO_LARGE,
     FOREIGN_ORIGIN,
@@ -348,7 +348,9 @@ class Limits:
                 headers={"WWW-Authenticate": challenge},
             )
         scope[_CLIENT] = name
-        note_client(name)
+        record = request_record.get()
+        if record is not None:
+            record.client = name
 
     def _check_rate(self, client: str) -> None:
         wait_s = 0.0 if self._buckets is None else self._buckets.take(client)

@@ -8,7 +8,7 @@ import json
 import logging
 import re
 import secrets
-from contextvars import ContextVar, Token
+from contextvars import ContextVar
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any, Literal
@@ -46,29 +46,8 @@ class RequestRecord:
     shortfall: int | None = None
 
 
-_CURRENT: ContextVar[RequestRecord | None] = ContextVar("request_record", default=None)
-
-
-def begin(record: RequestRecord) -> Token[RequestRecord | None]:
-    """Make a record the current one; :func:`end` takes what this returns."""
-    return _CURRENT.set(record)
-
-
-def end(token: Token[RequestRecord | None]) -> None:
-    """Make the record before it the current one again."""
-    _CURRENT.reset(token)
-
-
-def current() -> RequestRecord | None:
-    """The record of the request that is being answered, None outside of one."""
-    return _CURRENT.get()
-
-
-def note_client(name: str) -> None:
-    """Write down whose key a request came with."""
-    record = current()
-    if record is not None:
-        record.client = name
+# The record of the request that is being answered; None outside of one.
+request_record: ContextVar[RequestRecord | None] = ContextVar("request_record", default=None)
 
 
 def choose_request_id(sent: str | None) -> str:
@@ -99,7 +78,7 @@ def log_request(record: RequestRecord, method: str, route: str, status: int, dur
 def _fields_of(record: logging.LogRecord) -> dict[str, Any]:
     """The fields of a line; a line inside a request has at least its id."""
     fields: dict[str, Any] = dict(getattr(record, FIELDS, {}))
-    request = current()
+    request = request_record.get()
     if request is not None:
         fields.setdefault("request_id", request.request_id)
     return fields

@@ -25,7 +25,7 @@ from cspace.errors import (
     RegistryError,
     StorageError,
 )
-from inference_api.logs import current
+from inference_api.logs import request_record
 
 _LOG = logging.getLogger(__name__)
 MEDIA_TYPE = "application/problem+json"
@@ -208,7 +208,7 @@ def problem_response(
 
     Below ``/v2`` it is the Open Inference Protocol's ``{"error": detail}``.
     """
-    record = current()
+    record = request_record.get()
     if record is not None:
         record.reason = problem.name
         if record.path == V2 or record.path.startswith(f"{V2}/"):

@@ -18,7 +18,7 @@ import uvicorn
 from uvicorn.protocols.http.h11_impl import STATUS_PHRASES, H11Protocol, RequestResponseCycle
 
 from inference_api.limits import RAW_SECURITY_HEADERS, client_of
-from inference_api.logs import RequestRecord, begin, choose_request_id, end, log_request
+from inference_api.logs import RequestRecord, choose_request_id, log_request, request_record
 from inference_api.problem_types import (
     HEADERS_TIMEOUT,
     HEADERS_TOO_LARGE,
@@ -253,11 +253,11 @@ class BoundedProtocol(H11Protocol):
                 self.transport.close()
                 return
         record = RequestRecord(choose_request_id(None))
-        token = begin(record)
+        token = request_record.set(record)
         response = problem_response(problem, detail, remedy=remedy)
         self.config.metrics.finished("unknown", "other", problem.status, record)
         log_request(record, "other", "unknown", problem.status, 0.0)
-        end(token)
+        request_record.reset(token)
         own = [(b"x-request-id", record.request_id.encode()), (b"connection", b"close")]
         headers = (*self.server_state.default_headers, *response.raw_headers, *RAW_SECURITY_HEADERS, *own)
         start = b"HTTP/1.1 %d %s" % (problem.status, STATUS_PHRASES[problem.status])

@@ -28,7 +28,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from cspace.query import Status
 from inference_api.drift import CollisionDrift
 from inference_api.limits import RAW_SECURITY_HEADERS
-from inference_api.logs import RequestRecord, begin, choose_request_id, current, end, log_request
+from inference_api.logs import RequestRecord, choose_request_id, log_request, request_record
 from inference_api.problem_types import PROBLEMS, SHUTTING_DOWN, failure_response, problem_response
 from services.outcomes import RESULTS
 
@@ -181,7 +181,7 @@ class Metrics(Observer):
             self._scored.inc(answer.n or 0)
         elif answer.kind == "plan":
             self._plans.labels(answer.status).inc()
-        record = current()
+        record = request_record.get()
         if record is not None:
             record.model, record.n = answer.model, answer.n
             record.seed, record.shortfall = answer.seed, answer.shortfall
@@ -280,7 +280,7 @@ class Telemetry:
                 message["headers"] = [*headers, (REQUEST_ID.lower().encode(), record.request_id.encode())]
             await send(message)
 
-        token = begin(record)
+        token = request_record.set(record)
         self._metrics.in_flight.inc()
         try:
             await self._app(scope, receive, labelled)
@@ -298,7 +298,7 @@ class Telemetry:
             route, method = self._route(record.path), scope["method"]
             self._metrics.finished(route, method, status, record)
             log_request(record, method, route, status, time.perf_counter() - began)
-            end(token)
+            request_record.reset(token)
 
     def _route(self, path: str) -> str:
         return next((name for pattern, name in self._patterns if pattern.match(path)), UNKNOWN)

@@ -12,7 +12,7 @@ from fastapi import FastAPI
 
 from cspace.errors import ConfigError
 from inference_api.limits import HEALTH, METRICS
-from inference_api.logs import current
+from inference_api.logs import request_record
 from inference_api.settings import TRACES_ENDPOINTS
 from inference_api.telemetry import STAGES, Answered, Observer, Refusal
 
@@ -74,7 +74,7 @@ class TracedObserver(Observer):
         """Sets attributes on the request's span, and adds a span for each stage; the last one ends now."""
         from opentelemetry.trace import get_current_span  # noqa: PLC0415
 
-        record = current()
+        record = request_record.get()
         values: dict[str, str | bool | float | None] = {
             "request_id": "" if record is None else record.request_id,
             "model": answer.model,

@@ -11,7 +11,7 @@ from pydantic import BaseModel, Field, Strict, ValidationInfo, field_validator
 
 from cspace.query import MAX_SAMPLES
 from inference_api.limits import client_of
-from inference_api.logs import REQUEST_ID, current
+from inference_api.logs import REQUEST_ID, request_record
 from inference_api.problem_types import (
     BODY_TOO_LARGE,
     INTERNAL_ERROR,
@@ -189,7 +189,7 @@ async def outcomes(request: Request, service: Serving) -> Response:
 def _keep(spool: Spool, metrics: Metrics, text: bytes, job: Job) -> Response:
     job.spend(rows_of(json_bytes=len(text)))
     found = OutcomesRequest.read(load_object(text)).outcomes
-    record = current()
+    record = request_record.get()
     received = {"client": record.client if record else None, "received_s": round(time.time(), 3)}
     taken = spool.add([one.model_dump(exclude_none=True) | received for one in found])
     for site, plans in _checked(found).items():

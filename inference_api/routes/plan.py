@@ -15,7 +15,7 @@ from cspace.errors import InputError
 from cspace.planning.cost import confidence_of_cost
 from cspace.query import Plan, PlanQuery, random_seed
 from cspace.world import ARM_IN_PICTURE, LITTLE_IN_REACH, Finding
-from inference_api.logs import current
+from inference_api.logs import request_record
 from inference_api.models.pictures import Prepared
 from inference_api.models.served import ServedModel
 from inference_api.models.store import ModelStore
@@ -93,7 +93,7 @@ def _answer(
         found = bundle.plan(prepared.picture, query, check_cancelled, calibration)
     name = f"{served.name}/{served.version}"
     store.observer.answered(Answered("plan", name, served.fallback, status=found.status, seed=query.seed))
-    record = current()
+    record = request_record.get()
     if record is not None and found.status == "solved" and served.alias == ALIAS_CHAMPION:
         own = float(confidence_of_cost(np.array(found.cost), spec.plan_calibration or (0.0, 1.0)))
         offers.append(Offer(record.request_id, record.client, served, image, found.path, own))
