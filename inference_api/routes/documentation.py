@@ -6,11 +6,10 @@ import re
 from importlib.resources import files
 from pathlib import Path
 
-from fastapi import FastAPI, Request
+from fastapi import FastAPI
 from fastapi.openapi.docs import get_swagger_ui_html
 from fastapi.responses import HTMLResponse, RedirectResponse, Response
 from fastapi.staticfiles import StaticFiles
-from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 from starlette.types import Scope
 
@@ -24,17 +23,6 @@ POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; "
     "connect-src 'self'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
 )
-
-_NOT_BUILT = """<!doctype html>
-<html lang="en">
-<title>The documentation is not built yet</title>
-<h1>The documentation is not built yet</h1>
-<p>Run this in the project's folder, then load this page again; the server can stay up:</p>
-<pre>make docs</pre>
-<p>The same texts are in the folder <code>docs</code>; begin with <code>docs/index.md</code>. The server also
-serves a site that was built elsewhere, if <code>CSPACE_API_GUIDE</code> names its folder.</p>
-</html>
-"""
 
 
 def add_docs_page(app: FastAPI) -> None:
@@ -89,9 +77,7 @@ def add_guide(app: FastAPI, folder: Path) -> None:
     """
 
     @app.get(PAGE, include_in_schema=False)
-    def guide(request: Request) -> Response:
-        if not _built(folder):
-            return _how_to_build(request.headers)
+    def guide() -> RedirectResponse:
         # Relative, for a proxy may have put the API below a path of its own.
         return RedirectResponse("guide/")
 
@@ -107,7 +93,7 @@ class GuideFiles(StaticFiles):
 
     def __init__(self, folder: Path) -> None:
         super().__init__(directory=folder, html=True, check_dir=False)
-        self._folder = folder
+        self._first_page = folder / "index.html"
         # A folder that is not there is told by an answer, not by an error of the server.
         self.config_checked = True
 
@@ -116,27 +102,12 @@ class GuideFiles(StaticFiles):
         try:
             answer = await super().get_response(path, scope)
         except HTTPException as error:
-            if error.status_code == NOT_FOUND.status and not _built(self._folder):
-                return _how_to_build(Headers(scope=scope))
+            if error.status_code == NOT_FOUND.status and not self._first_page.is_file():
+                raise RequestError(
+                    NOT_FOUND,
+                    "the guide is not built here",
+                    remedy="run make docs beside the server, or have its CSPACE_API_GUIDE name a built one",
+                ) from error
             raise
         answer.headers["Content-Security-Policy"] = POLICY
         return answer
-
-
-def _built(folder: Path) -> bool:
-    return (folder / "index.html").is_file()
-
-
-def _how_to_build(headers: Headers) -> Response:
-    """A page for browsers.
-
-    Raises:
-        RequestError: the client asks for something else than a page.
-    """
-    if "text/html" in headers.get("accept", ""):
-        return HTMLResponse(_NOT_BUILT, NOT_FOUND.status)
-    raise RequestError(
-        NOT_FOUND,
-        "the guide is not built here",
-        remedy="run make docs beside the server, or have its CSPACE_API_GUIDE name a built one",
-    )

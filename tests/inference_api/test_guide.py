@@ -74,18 +74,12 @@ def test_no_path_leads_out_of_the_guide(api: ApiClient) -> None:
 
 
 def test_a_server_without_a_built_guide_says_how_to_build_it(tmp_path: Path) -> None:
-    browser = {"accept": "text/html,application/xhtml+xml,application/xml;q=0.9,*/*;q=0.8"}
     with api_with(tmp_path, tmp_path / "nothing") as client:
-        for path in ("/guide", "/guide/", "/guide/api.html"):
+        for path in ("/guide/", "/guide/api.html"):
             problem = assert_problem(client.get(path), 404, "not-found")
             assert problem["detail"].startswith("the guide is not built here")
             assert "make docs" in problem["remedy"]
-            page = client.get(path, headers=browser)
-            assert page.status_code == 404
-            assert page.headers["content-type"].startswith("text/html")
-            assert "<pre>make docs</pre>" in page.text
-            assert page.headers["content-security-policy"]
-            assert str(tmp_path) not in str(problem) + page.text
+            assert str(tmp_path) not in str(problem)
 
 
 def test_a_guide_that_is_built_while_the_server_runs_is_served(tmp_path: Path, site: Path) -> None:
