@@ -2,10 +2,9 @@
 
 from collections.abc import AsyncIterator
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, nullcontext
-from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from anyio import to_thread
 from fastapi import FastAPI
@@ -24,15 +23,18 @@ from inference_api.requests import Service
 from inference_api.routes import belief, doctor, models, open_inference, outcomes, plan, sample, validity
 from inference_api.routes.documentation import add_docs_page, add_guide
 from inference_api.scheduler import Lookups, Scheduler
-from inference_api.schemas import ModelInfo, Problem, model_info
+from inference_api.schemas import Problem
 from inference_api.settings import ApiSettings
 from inference_api.shadow import Shadow
 from inference_api.telemetry import Metrics, Telemetry
 from inference_api.tensors import InferenceRequest
-from inference_api.tracing import TracedObserver, add_tracing, otlp_provider
+from inference_api.tracing import TracedMetrics, add_tracing, otlp_provider
 from inference_api.workbench.routes import add_workbench
 from services.outcomes import Spool
 from services.registry.ports import PRETRAINED, ModelReader
+
+if TYPE_CHECKING:
+    from opentelemetry.sdk.trace import TracerProvider
 
 # Long enough for a registry nearby, short enough for a health check's patience.
 FIRST_LOOK_S = 20.0
@@ -53,7 +55,8 @@ def create_app(settings: ApiSettings | None = None, registry: ModelReader | None
     """
     settings = settings or ApiSettings.from_environment()
     store = _make_store(settings, registry)
-    metrics = Metrics(partial(_default_model, store), settings.metrics_folder)
+    provider = otlp_provider() if settings.traces else None
+    metrics = _make_metrics(settings, store, provider)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
@@ -85,19 +88,13 @@ def create_app(settings: ApiSettings | None = None, registry: ModelReader | None
         app.include_router(routes.router)
     add_docs_page(app)
     add_guide(app, settings.guide_folder)
-    add_workbench(
-        app,
-        truth=settings.workbench,
-        mlflow_pages=settings.mlflow_pages,
-    )
+    add_workbench(app, truth=settings.workbench, mlflow_pages=settings.mlflow_pages)
     add_problem_handlers(app)
     add_limits(app, settings.protection)
     app.add_middleware(Telemetry, metrics=metrics, routes=app.router.routes)
-    provider = otlp_provider() if settings.traces else None
     app.state.metrics, app.state.traces = metrics, provider
     # Servers do; an app that is used in another process loads the search with its first plan.
     app.state.loads_planner = False
-    store.observer = metrics if provider is None else TracedObserver(provider, metrics)
     if provider is not None:
         add_tracing(app, provider)
     app.openapi = lambda: document(app, settings.model_name)  # type: ignore[method-assign]
@@ -133,11 +130,6 @@ def document(app: FastAPI, default_model: str) -> dict[str, Any]:
     return app.openapi_schema
 
 
-def _default_model(store: ModelStore) -> ModelInfo | None:
-    served = store.default
-    return None if served is None else model_info(served)
-
-
 def _make_store(settings: ApiSettings, registry: ModelReader | None) -> ModelStore:
     # A registry that is given is known to behave: what comes from it is verified in this process.
     verify = verification.verify if registry is None else _verify_here
@@ -151,6 +143,15 @@ def _make_store(settings: ApiSettings, registry: ModelReader | None) -> ModelSto
         settings.poll_s,
         pictures=PictureCache(settings.cached_pictures),
     )
+
+
+def _make_metrics(settings: ApiSettings, store: ModelStore, provider: "TracerProvider | None") -> Metrics:
+    if provider is None:
+        metrics = Metrics(lambda: store.default, settings.metrics_folder)
+    else:
+        metrics = TracedMetrics(provider, lambda: store.default, settings.metrics_folder)
+    store.on_champion = metrics.followed
+    return metrics
 
 
 def _make_service(settings: ApiSettings, store: ModelStore, metrics: Metrics) -> Service:

@@ -7,11 +7,12 @@ import asyncio
 import ipaddress
 import math
 import time
-from collections import OrderedDict, defaultdict
-from collections.abc import Callable, Iterable
+from collections import defaultdict
+from collections.abc import Callable, Iterable, MutableMapping
 from functools import lru_cache
 from typing import Literal
 
+from cachetools import LRUCache
 from fastapi import FastAPI
 from fastapi.middleware.cors import CORSMiddleware
 from starlette.datastructures import Headers
@@ -155,18 +156,15 @@ class Shares:
             del self._held[client]
 
 
-def full_detail(full: Full, what: str, limit: int) -> str:
-    """What is said to whom got no place."""
-    if full == "server":
-        return f"the server is full: {limit} {what} are all that it takes"
-    return f"this client's share of the server's {limit} {what} is full; others still find room"
-
-
 def overloaded(full: Full, what: str, limit: int) -> RequestError:
     """The error for who got no place; it says when to ask again."""
+    if full == "server":
+        detail = f"the server is full: {limit} {what} are all that it takes"
+    else:
+        detail = f"this client's share of the server's {limit} {what} is full; others still find room"
     return RequestError(
         OVERLOADED,
-        full_detail(full, what, limit),
+        detail,
         remedy=f"ask again after {RETRY_AFTER_S} s, and from fewer places at once",
         headers={"Retry-After": str(RETRY_AFTER_S)},
     )
@@ -190,8 +188,9 @@ class TokenBuckets:
         capacity: int = MAX_CLIENTS,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._rate_per_s, self._burst, self._capacity, self._clock = rate_per_s, burst, capacity, clock
-        self._buckets: OrderedDict[str, tuple[float, float]] = OrderedDict()
+        self._rate_per_s, self._burst, self._clock = rate_per_s, burst, clock
+        # What each holds, and since when.
+        self._buckets: MutableMapping[str, tuple[float, float]] = LRUCache(capacity)
 
     def __len__(self) -> int:
         return len(self._buckets)
@@ -203,9 +202,6 @@ class TokenBuckets:
         held = min(self._burst, held + (now - then) * self._rate_per_s)
         wait_s = 0.0 if held >= 1.0 else (1.0 - held) / self._rate_per_s
         self._buckets[client] = (held - 1.0 if wait_s == 0.0 else held, now)
-        self._buckets.move_to_end(client)
-        if len(self._buckets) > self._capacity:
-            self._buckets.popitem(last=False)
         return wait_s
 
 

@@ -60,14 +60,6 @@ class NoKernelsError(CspaceError):
     """What is asked for needs compiled code that this server has not."""
 
 
-class StartingError(CspaceError):
-    """What is asked for is being loaded since the server was started."""
-
-
-class NoRoomError(CspaceError):
-    """The process may not take as much memory as is needed."""
-
-
 class ModelNotReadyError(CspaceError):
     """There is no model that could answer."""
 
@@ -124,6 +116,36 @@ OUT_OF_RESOURCES = ProblemType("out-of-resources", 503, "The server has no memor
 REGISTRY_UNAVAILABLE = ProblemType("registry-unavailable", 503, "The model registry does not answer")
 
 PROBLEMS = tuple(value for value in list(globals().values()) if isinstance(value, ProblemType))
+# What is answered before any route is looked for: by the limits, and by the protocol below them.
+GUARD_PROBLEMS = (
+    MALFORMED_REQUEST,
+    UNAUTHORIZED,
+    FOREIGN_ORIGIN,
+    HEADERS_TIMEOUT,
+    URI_TOO_LONG,
+    UNKNOWN_HOST,
+    TOO_MANY_REQUESTS,
+    HEADERS_TOO_LARGE,
+    OVERLOADED,
+    SHUTTING_DOWN,
+)
+# What a route that computes something for a picture answers.
+SAMPLE_PROBLEMS = (
+    *GUARD_PROBLEMS,
+    MALFORMED_BODY,
+    UNKNOWN_MODEL,
+    REQUEST_TIMEOUT,
+    OTHER_ROBOT,
+    BODY_TOO_LARGE,
+    UNSUPPORTED_MEDIA_TYPE,
+    INVALID_IMAGE,
+    INVALID_VALUE,
+    INTERNAL_ERROR,
+    NO_MODEL,
+    OUT_OF_RESOURCES,
+    STORAGE_UNAVAILABLE,
+    REGISTRY_UNAVAILABLE,
+)
 # All that a client is told of failures that are not about its request.
 _ABOUT_THE_SERVER = {
     INTERNAL_ERROR: "the server failed; its log says how",
@@ -147,14 +169,12 @@ _BY_ERROR: tuple[tuple[type[CspaceError], ProblemType], ...] = (
     (ModelNotFoundError, UNKNOWN_MODEL),
     (RegistryError, REGISTRY_UNAVAILABLE),
     (ModelNotReadyError, NO_MODEL),
-    (StartingError, STARTING),
-    (NoRoomError, OUT_OF_RESOURCES),
     (StorageError, STORAGE_UNAVAILABLE),
 )
 
 
 class RequestError(CspaceError):
-    """A request that is wrong before its values are looked at.
+    """A request that is refused with a problem of its own.
 
     Args:
         problem: which way.

@@ -274,17 +274,8 @@ async def read_body(request: Request) -> Body:
     Raises:
         RequestError: another media type, a malformed form, or a body that is too large or too late.
     """
-    coding = request.headers.get("content-encoding", "identity").strip().lower()
-    content_type = request.headers.get("content-type", "")
-    media_type, options = parse_options_header(content_type if len(content_type) <= MAX_CONTENT_TYPE else "")
-    if coding != "identity" or media_type not in (b"application/json", b"multipart/form-data"):
-        raise RequestError(
-            UNSUPPORTED_MEDIA_TYPE,
-            "the body's media type is not supported",
-            expected="multipart/form-data or application/json, without a content coding",
-            got=f"{content_type[:100] or 'no content type'}, {coding}"[:200],
-        )
-    if media_type == b"application/json":
+    media_type, options = media_type_of(request, "multipart/form-data", "application/json")
+    if media_type == "application/json":
         return Body(await request.body())
     boundary = options.get(b"boundary", b"")
     if not _BOUNDARY.fullmatch(boundary):
@@ -315,6 +306,26 @@ async def read_body(request: Request) -> Body:
     if len(dict(meshes)) < len(meshes):
         raise _malformed("two meshes of one file name")
     return Body(parts=tuple(parts), meshes=tuple(meshes))
+
+
+def media_type_of(request: Request, *supported: str) -> tuple[str, dict[bytes, bytes]]:
+    """The media type of a request's body, and its parameters.
+
+    Raises:
+        RequestError: it is none of those that are supported, or the body has a content coding.
+    """
+    coding = request.headers.get("content-encoding", "identity").strip().lower()
+    content_type = request.headers.get("content-type", "")
+    found, options = parse_options_header(content_type[:MAX_CONTENT_TYPE])
+    media_type = found.decode("latin-1")
+    if coding != "identity" or len(content_type) > MAX_CONTENT_TYPE or media_type not in supported:
+        raise RequestError(
+            UNSUPPORTED_MEDIA_TYPE,
+            "the body's media type is not supported",
+            expected=f"{' or '.join(filter(None, supported))}, without a content coding",
+            got=f"{content_type[:100] or 'no content type'}, {coding}"[:200],
+        )
+    return media_type, options
 
 
 class _FormParser(MultiPartParser):

@@ -25,7 +25,7 @@ from starlette.requests import ClientDisconnect
 from cspace.bundle.sampling import BUDGET, BUDGET_AT_LEAST
 from cspace.bundle.spec import WAYS, BundleSpec
 from cspace.query import SampleQuery
-from inference_api.limits import MAX_CLIENTS, RETRY_AFTER_S, Shares, full_detail
+from inference_api.limits import MAX_CLIENTS, RETRY_AFTER_S, Shares, overloaded
 from inference_api.problem_types import OVERLOADED, NoKernelsError, RequestError
 
 Item = TypeVar("Item")
@@ -48,7 +48,7 @@ LONG_OF_CLIENT, LONG_AT_ONCE = 2, 16
 STUCK_S = 20.0
 # A request that is not answered by then is refused, before a proxy in front gives up (60 s) without a reason.
 ANSWER_S = 50.0
-# Requests that wait for models at the same time.
+# Requests that wait for models at the same time; more are refused.
 LOOKUPS = 16
 # So much takes as long as a row: JSON that is parsed, pixels that are decoded, values of an array.
 _JSON_BYTES, _PIXELS, _VALUES = 600, 400, 100
@@ -454,15 +454,11 @@ class Scheduler:
 
 
 class Lookups:
-    """Runs what may wait long for the registry and computes nothing, in threads of its own.
+    """Runs what may wait long for the registry and computes nothing, in threads of its own."""
 
-    Args:
-        places: how many run at the same time, at least 1; more are refused.
-    """
-
-    def __init__(self, places: int = LOOKUPS) -> None:
-        self._shares = Shares(places)
-        self._limiter = CapacityLimiter(places)
+    def __init__(self) -> None:
+        self._shares = Shares(LOOKUPS)
+        self._limiter = CapacityLimiter(LOOKUPS)
 
     async def run(self, wait: Callable[[], Result], client: str = "") -> Result:
         """What the call returns or raises, in a thread; one that is cancelled is left to its own end.
@@ -472,11 +468,7 @@ class Lookups:
         """
         full = self._shares.take(client)
         if full is not None:
-            raise RequestError(
-                OVERLOADED,
-                full_detail(full, "requests that wait for models", self._shares.limit),
-                remedy="ask again in some seconds, or for a model that is loaded",
-            )
+            raise overloaded(full, "requests that wait for models", self._shares.limit)
         try:
             return await to_thread.run_sync(wait, limiter=self._limiter, abandon_on_cancel=True)
         finally:

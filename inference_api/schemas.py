@@ -9,7 +9,7 @@ import json
 import re
 import time
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import (
@@ -244,11 +244,9 @@ _Configurations = Annotated[
 ]
 _Angles = Expected("an array of finite angles in rad")
 _Range = Annotated[tuple[Number, Number], Strict(strict=False)]
-_RANGE = {"anyOf": [_numbers(2), {"type": "null"}]}
 _Limits = Annotated[
     Annotated[tuple[_Range | None, ...], Field(max_length=MAX_JOINTS), Strict(strict=False)] | None,
     Expected("for each joint [low, high] in rad, or null"),
-    WithJsonSchema({"anyOf": [{"type": "array", "items": _RANGE, "maxItems": MAX_JOINTS}, {"type": "null"}]}),
 ]
 
 
@@ -557,14 +555,6 @@ class ValidityRequest(SceneFields):
     )
 
 
-class BeliefRequest(SceneFields):
-    """A question what is where."""
-
-
-class DoctorRequest(SceneFields):
-    """A question what is wrong with a view."""
-
-
 class PlanRequest(SceneFields):
     """A question for a path."""
 
@@ -725,10 +715,7 @@ class PictureWarning(BaseModel):
 def warnings_of(findings: Iterable[Finding]) -> list[PictureWarning]:
     """Findings as answers carry them, each code once."""
     once = {one.code: one for one in findings}
-    return [
-        PictureWarning(code=one.code, message=one.message, pictures=list(one.pictures))
-        for one in once.values()
-    ]
+    return [PictureWarning.model_validate(one, from_attributes=True) for one in once.values()]
 
 
 class TimingMs(BaseModel):
@@ -770,6 +757,16 @@ class SceneAnswer(BaseModel):
     model: ModelInfo
 
 
+def about(served: ServedModel, novelty: float | None, warnings: list[PictureWarning]) -> dict[str, Any]:
+    """The members of a :class:`SceneAnswer`."""
+    return {
+        "scenario": ScenarioInfo(novelty=novelty),
+        "warnings": warnings,
+        "joint_space": joint_space_info(served.bundle.spec.joint_space),
+        "model": model_info(served),
+    }
+
+
 class SampleAnswer(SceneAnswer):
     """Samples for one picture."""
 
@@ -809,12 +806,9 @@ class ContactInfo(BaseModel):
     text: str = Field(description="In words.")
 
     @classmethod
-    def of(cls, contact: Contact | None) -> "ContactInfo | None":
+    def of(cls, contact: Contact | None) -> Self | None:
         """As answers carry it."""
-        if contact is None:
-            return None
-        values: dict[str, Any] = asdict(contact) | {"position_m": list(contact.position_m)}
-        return cls.model_construct(**values, text=contact.text)
+        return None if contact is None else cls.model_validate(contact, from_attributes=True)
 
 
 class ValidityAnswer(SceneAnswer):

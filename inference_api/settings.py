@@ -186,18 +186,18 @@ class Protection(_Settings):
     max_in_flight: int = Field(64, ge=1, alias="CSPACE_API_MAX_IN_FLIGHT")
     """Requests that are answered at the same time; further ones are refused."""
     body_timeout_s: float = Field(30.0, gt=0.0, alias="CSPACE_API_BODY_TIMEOUT_S")
-    """Within which a request's body has to arrive, s."""
+    """Time within which a request's body has to arrive, s."""
     rate_per_s: float = Field(0.0, ge=0.0, alias="CSPACE_API_RATE")
     """Requests a second and client that are allowed in the long run; 0 for no limit."""
     rate_burst: int = Field(20, ge=1, alias="CSPACE_API_BURST")
     """Requests that a client may send at once before its rate counts."""
     # Less than 8 MiB would refuse bodies that are not too large.
     held_body_bytes: _BytesOf8MiB = Field(64 * MIB, alias="CSPACE_API_HELD_BODIES_MIB")
-    """Of all bodies that have arrived and are not answered, MiB."""
+    """Largest size of all bodies together that have arrived and are not answered, MiB."""
     hosts: _Hosts = Field((), alias=HOSTS)
     """Names that the server answers to beside loopback and --host; * for any."""
     origins: _Origins = Field((), alias="CSPACE_API_ORIGINS")
-    """Of other sites whose pages may use the server, as https://host:port."""
+    """Origins of other sites whose pages may use the server, as https://host:port."""
     trusted_proxies: _Networks = Field((), alias="CSPACE_API_TRUSTED_PROXIES")
     """Addresses and networks whose X-Forwarded-For and -Proto are believed."""
 
@@ -206,11 +206,11 @@ class ConnectionLimits(_Settings):
     """What one connection may take, and how many there may be."""
 
     connections: int = Field(512, ge=1, alias="CSPACE_API_MAX_CONNECTIONS")
-    """Open at the same time in one process."""
+    """Connections that are open at the same time in one process."""
     header_timeout_s: float = Field(10.0, gt=0.0, alias="CSPACE_API_HEADER_TIMEOUT_S")
-    """From a request's first byte to the end of its headers, for the first from the connection on, s."""
+    """Time from a request's first byte to the end of its headers, for the first from the connection on, s."""
     write_timeout_s: float = Field(10.0, gt=0.0, alias="CSPACE_API_WRITE_TIMEOUT_S")
-    """For an answer that the client does not read, s."""
+    """Time for an answer that the client does not read, s."""
 
 
 class ApiSettings(_Settings):
@@ -223,7 +223,7 @@ class ApiSettings(_Settings):
     model_name: Annotated[str, AfterValidator(_served_name)] = Field(DEFAULT_MODEL, alias="CSPACE_MODEL_NAME")
     """The registered model whose champion is the default."""
     poll_s: float = Field(2.0, gt=0.0, alias="CSPACE_MODEL_POLL_S")
-    """Between two looks at the champion's alias, s."""
+    """Time between two looks at the champion's alias, s."""
     pretrained_folder: Path = Field(PRETRAINED_FOLDER, alias=PRETRAINED_MODEL)
     """Folder of the shipped bundle."""
     further_folders: Mapping[str, Path] = Field(default_factory=dict)
@@ -247,7 +247,7 @@ class ApiSettings(_Settings):
     traces: bool = False
     """Whether spans are sent, by OpenTelemetry's own variables."""
     grace_s: int = Field(10, ge=1, alias="CSPACE_API_GRACE_S")
-    """For requests in flight when the server is told to end, whole s."""
+    """Time for requests in flight when the server is told to end, whole s."""
     load_planner: _Switch = Field(default=True, alias="CSPACE_API_LOAD_PLANNER")
     """Whether the search of plans is loaded before the server is ready; 0 leaves that to the first plan."""
     guide_folder: Path = Field(GUIDE_FOLDER, alias="CSPACE_API_GUIDE")
@@ -259,7 +259,7 @@ class ApiSettings(_Settings):
     outcomes_folder: Path | None = Field(None, alias=FOLDER)
     """Folder where outcomes wait for their upload; none keeps none."""
     outcomes_bytes: _BytesOf16MiB = Field(256 * MIB, alias="CSPACE_OUTCOMES_MIB")
-    """Of that folder, MiB."""
+    """Largest size of the folder of outcomes, MiB."""
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str] | None = None) -> Self:

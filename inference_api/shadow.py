@@ -62,7 +62,6 @@ class Shadow:
         lookups: where the challenger is looked up.
         spool: of outcomes; without one nothing is compared.
         count: called with what became of each: ``compared``, ``dropped`` or ``failed``.
-        draw: between 0 and 1, for each plan.
     """
 
     def __init__(
@@ -72,10 +71,9 @@ class Shadow:
         lookups: Lookups,
         spool: Spool | None,
         count: Callable[[str], None],
-        draw: Callable[[], float] = random.random,
     ) -> None:
         self._store, self._scheduler, self._lookups = store, scheduler, lookups
-        self._spool, self._count, self._draw = spool, count, draw
+        self._spool, self._count = spool, count
         self._task: asyncio.Task[None] | None = None
 
     def take(self, offer: Offer) -> None:
@@ -86,7 +84,7 @@ class Shadow:
     async def _compare(self, spool: Spool, offer: Offer) -> None:
         try:
             found = await self._lookups.run(partial(self._store.shadow, offer.served), SHADOW)
-            if found is None or self._draw() >= found[1]:
+            if found is None or random.random() >= found[1]:  # noqa: S311 - a share, no secret
                 return
             row = await self._scheduler.run(partial(self._row, offer, found[0]), SHADOW)
         except (_BusyError, ClientDisconnect):
@@ -105,7 +103,7 @@ class Shadow:
             job.check_cancelled()
 
         check_cancelled()
-        bundle, champion = challenger.bundle, offer.served
+        bundle = challenger.bundle
         picture = self._store.pictures.get(bundle, offer.image, check_cancelled=check_cancelled).picture
         confidence = bundle.path_confidence(picture, offer.path, check_cancelled)
         return {
@@ -113,8 +111,8 @@ class Shadow:
             "request_id": offer.request_id,
             "client": offer.client,
             "received_s": round(time.time(), 3),
-            "model": f"{challenger.name}/{challenger.version}",
-            "beside": f"{champion.name}/{champion.version}",
+            "model": str(challenger),
+            "beside": str(offer.served),
             "confidence": confidence,
             "confidence_beside": offer.confidence,
         }

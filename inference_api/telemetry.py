@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Literal, Protocol, get_args
+from typing import Literal, get_args
 
 from fastapi.routing import iter_route_contexts
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
@@ -29,6 +29,8 @@ from cspace.query import Status
 from inference_api.drift import CollisionDrift
 from inference_api.limits import RAW_SECURITY_HEADERS
 from inference_api.logs import RequestRecord, choose_request_id, log_request, request_record
+from inference_api.models.served import ServedModel
+from inference_api.models.store import Refusal
 from inference_api.problem_types import PROBLEMS, SHUTTING_DOWN, failure_response, problem_response
 from services.outcomes import RESULTS
 
@@ -38,10 +40,6 @@ STAGES = ("decode", "encode", "generate", "total")
 METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS", "TRACE", "CONNECT"})
 # The name of paths without a route in metrics and log.
 UNKNOWN = "unknown"
-# Why a champion is not put into service: its bundle is damaged or not the registered one, its golden case
-# gives other answers here, the registry is away, or the cache cannot be written.
-Refusal = Literal["bundle", "golden", "registry", "storage"]
-REFUSALS: tuple[Refusal, ...] = get_args(Refusal)
 _NO_REASON = "none"
 # From a picture that is known and a small network to a large n on a busy processor, in s.
 _STAGE_BUCKETS_S = (0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0)
@@ -55,8 +53,7 @@ class Answered:
 
     Args:
         kind: of answer.
-        model: that answered, ``name/version``.
-        fallback: whether the shipped model stood in for a champion.
+        served: the model that answered.
         n: samples that were asked for, or configurations that were scored.
         seed: that was used.
         shortfall: samples that are missing.
@@ -66,8 +63,7 @@ class Answered:
     """
 
     kind: Literal["samples", "scores", "plan", "diagnosis", "belief"]
-    model: str
-    fallback: bool
+    served: ServedModel
     n: int | None = None
     seed: int | None = None
     shortfall: int | None = None
@@ -76,38 +72,16 @@ class Answered:
     stages_s: dict[str, float] = field(default_factory=dict)
 
 
-class Observer:
-    """Watches, and does nothing; what is called must be safe to call from several threads."""
-
-    def answered(self, answer: Answered) -> None:
-        """A model answered a request."""
-
-    def reloaded(self) -> None:
-        """A champion was put into service."""
-
-    def refused(self, reason: Refusal) -> None:
-        """A champion was not put into service; the one before it stays."""
-
-
-class ModelInService(Protocol):
-    """What is told of the model that answers."""
-
-    name: str
-    version: int
-    digest: str
-    fallback: bool
-
-
-class Metrics(Observer):
-    """Counts and times what one app does.
+class Metrics:
+    """Counts and times what one app does; safe to share between threads.
 
     Args:
-        model: describes the model that answers by default, None without one; asked at each scrape.
+        model: the model that answers by default, None without one; asked at each scrape.
         shared: the folder in which all processes of one server keep their values
             (``PROMETHEUS_MULTIPROC_DIR``); None for a single process.
     """
 
-    def __init__(self, model: Callable[[], ModelInService | None], shared: Path | None = None) -> None:
+    def __init__(self, model: Callable[[], ServedModel | None], shared: Path | None = None) -> None:
         self._shared, self._model = shared, _ModelCollector(model)
         self._registry = registry = CollectorRegistry()
         counter, histogram = partial(Counter, registry=registry), partial(Histogram, registry=registry)
@@ -162,14 +136,14 @@ class Metrics(Observer):
             self._plans.labels(status)
         self._stage = {stage: stages.labels(stage) for stage in STAGES}
         self._reloads.labels("served", _NO_REASON)
-        for reason in REFUSALS:
+        for reason in get_args(Refusal):
             self._reloads.labels("refused", reason)
         ProcessCollector(registry=registry)
         registry.register(self._model)
 
     def answered(self, answer: Answered) -> None:
         """Counts an answer, and writes it down for the request's line in the log."""
-        if answer.fallback:
+        if answer.served.fallback:
             self._fallbacks.inc()
         if answer.kind == "samples":
             for stage, seconds in answer.stages_s.items():
@@ -183,16 +157,13 @@ class Metrics(Observer):
             self._plans.labels(answer.status).inc()
         record = request_record.get()
         if record is not None:
-            record.model, record.n = answer.model, answer.n
+            record.model, record.n = str(answer.served), answer.n
             record.seed, record.shortfall = answer.seed, answer.shortfall
 
-    def reloaded(self) -> None:
-        """Counts a champion that was put into service."""
-        self._reloads.labels("served", _NO_REASON).inc()
-
-    def refused(self, reason: Refusal) -> None:
-        """Counts a champion that was not."""
-        self._reloads.labels("refused", reason).inc()
+    def followed(self, refusal: Refusal | None) -> None:
+        """Counts a champion that was put into service, or was not for a reason."""
+        outcome = "served" if refusal is None else "refused"
+        self._reloads.labels(outcome, refusal or _NO_REASON).inc()
 
     def plans_reported(self, site: str, plans: Sequence[tuple[float, bool]]) -> None:
         """Weighs what became of plans, see :meth:`inference_api.drift.CollisionDrift.add`."""
@@ -226,7 +197,7 @@ class Metrics(Observer):
 class _ModelCollector(Collector):
     """One series with the value 1: the model in service now, however it came there."""
 
-    def __init__(self, model: Callable[[], ModelInService | None]) -> None:
+    def __init__(self, model: Callable[[], ServedModel | None]) -> None:
         self._model = model
 
     def describe(self) -> Iterator[Metric]:
@@ -236,7 +207,7 @@ class _ModelCollector(Collector):
         family, model = self._family(), self._model()
         if model is not None:
             fallback = str(model.fallback).lower()
-            family.add_metric([model.name, str(model.version), model.digest, fallback], 1.0)
+            family.add_metric([model.name, str(model.version), model.bundle.digest, fallback], 1.0)
         yield family
 
     @staticmethod

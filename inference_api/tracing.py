@@ -6,6 +6,8 @@ Everything is set by OpenTelemetry's own variables (``OTEL_EXPORTER_OTLP_ENDPOIN
 
 import os
 import time
+from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fastapi import FastAPI
@@ -13,8 +15,9 @@ from fastapi import FastAPI
 from cspace.errors import ConfigError
 from inference_api.limits import HEALTH, METRICS
 from inference_api.logs import request_record
+from inference_api.models.served import ServedModel
 from inference_api.settings import TRACES_ENDPOINTS
-from inference_api.telemetry import STAGES, Answered, Observer, Refusal
+from inference_api.telemetry import STAGES, Answered, Metrics
 
 if TYPE_CHECKING:
     from opentelemetry.sdk.trace import TracerProvider
@@ -59,16 +62,20 @@ def add_tracing(app: FastAPI, provider: "TracerProvider") -> None:
     )
 
 
-class TracedObserver(Observer):
-    """Writes what is learnt of a request into its span, and passes it on.
+class TracedMetrics(Metrics):
+    """Metrics of an app whose requests are traced.
 
     Args:
         provider: of the spans.
-        others: the observer that is told as well.
+        model: as of :class:`Metrics`.
+        shared: as of :class:`Metrics`.
     """
 
-    def __init__(self, provider: "TracerProvider", others: Observer) -> None:
-        self._tracer, self._others = provider.get_tracer("inference_api"), others
+    def __init__(
+        self, provider: "TracerProvider", model: Callable[[], ServedModel | None], shared: Path | None
+    ) -> None:
+        super().__init__(model, shared)
+        self._tracer = provider.get_tracer("inference_api")
 
     def answered(self, answer: Answered) -> None:
         """Sets attributes on the request's span, and adds a span for each stage; the last one ends now."""
@@ -77,8 +84,8 @@ class TracedObserver(Observer):
         record = request_record.get()
         values: dict[str, str | bool | float | None] = {
             "request_id": "" if record is None else record.request_id,
-            "model": answer.model,
-            "fallback": answer.fallback,
+            "model": str(answer.served),
+            "fallback": answer.served.fallback,
             "n": answer.n,
             # In decimal, for an attribute has 63 bits.
             "seed": None if answer.seed is None else str(answer.seed),
@@ -95,12 +102,4 @@ class TracedObserver(Observer):
             end = begin + int(1e9 * seconds)
             self._tracer.start_span(name, start_time=begin).end(end)
             begin = end
-        self._others.answered(answer)
-
-    def reloaded(self) -> None:
-        """Passes it on; no request is concerned."""
-        self._others.reloaded()
-
-    def refused(self, reason: Refusal) -> None:
-        """Passes it on; no request is concerned."""
-        self._others.refused(reason)
+        super().answered(answer)

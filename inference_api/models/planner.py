@@ -7,7 +7,7 @@ from threading import Thread
 from typing import Literal
 
 from cspace.plan import load_examples
-from inference_api.problem_types import NoRoomError, StartingError
+from inference_api.problem_types import OUT_OF_RESOURCES, STARTING, RequestError
 from inference_api.process import settle
 
 _LOG = logging.getLogger(__name__)
@@ -31,15 +31,17 @@ class PlannerStart:
         Thread(target=self._load, name="planner-start", daemon=True).start()
 
     def require(self) -> None:
-        """Raise StartingError while the search is being loaded, NoRoomError where it cannot be."""
+        """Raise RequestError while the search is being loaded, and where there is no room for it."""
         if self.state == "on demand" and not _has_room():
-            raise NoRoomError(
+            raise RequestError(
+                OUT_OF_RESOURCES,
                 "there is no room for the search of plans",
                 expected=f"{ROOM_BYTES // 2**20} MiB of address space below the limit of the process",
                 remedy="raise the limit, or ask another server",
             )
         if self.state == "loading":
-            raise StartingError(
+            raise RequestError(
+                STARTING,
                 "the search of plans is being loaded",
                 expected="a server whose /health/ready says 200",
                 got="one that was started a moment ago",

@@ -41,6 +41,9 @@ class ServedModel:
     fallback: bool = False
     confirmed: bool = True
 
+    def __str__(self) -> str:
+        return f"{self.name}/{self.version}"
+
     @classmethod
     def of(
         cls, bundle: Bundle, version: ModelVersion, alias: str | None, *, confirmed: bool = True

@@ -7,6 +7,7 @@ robot, and the answer says so.
 """
 
 import logging
+import math
 import time
 from collections.abc import AsyncIterator, Callable, MutableMapping, Sequence
 from concurrent.futures import Future, wait
@@ -35,7 +36,6 @@ from inference_api.models.planner import PlannerStart
 from inference_api.models.served import ServedModel, ShippedModels
 from inference_api.models.worker import RegistryWorker
 from inference_api.problem_types import ModelNotReadyError
-from inference_api.telemetry import Observer, Refusal
 from services.names import (
     ALIAS_CHAMPION,
     CALIBRATION_PREFIX,
@@ -49,7 +49,9 @@ from services.registry.failures import anonymous
 from services.registry.ports import PRETRAINED, ModelReader, ModelReference, ModelVersion, is_model_name
 
 _Answer = TypeVar("_Answer")
-_NOT_LOOKED_UP: Literal[""] = ""
+# Why a champion is not put into service: its bundle is damaged or not the registered one, its golden case
+# gives other answers here, the registry is away, or the cache cannot be written.
+Refusal = Literal["bundle", "golden", "registry", "storage"]
 _LOG = logging.getLogger(__name__)
 LOAD_WAIT_S = 30.0
 # For how long after a request named it a reference is looked up in the background.
@@ -108,7 +110,8 @@ class ModelStore:
         pictures: PictureCache | None = None,
         wait_s: float = LOAD_WAIT_S,
     ) -> None:
-        self.observer = Observer()
+        # Told of each champion that was put into service, or of the reason why it was not.
+        self.on_champion: Callable[[Refusal | None], None] = lambda _: None
         self.planner = PlannerStart()
         self.pictures = PictureCache(0) if pictures is None else pictures
         self.model_name, self.shipped = model_name, shipped
@@ -117,10 +120,8 @@ class ModelStore:
         self._known: MutableMapping[ModelReference, _Known] = LRUCache(REMEMBERED)
         self._unknown: MutableMapping[ModelReference, bool] = TTLCache(REMEMBERED, lookup_s, clock)
         self._listed: MutableMapping[str, Sequence[ModelVersion]] = TTLCache(1, lookup_s, clock)
-        self._seldom: MutableMapping[ModelReference, ModelVersion | None] = TTLCache(
-            REMEMBERED, SELDOM_S, clock
-        )
-        self._last_seldom: MutableMapping[ModelReference, ModelVersion | None] = LRUCache(REMEMBERED)
+        # With the time until which it is trusted, s.
+        self._seldom: MutableMapping[ModelReference, tuple[ModelVersion | None, float]] = LRUCache(REMEMBERED)
         self._away_until: float | None = None
         self._champion: ServedModel | None = None
         # Of the last champion; None where it is not known.
@@ -260,7 +261,7 @@ class ModelStore:
         except RegistryError as error:
             _LOG.warning("%s is not used: %s", known, error)
             return None
-        return (found, str(known)) if found.model == f"{served.name}/{served.version}" else None
+        return (found, str(known)) if found.model == str(served) else None
 
     def shadow(self, champion: ServedModel) -> tuple[ServedModel, float] | None:
         """What is compared with a champion, and on which share of its answers; may wait for its bundle.
@@ -287,20 +288,19 @@ class ModelStore:
     def _look_up_seldom(self, reference: ModelReference) -> ModelVersion | None:
         """A version, looked up each :data:`SELDOM_S`; the last known one while the registry is away."""
         with self._lock:
-            known = self._seldom.get(reference, _NOT_LOOKED_UP)
-        if not isinstance(known, str):
+            known, until_s = self._seldom.get(reference, (None, -math.inf))
+        if self._clock() < until_s:
             return known
         try:
             self._leave_alone_while_away()
-            found: ModelVersion | None = self._find(reference)
+            known = self._find(reference)
         except ModelNotFoundError:
-            found = None
+            known = None
         except RegistryError:
-            with self._lock:
-                return self._last_seldom.get(reference)
+            return known
         with self._lock:
-            self._seldom[reference] = self._last_seldom[reference] = found
-        return found
+            self._seldom[reference] = known, self._clock() + SELDOM_S
+        return known
 
     def versions(self, name: str) -> Sequence[ModelVersion]:
         """Versions of a model, newest first; those of the cache while the registry is away."""
@@ -524,7 +524,7 @@ class ModelStore:
             version, error = successor.version, successor.future.exception()
             if error is not None:
                 successor.retry_s = self._clock() + RETRY_S
-                self.observer.refused(_refusal_of(error))
+                self.on_champion(_refusal_of(error))
                 _LOG.warning("what is in service stays, %s cannot follow: %s", version, anonymous(str(error)))
                 return
             bundle = successor.future.result()
@@ -532,7 +532,7 @@ class ModelStore:
                 self._champion, self._robot = ServedModel.of(bundle, version, ALIAS_CHAMPION), bundle.robot
                 self._successor = None
             self._stand_in = self.shipped.stand_in(self.model_name, self._robot)
-            self.observer.reloaded()
+            self.on_champion(None)
             _LOG.info("in service: %s", version)
             try:
                 self._cache.disk.remember_champion(version)

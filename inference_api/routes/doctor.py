@@ -9,15 +9,14 @@ from fastapi.responses import Response
 from cspace.bundle.samples import require_robot
 from cspace.errors import ImageError
 from inference_api.models.served import ServedModel
-from inference_api.models.store import ModelStore
-from inference_api.requests import Serving, both_bodies
+from inference_api.requests import Service, Serving, both_bodies
 from inference_api.routes.sample import answer_responses, prepared_picture
 from inference_api.scheduler import Job, rows_of
 from inference_api.schemas import (
     DoctorAnswer,
-    DoctorRequest,
     DoctorTimingMs,
     ScenarioInfo,
+    SceneFields,
     SuggestedPoseInfo,
     Verdict,
     model_info,
@@ -30,7 +29,7 @@ router = APIRouter()
 @router.post(
     "/doctor",
     summary="Find what is wrong with depth pictures, cameras and state",
-    openapi_extra=both_bodies(DoctorRequest),
+    openapi_extra=both_bodies(SceneFields),
     responses=answer_responses(DoctorAnswer),
 )
 async def doctor(request: Request, service: Serving) -> Response:
@@ -38,12 +37,12 @@ async def doctor(request: Request, service: Serving) -> Response:
 
     Views that others refuse for seeing nothing in reach are answered. Of a plane only the novelty is given.
     """
-    work = partial(_answer, service.store, began=time.perf_counter())
-    return await service.answer(request, DoctorRequest, work)
+    work = partial(_answer, service, began=time.perf_counter())
+    return await service.answer(request, SceneFields, work)
 
 
 def _answer(
-    store: ModelStore, request: DoctorRequest, served: ServedModel, job: Job, *, began: float
+    service: Service, request: SceneFields, served: ServedModel, job: Job, *, began: float
 ) -> Response:
     bundle, image = served.bundle, request.picture()
     world = bundle.spec.world
@@ -53,34 +52,16 @@ def _answer(
     found = world.diagnosis(image, job.check_cancelled)
     diagnosed = time.perf_counter()
     try:
-        novelty = prepared_picture(store, bundle, image, job).picture.novelty
+        novelty = prepared_picture(service.store, bundle, image, job).picture.novelty
     except ImageError:
         # Nothing in reach, which is among the verdicts.
         novelty = None
     found, ended = found.with_novelty(novelty), time.perf_counter()
-    name = f"{served.name}/{served.version}"
-    store.observer.answered(Answered("diagnosis", name, served.fallback))
+    service.metrics.answered(Answered("diagnosis", served))
     body = DoctorAnswer(
-        verdicts=[
-            Verdict(
-                code=one.code,
-                seen=one.seen,
-                effect=one.effect,
-                remedy=one.remedy,
-                pictures=list(one.pictures),
-            )
-            for one in found.findings
-        ],
+        verdicts=[Verdict.model_validate(one, from_attributes=True) for one in found.findings],
         notes=list(found.notes),
-        poses=[
-            SuggestedPoseInfo(
-                picture=one.picture,
-                pose=[list(row) for row in one.pose],
-                offset_m=one.offset_m,
-                turn_deg=one.turn_deg,
-            )
-            for one in found.poses
-        ],
+        poses=[SuggestedPoseInfo.model_validate(one, from_attributes=True) for one in found.poses],
         scenario=ScenarioInfo(novelty=novelty),
         model=model_info(served),
         timing_ms=DoctorTimingMs(

@@ -14,9 +14,15 @@ from cspace.worlds import read_world, robot_digest
 from inference_api.limits import client_of
 from inference_api.models.served import PRETRAINED_VERSION, ServedModel
 from inference_api.models.store import ModelStore
-from inference_api.problem_types import INVALID_VALUE, NO_MODEL, STARTING, UNAUTHORIZED, ModelNotReadyError
+from inference_api.problem_types import (
+    GUARD_PROBLEMS,
+    INVALID_VALUE,
+    NO_MODEL,
+    STARTING,
+    UNAUTHORIZED,
+    ModelNotReadyError,
+)
 from inference_api.requests import Service, Serving, problem_responses
-from inference_api.routes.sample import GUARD_PROBLEMS
 from inference_api.scheduler import STUCK_S
 from inference_api.schemas import ListedModel, Live, ModelList, Ready, joint_space_info, model_info
 from inference_api.telemetry import CONTENT_TYPE
@@ -71,7 +77,7 @@ def default_model(service: Service) -> ServedModel:
     """The model that answers requests that name none.
 
     Raises:
-        StartingError: the search of plans is not loaded yet.
+        RequestError: the search of plans is not loaded yet.
         ModelNotReadyError: there is none, or no request comes to its end.
     """
     store = service.store

@@ -23,8 +23,8 @@ from cspace.world import Examined, TensorInput, World
 from inference_api.limits import client_of
 from inference_api.models.served import PRETRAINED_VERSION, ServedModel
 from inference_api.models.store import ModelStore
-from inference_api.problem_types import UNSUPPORTED_MEDIA_TYPE, V2, RequestError, brief
-from inference_api.requests import MAX_FIELD_BYTES, Service, Serving, Work, load_json
+from inference_api.problem_types import V2, brief
+from inference_api.requests import MAX_FIELD_BYTES, Service, Serving, Work, load_json, media_type_of
 from inference_api.routes.models import default_model
 from inference_api.scheduler import Job, rows_of
 from inference_api.schemas import QueryFields
@@ -164,20 +164,12 @@ async def version_infer(request: Request, service: Serving, model: str, version:
 
 
 async def _infer(request: Request, service: Service, reference: ModelReference) -> Response:
-    coding = request.headers.get("content-encoding", "identity").strip().lower()
-    media_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     # The protocol's own clients send none.
-    if coding != "identity" or media_type not in ("", *MEDIA_TYPES):
-        raise RequestError(
-            UNSUPPORTED_MEDIA_TYPE,
-            "the body's media type is not supported",
-            expected=f"{' or '.join(MEDIA_TYPES)}, without a content coding",
-            got=f"{media_type or 'no content type'}, {coding}"[:200],
-        )
+    media_type_of(request, *MEDIA_TYPES, "")
     body, length = await request.body(), request.headers.get(JSON_LENGTH)
 
     def parse(job: Job) -> tuple[ModelReference, Work]:
-        return reference, _work(service.store, body, length, job)
+        return reference, _work(service, body, length, job)
 
     return await service.respond(request, parse)
 
@@ -189,7 +181,7 @@ def _reference(model: str, version: str | None = None) -> ModelReference:
     return ModelReference.parse(f"{model}/{version}")
 
 
-def _work(store: ModelStore, body: bytes, json_length: str | None, job: Job) -> Work:
+def _work(service: Service, body: bytes, json_length: str | None, job: Job) -> Work:
     """Parses and validates a request."""
     began = time.perf_counter()
     head, tail = split_body(body, json_length)
@@ -212,9 +204,9 @@ def _work(store: ModelStore, body: bytes, json_length: str | None, job: Job) -> 
 
     def work(served: ServedModel, job: Job) -> Response:
         if scores:
-            arrays, read = _score(store, served, query, tensors, job)
+            arrays, read = _score(service, served, query, tensors, job)
         else:
-            arrays, read = _sample(store, served, query, tensors, job, began)
+            arrays, read = _sample(service, served, query, tensors, job, began)
         content, length = write_answer(served, request, arrays, read.findings, binary=binary)
         headers = None if length is None else {JSON_LENGTH: str(length)}
         return Response(content, headers=headers, media_type=MEDIA_TYPES[length is not None])
@@ -257,7 +249,7 @@ def _read_pictures(world: World, tensors: Mapping[str, NDArray[Any]], job: Job) 
 
 
 def _sample(
-    store: ModelStore,
+    service: Service,
     served: ServedModel,
     query: SampleQuery,
     tensors: Mapping[str, NDArray[Any]],
@@ -283,7 +275,7 @@ def _sample(
     with job.sampling(bundle.spec, query, len(read.images)) as check_cancelled:
         for image, seed in zip(read.images, seeds, strict=True):
             job.check_cancelled()
-            prepared.append(store.pictures.of_pixels(bundle, image))
+            prepared.append(service.store.pictures.of_pixels(bundle, image))
             found.append(
                 bundle.answer(
                     prepared[-1].picture, replace(query, seed=seed), check_cancelled=check_cancelled
@@ -304,8 +296,7 @@ def _sample(
     arrays["seed"] = np.array(seeds, dtype=np.uint64)
     answered = Answered(
         "samples",
-        f"{served.name}/{served.version}",
-        served.fallback,
+        served,
         n=query.n * len(found),
         seed=seeds[0],
         shortfall=sum(one.shortfall for one in found),
@@ -316,12 +307,12 @@ def _sample(
             "total": time.perf_counter() - began,
         },
     )
-    store.observer.answered(answered)
+    service.metrics.answered(answered)
     return arrays, read
 
 
 def _score(
-    store: ModelStore,
+    service: Service,
     served: ServedModel,
     query: SampleQuery,
     tensors: Mapping[str, NDArray[Any]],
@@ -343,10 +334,9 @@ def _score(
             remedy="send a request for each picture",
         )
     job.spend(rows_of(rows=len(configurations)))
-    picture = store.pictures.of_pixels(bundle, read.images[0]).picture
+    picture = service.store.pictures.of_pixels(bundle, read.images[0]).picture
     confidence, unseen = bundle.predict(picture, configurations, job.check_cancelled)
-    name = f"{served.name}/{served.version}"
-    store.observer.answered(Answered("scores", name, served.fallback, n=len(confidence)))
+    service.metrics.answered(Answered("scores", served, n=len(confidence)))
     arrays: dict[str, NDArray[Any]] = {"confidence": confidence}
     arrays |= {} if unseen is None else {"unseen": unseen}
     if picture.novelty is not None:

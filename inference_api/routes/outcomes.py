@@ -14,6 +14,7 @@ from inference_api.limits import client_of
 from inference_api.logs import REQUEST_ID, request_record
 from inference_api.problem_types import (
     BODY_TOO_LARGE,
+    GUARD_PROBLEMS,
     INTERNAL_ERROR,
     INVALID_VALUE,
     MALFORMED_BODY,
@@ -25,7 +26,7 @@ from inference_api.problem_types import (
     RequestError,
 )
 from inference_api.requests import Serving, load_object, problem_responses, read_body
-from inference_api.routes.sample import GUARD_PROBLEMS, REQUEST_ID_HEADER
+from inference_api.routes.sample import REQUEST_ID_HEADER
 from inference_api.scheduler import Job, rows_of
 from inference_api.schemas import Confidence, Expected, RequestFields, Site
 from inference_api.telemetry import Metrics

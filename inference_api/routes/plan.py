@@ -18,10 +18,9 @@ from cspace.world import ARM_IN_PICTURE, LITTLE_IN_REACH, Finding
 from inference_api.logs import request_record
 from inference_api.models.pictures import Prepared
 from inference_api.models.served import ServedModel
-from inference_api.models.store import ModelStore
-from inference_api.problem_types import NO_PLANNER, STARTING
-from inference_api.requests import Serving, both_bodies, problem_responses
-from inference_api.routes.sample import SAMPLE_PROBLEMS, answer_responses, prepared_picture
+from inference_api.problem_types import NO_PLANNER, SAMPLE_PROBLEMS, STARTING
+from inference_api.requests import Service, Serving, both_bodies, problem_responses
+from inference_api.routes.sample import answer_responses, prepared_picture
 from inference_api.scheduler import Job
 from inference_api.schemas import (
     Alternative,
@@ -31,9 +30,7 @@ from inference_api.schemas import (
     PlanAnswer,
     PlanRequest,
     PlanTimingMs,
-    ScenarioInfo,
-    joint_space_info,
-    model_info,
+    about,
     warnings_of,
 )
 from inference_api.shadow import Offer
@@ -58,7 +55,7 @@ async def plan(request: Request, service: Serving) -> Response:
     The search treats unknown space as free; the model estimates how likely it is free.
     """
     offers: list[Offer] = []
-    work = partial(_answer, service.store, offers, began=time.perf_counter())
+    work = partial(_answer, service, offers, began=time.perf_counter())
     answer = await service.answer(request, PlanRequest, work)
     for offer in offers:
         service.shadow.take(offer)
@@ -66,7 +63,7 @@ async def plan(request: Request, service: Serving) -> Response:
 
 
 def _answer(
-    store: ModelStore,
+    service: Service,
     offers: list[Offer],
     request: PlanRequest,
     served: ServedModel,
@@ -74,6 +71,7 @@ def _answer(
     *,
     began: float,
 ) -> Response:
+    store = service.store
     store.planner.require()
     bundle, spec, image = served.bundle, served.bundle.spec, request.picture()
     given = query_of(request)
@@ -91,8 +89,7 @@ def _answer(
         local = None if request.site is None else store.calibration(request.site, served)
         calibration = None if local is None else local[0].after(spec.plan_calibration)
         found = bundle.plan(prepared.picture, query, check_cancelled, calibration)
-    name = f"{served.name}/{served.version}"
-    store.observer.answered(Answered("plan", name, served.fallback, status=found.status, seed=query.seed))
+    service.metrics.answered(Answered("plan", served, status=found.status, seed=query.seed))
     record = request_record.get()
     if record is not None and found.status == "solved" and served.alias == ALIAS_CHAMPION:
         own = float(confidence_of_cost(np.array(found.cost), spec.plan_calibration or (0.0, 1.0)))
@@ -123,12 +120,8 @@ def _answer(
         if request.alternatives
         else None,
         contact=ContactInfo.of(found.contact),
-        next_view=None if view is None else NextViewInfo(camera=dict(view.camera), sees=view.sees),
+        next_view=None if view is None else NextViewInfo.model_validate(view, from_attributes=True),
         seed=str(query.seed),
-        scenario=ScenarioInfo(novelty=prepared.picture.novelty),
-        warnings=warnings_of(warnings),
-        joint_space=joint_space_info(spec.joint_space),
-        model=model_info(served),
         timing_ms=PlanTimingMs(
             decode=prepared.decode_ms,
             encode=prepared.encode_ms,
@@ -136,6 +129,7 @@ def _answer(
             score=found.score_ms,
             total=1e3 * (time.perf_counter() - began),
         ),
+        **about(served, prepared.picture.novelty, warnings_of(warnings)),
     )
     return Response(body.model_dump_json(), media_type="application/json")
 

@@ -14,79 +14,17 @@ from fastapi.responses import Response
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
-from cspace.bundle import Bundle, SampleSet
+from cspace.bundle import Bundle
 from cspace.bundle.samples import fitted
 from inference_api.models.pictures import Prepared
 from inference_api.models.served import ServedModel
 from inference_api.models.store import ModelStore
-from inference_api.problem_types import (
-    BODY_TOO_LARGE,
-    FOREIGN_ORIGIN,
-    HEADERS_TIMEOUT,
-    HEADERS_TOO_LARGE,
-    INTERNAL_ERROR,
-    INVALID_IMAGE,
-    INVALID_VALUE,
-    MALFORMED_BODY,
-    MALFORMED_REQUEST,
-    NO_MODEL,
-    OTHER_ROBOT,
-    OUT_OF_RESOURCES,
-    OVERLOADED,
-    REGISTRY_UNAVAILABLE,
-    REQUEST_TIMEOUT,
-    SHUTTING_DOWN,
-    STORAGE_UNAVAILABLE,
-    TOO_MANY_REQUESTS,
-    UNAUTHORIZED,
-    UNKNOWN_HOST,
-    UNKNOWN_MODEL,
-    UNSUPPORTED_MEDIA_TYPE,
-    URI_TOO_LONG,
-)
-from inference_api.requests import NPY, Serving, both_bodies, prefers_npy, problem_responses
+from inference_api.problem_types import SAMPLE_PROBLEMS
+from inference_api.requests import NPY, Service, Serving, both_bodies, prefers_npy, problem_responses
 from inference_api.scheduler import Job, rows_of
-from inference_api.schemas import (
-    PictureWarning,
-    SampleAnswer,
-    SampleRequest,
-    ScenarioInfo,
-    TimingMs,
-    joint_space_info,
-    model_info,
-    warnings_of,
-)
+from inference_api.schemas import PictureWarning, SampleAnswer, SampleRequest, TimingMs, about, warnings_of
 from inference_api.telemetry import Answered
 
-# What is answered before any route is looked for: by the limits, and by the protocol below them.
-GUARD_PROBLEMS = (
-    MALFORMED_REQUEST,
-    UNAUTHORIZED,
-    FOREIGN_ORIGIN,
-    HEADERS_TIMEOUT,
-    URI_TOO_LONG,
-    UNKNOWN_HOST,
-    TOO_MANY_REQUESTS,
-    HEADERS_TOO_LARGE,
-    OVERLOADED,
-    SHUTTING_DOWN,
-)
-SAMPLE_PROBLEMS = (
-    *GUARD_PROBLEMS,
-    MALFORMED_BODY,
-    UNKNOWN_MODEL,
-    REQUEST_TIMEOUT,
-    OTHER_ROBOT,
-    BODY_TOO_LARGE,
-    UNSUPPORTED_MEDIA_TYPE,
-    INVALID_IMAGE,
-    INVALID_VALUE,
-    INTERNAL_ERROR,
-    NO_MODEL,
-    OUT_OF_RESOURCES,
-    STORAGE_UNAVAILABLE,
-    REGISTRY_UNAVAILABLE,
-)
 # Proxies take 4 KiB of headers.
 MAX_WARNINGS = 2048
 _SAMPLE_HEADERS = {
@@ -154,14 +92,14 @@ async def sample(request: Request, service: Serving) -> Response:
     With `Accept: application/x-npy` the answer is the samples alone as a float32 `.npy`, the rest in headers.
     """
     npy, began = prefers_npy(request.headers.get("accept")), time.perf_counter()
-    work = partial(_answer, service.store, npy=npy, began=began)
+    work = partial(_answer, service, npy=npy, began=began)
     return await service.answer(request, SampleRequest, work)
 
 
 def _answer(
-    store: ModelStore, request: SampleRequest, served: ServedModel, job: Job, *, npy: bool, began: float
+    service: Service, request: SampleRequest, served: ServedModel, job: Job, *, npy: bool, began: float
 ) -> Response:
-    bundle, spec = served.bundle, served.bundle.spec
+    store, bundle, spec = service.store, served.bundle, served.bundle.spec
     query = fitted(request.query(), spec, has_validity=bundle.has_validity)
     if request.has_known:
         store.planner.require()
@@ -173,6 +111,7 @@ def _answer(
         )
     # Without a confidence to reach all are taken.
     warnings = warnings_of(prepared.findings_with(spec.world, colliding=1.0 - found.acceptance))
+    novelty = prepared.picture.novelty
     timing = TimingMs(
         decode=prepared.decode_ms,
         encode=prepared.encode_ms,
@@ -181,33 +120,21 @@ def _answer(
     )
     answered = Answered(
         "samples",
-        f"{served.name}/{served.version}",
-        served.fallback,
+        served,
         n=query.n,
         seed=query.seed,
         shortfall=found.shortfall,
         acceptance=found.acceptance,
         stages_s={stage: 1e-3 * value for stage, value in timing.model_dump().items()},
     )
-    store.observer.answered(answered)
+    service.metrics.answered(answered)
     if npy:
-        headers = model_headers(served, prepared.picture.novelty, warnings) | {
+        headers = model_headers(served, novelty, warnings) | {
             "X-Seed": str(query.seed),
             "X-Shortfall": str(found.shortfall),
             "X-Acceptance": f"{found.acceptance:.6g}",
         }
         return npy_response(found.samples, headers, timing)
-    return _json_response(served, found, prepared, warnings, query.seed, timing)
-
-
-def _json_response(
-    served: ServedModel,
-    found: SampleSet,
-    prepared: Prepared,
-    warnings: list[PictureWarning],
-    seed: int,
-    timing: TimingMs,
-) -> Response:
     # Constructed, not validated: the lists come from an array, and walking them costs more than sampling.
     body = SampleAnswer.model_construct(
         samples=found.samples.tolist(),
@@ -216,12 +143,9 @@ def _json_response(
         ways=None if found.ways is None else found.ways.tolist(),
         shortfall=found.shortfall,
         acceptance=found.acceptance,
-        scenario=ScenarioInfo(novelty=prepared.picture.novelty),
-        warnings=warnings,
-        joint_space=joint_space_info(served.bundle.spec.joint_space),
-        model=model_info(served),
-        seed=str(seed),
+        seed=str(query.seed),
         timing_ms=timing,
+        **about(served, novelty, warnings),
     )
     return Response(body.model_dump_json(), media_type="application/json")
 

@@ -16,19 +16,16 @@ from cspace.files import read_npy
 from cspace.query import MAX_SAMPLES
 from cspace.world import World
 from inference_api.models.served import ServedModel
-from inference_api.models.store import ModelStore
-from inference_api.requests import Serving, both_bodies, prefers_npy
+from inference_api.requests import Service, Serving, both_bodies, prefers_npy
 from inference_api.routes.sample import model_headers, npy_response, npy_responses, prepared_picture
 from inference_api.scheduler import Job, rows_of
 from inference_api.schemas import (
     MAX_EXPLAINED,
     ContactInfo,
-    ScenarioInfo,
     ScoreTimingMs,
     ValidityAnswer,
     ValidityRequest,
-    joint_space_info,
-    model_info,
+    about,
     warnings_of,
 )
 from inference_api.telemetry import Answered
@@ -60,14 +57,14 @@ async def validity(request: Request, service: Serving) -> Response:
     With `Accept: application/x-npy` the answer is a float32 `.npy` of two columns, the rest in headers.
     """
     npy, began = prefers_npy(request.headers.get("accept")), time.perf_counter()
-    work = partial(_answer, service.store, npy=npy, began=began)
+    work = partial(_answer, service, npy=npy, began=began)
     return await service.answer(request, ValidityRequest, work)
 
 
 def _answer(
-    store: ModelStore, request: ValidityRequest, served: ServedModel, job: Job, *, npy: bool, began: float
+    service: Service, request: ValidityRequest, served: ServedModel, job: Job, *, npy: bool, began: float
 ) -> Response:
-    bundle, spec = served.bundle, served.bundle.spec
+    store, bundle, spec = service.store, served.bundle, served.bundle.spec
     image, given = request.picture(), _array_of(request.configurations)
     require_robot(request.robot, spec)
     configurations = fitted_configurations(given, spec)
@@ -93,8 +90,8 @@ def _answer(
     )
     colliding = float((confidence < HALF).mean()) if len(confidence) >= MANY_ROWS else 0.0
     warnings = warnings_of(prepared.findings_with(spec.world, colliding=colliding))
-    name, novelty = f"{served.name}/{served.version}", prepared.picture.novelty
-    store.observer.answered(Answered("scores", name, served.fallback, n=len(confidence)))
+    novelty = prepared.picture.novelty
+    service.metrics.answered(Answered("scores", served, n=len(confidence)))
     if npy:
         columns = np.full((len(confidence), 2), np.nan, dtype="<f4")
         columns[:, 0] = confidence
@@ -110,11 +107,8 @@ def _answer(
         unseen=None if unseen is None else unseen.tolist(),
         threshold=spec.confidence_threshold,
         why=_why(prepared.picture, spec.world, configurations, confidence, job) if request.explain else None,
-        scenario=ScenarioInfo(novelty=novelty),
-        warnings=warnings,
-        joint_space=joint_space_info(spec.joint_space),
-        model=model_info(served),
         timing_ms=timing,
+        **about(served, novelty, warnings),
     )
     return Response(body.model_dump_json(), media_type="application/json")
 

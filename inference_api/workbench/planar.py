@@ -138,21 +138,16 @@ def scene_file(request: FileRequest, _: ServedModel, job: Job) -> Response:
 
 
 @contextmanager
-def request_errors(field: str | None = None) -> Iterator[None]:
+def request_errors() -> Iterator[None]:
     """Raises scenario errors as errors of the request.
 
-    Args:
-        field: that they are about; None where it is no single one.
-
     Raises:
-        InputError: the scene cannot be; a FieldsError where the field is known.
+        InputError: the scene cannot be.
         NoKernelsError: the packages of the extra ``workbench`` are not installed.
     """
     try:
         yield
     except ScenarioError as error:
-        if field is not None:
-            raise wrong_field(field, f"{error.what}: {error.expected}", f"{error.got}") from error
         raise InputError(error.what, expected=error.expected, got=error.got, remedy=error.remedy) from error
     except ImportError as error:
         raise NoKernelsError(

@@ -10,7 +10,7 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from inference_api.app import create_app
-from inference_api.routes.sample import SAMPLE_PROBLEMS
+from inference_api.problem_types import SAMPLE_PROBLEMS
 from inference_api.settings import ApiSettings
 from tests.bundles import picture
 from tests.inference_api.client import ApiClient

@@ -22,9 +22,8 @@ from cspace.bundle.files import read_files
 from cspace.errors import CspaceError, RegistryUnavailableError
 from inference_api.models.cache import BundleCache, DiskCache
 from inference_api.models.served import ShippedModels
-from inference_api.models.store import ModelStore
+from inference_api.models.store import ModelStore, Refusal
 from inference_api.models.worker import RegistryWorker
-from inference_api.telemetry import Observer, Refusal
 from services.registry.ports import PRETRAINED, ModelReference, ModelVersion
 from tests.inference_api.bad_bundles import write_hungry_bundle, write_slow_bundle
 from tests.inference_api.trickling import Kind, trickling
@@ -222,16 +221,6 @@ def test_no_error_and_no_line_of_the_log_tells_the_registrys_address_or_password
     assert not [secret for secret in SECRETS if secret in caplog.text]
 
 
-class Refusals(Observer):
-    """Notes why champions did not come into service."""
-
-    def __init__(self) -> None:
-        self.reasons: list[Refusal] = []
-
-    def refused(self, reason: Refusal) -> None:
-        self.reasons.append(reason)
-
-
 @pytest.mark.parametrize(
     ("write", "verify_s", "reason"),
     [
@@ -256,7 +245,8 @@ def test_a_champion_that_attacks_is_refused_in_time_and_takes_nothing_of_this_pr
     disk.remember_champion(champion)
     before = processes()
     store = store_of(make_worker(closed_place), tmp_path, bundles["shipped"], verify_s)
-    store.observer = seen = Refusals()
+    seen: list[Refusal | None] = []
+    store.on_champion = seen.append
     memory_bytes = psutil.Process().memory_info().rss
     with caplog.at_level(logging.WARNING):
         looking = threading.Thread(target=store.refresh, daemon=True)
@@ -274,7 +264,7 @@ def test_a_champion_that_attacks_is_refused_in_time_and_takes_nothing_of_this_pr
     # It was taken off the disk, and cannot be had again while the registry is away.
     assert store.successor == "refused"
     assert disk.stored(MODEL) == []
-    assert seen.reasons == ["bundle"]
+    assert seen == ["bundle"]
     assert psutil.Process().memory_info().rss - memory_bytes < 20 * 2**20
     store.close()
     assert processes() <= before
