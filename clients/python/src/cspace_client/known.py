@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from cspace_client.errors import SamplerError, printable
 
@@ -15,7 +15,7 @@ from cspace_client.errors import SamplerError, printable
 _TYPES = {1: "box", 2: "sphere", 3: "cylinder"}
 _DIMENSIONS = {"box": 3, "sphere": 1, "cylinder": 2}
 # Of a binary STL.
-_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])
+_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attributes", "<u2")])
 _ADD = (0, "add", b"\x00")
 
 
@@ -41,13 +41,8 @@ class Known:
     @property
     def fields(self) -> dict[str, Any]:
         """The fields that are not empty, as plain values but the meshes."""
-        named = {
-            "scene": self.scene,
-            "attached": self.attached,
-            "allowed": self.allowed,
-            "ignore": self.ignore,
-        }
-        return {name: [_plain(one) for one in values] for name, values in named.items() if values}
+        named = {name: getattr(self, name) for name in ("scene", "attached", "allowed", "ignore")}
+        return {name: json.loads(as_json(name, list(values))) for name, values in named.items() if values}
 
     @classmethod
     def of_moveit(cls, planning_scene: Mapping[str, Any], base: str | None = None) -> "Known":
@@ -88,29 +83,6 @@ class Known:
         return cls(scene, attached, allowed, (), meshes)
 
 
-def stl(vertices: ArrayLike, triangles: ArrayLike) -> bytes:
-    """A binary STL file.
-
-    Args:
-        vertices: (V, 3).
-        triangles: (T, 3), numbers of their corners.
-
-    Raises:
-        SamplerError: they are none.
-    """
-    try:
-        corners = np.asarray(vertices, dtype=np.float64).reshape(-1, 3)[np.asarray(triangles, dtype=np.int64)]
-        rows = np.zeros(
-            len(corners), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")]
-        )
-        rows["corners"] = corners
-    except (ValueError, TypeError, IndexError) as error:
-        raise SamplerError(
-            "the mesh is none", expected="vertices (V, 3) and triangles (T, 3)", got=str(error)[:200]
-        ) from error
-    return b"cspace".ljust(80, b" ") + struct.pack("<I", len(rows)) + rows.tobytes()
-
-
 def _each(values: Mapping[str, Any], *keys: str) -> Sequence[Mapping[str, Any]]:
     found: Any = values
     for key in keys:
@@ -135,8 +107,7 @@ def _bodies(one: Mapping[str, Any], frame: str | None, meshes: dict[str, bytes])
         zip(one.get("meshes") or (), one.get("mesh_poses") or (), strict=False)
     ):
         file = f"{name}-{number}.stl"
-        corners = [[row[axis] for axis in "xyz"] for row in mesh["vertices"]]
-        meshes[file] = stl(corners, [row["vertex_indices"] for row in mesh["triangles"]])
+        meshes[file] = _stl(mesh)
         shapes.append(({"mesh": {"file": file}}, pose))
     if not shapes or one.get("planes"):
         raise SamplerError(
@@ -147,6 +118,20 @@ def _bodies(one: Mapping[str, Any], frame: str | None, meshes: dict[str, bytes])
     for number, (shape, pose) in enumerate(shapes):
         placed = (own @ _matrix(pose)).tolist()
         yield {"name": name if number == 0 else f"{name}/{number}", **shape, "pose": placed}
+
+
+def _stl(mesh: Mapping[str, Any]) -> bytes:
+    """A binary STL file of a ``shape_msgs/Mesh``."""
+    try:
+        vertices = np.array([[row[axis] for axis in "xyz"] for row in mesh["vertices"]], dtype=np.float64)
+        corners = vertices[np.array([row["vertex_indices"] for row in mesh["triangles"]], dtype=np.int64)]
+        rows = np.zeros(len(corners), dtype=_TRIANGLE)
+        rows["corners"] = corners
+    except (ValueError, TypeError, IndexError) as error:
+        raise SamplerError(
+            "the mesh is none", expected="vertices (V, 3) and triangles (T, 3)", got=str(error)[:200]
+        ) from error
+    return b"cspace".ljust(80, b" ") + struct.pack("<I", len(rows)) + rows.tobytes()
 
 
 def _solid(name: str, solid: Mapping[str, Any]) -> dict[str, Any]:
@@ -201,5 +186,23 @@ def _allowed(matrix: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
                 yield names[at], names[other]
 
 
-def _plain(value: object) -> Any:
-    return json.loads(json.dumps(value, default=lambda one: np.asarray(one, dtype=np.float64).tolist()))
+def as_json(name: str, value: object) -> str:
+    """A field's value as JSON: plain values, and arrays, NumPy's numbers and mappings among them.
+
+    Raises:
+        SamplerError: it is none that JSON can hold, or not finite.
+    """
+    try:
+        return json.dumps(value, default=_plain, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise SamplerError(
+            f"{name} is wrong",
+            expected="plain values: finite numbers, texts, lists and mappings",
+            got=str(error)[:200],
+        ) from error
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, Mapping):
+        return dict(value)
+    return value.item() if isinstance(value, np.generic) else np.asarray(value, dtype=np.float64).tolist()

@@ -1,7 +1,6 @@
 """A scene's picture, as it is sent: a file, pixels, or what depth cameras saw."""
 
 import io
-import json
 import struct
 import zlib
 from collections.abc import Mapping, Sequence
@@ -12,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cspace_client.errors import SamplerError
-from cspace_client.known import Known
+from cspace_client.known import Known, as_json
 
 File = tuple[str, bytes, str]
 """Name, content and media type."""
@@ -114,27 +113,13 @@ def _file(part: bytes | NDArray[Any]) -> File:
 
 
 def _fields(picture: DepthPictures | PlanarPicture) -> dict[str, Any]:
-    try:
-        fields = _cameras(picture) if isinstance(picture, DepthPictures) else {}
-        if picture.known is not None:
-            fields |= {name: _text(value) for name, value in picture.known.fields.items()}
-    except (TypeError, ValueError) as error:
-        raise SamplerError(
-            "the cameras or known bodies are no plain values",
-            expected="numbers, lists and arrays",
-            got=str(error)[:200],
-        ) from error
-    return fields
-
-
-def _cameras(picture: DepthPictures) -> dict[str, Any]:
-    fields: dict[str, Any] = {"camera": [_text(dict(camera)) for camera in picture.cameras]}
-    if picture.state is not None:
-        fields["state"] = _text(picture.state)
-    for name in ("depth_scale_m", "max_age_s"):
-        value = getattr(picture, name)
-        if value is not None:
-            fields[name] = repr(float(value))
+    fields = {} if picture.known is None else picture.known.fields
+    fields = {name: as_json(name, value) for name, value in fields.items()}
+    if isinstance(picture, DepthPictures):
+        fields["camera"] = [as_json("camera", camera) for camera in picture.cameras]
+        for name in ("state", "depth_scale_m", "max_age_s"):
+            if (value := getattr(picture, name)) is not None:
+                fields[name] = as_json(name, value)
     return fields
 
 
@@ -164,7 +149,3 @@ def encode_png(image: NDArray[Any]) -> bytes:
 
 def _chunk(kind: bytes, data: bytes) -> bytes:
     return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
-
-def _text(value: object) -> str:
-    return json.dumps(value, default=lambda array: np.asarray(array, dtype=np.float64).tolist())
