@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Self, TypedDict, Unpack
 
@@ -37,6 +38,7 @@ __all__ = [
     "RetryPolicy",
     "SamplingClient",
     "ServedPlan",
+    "client_plan_query",
     "mapped",
     "open_local",
     "usual_api",
@@ -96,7 +98,7 @@ class ClientSource:
         self._source = source
 
     def answer(
-        self, picture: cspace_client.Picture, query: cspace_client.Wanted, model: str | None = None
+        self, picture: cspace_client.Picture, query: cspace_client.SampleQuery, model: str | None = None
     ) -> SampleBatch:
         """See :class:`cspace_client.Source`.
 
@@ -119,21 +121,17 @@ def open_local(folder: Path, *, robot: str | None) -> ClientSource:
         raise cspace_client.LocalError(error.what, got=error.got, remedy=error.remedy) from error
 
 
-def _server_query(query: cspace_client.Wanted) -> SampleQuery:
-    if isinstance(query, SampleQuery):
-        return query
+def _server_query(query: cspace_client.SampleQuery) -> SampleQuery:
     try:
-        return SampleQuery.checked(
-            query.n,
-            query.seed,
-            query.epsilon_sigma,
-            query.start,
-            query.goal,
-            query.min_confidence,
-            query.robot,
-        )
+        return SampleQuery.checked(**asdict(query))
     except InputError as error:
         raise SamplerError(error.what, expected=error.expected, got=error.got) from error
+
+
+def client_plan_query(query: PlanQuery) -> cspace_client.PlanQuery:
+    """A query of the project as the client's, without what a server alone adds to it."""
+    names = {one.name for one in fields(query)} & {one.name for one in fields(cspace_client.PlanQuery)}
+    return cspace_client.PlanQuery(**{name: getattr(query, name) for name in names})
 
 
 def _picture(picture: cspace_client.Picture) -> Picture:
@@ -202,7 +200,7 @@ class SamplingClient(SampleSource):
             SamplerError: the request was refused (4xx).
         """
         with mapped():
-            return self._client.answer(picture, query, model)
+            return self._client.answer(picture, cspace_client.SampleQuery(**asdict(query)), model)
 
     def validity(self, picture: Picture, configurations: ArrayLike, model: str | None = None) -> Predictions:
         """See :meth:`cspace_client.SamplingClient.validity`.
@@ -222,7 +220,7 @@ class SamplingClient(SampleSource):
             SamplerError: and its kinds, as there.
         """
         with mapped():
-            return self._client.plan(picture, query, model)
+            return self._client.plan(picture, client_plan_query(query), model)
 
     def close(self) -> None:
         """Close the connection."""

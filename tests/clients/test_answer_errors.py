@@ -1,8 +1,6 @@
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cspace_client.answers import parse_json
 from cspace_client.errors import MAX_CHARACTERS, printable, unusable
 
 
@@ -10,17 +8,6 @@ def test_a_server_s_words_stay_and_what_would_act_on_a_terminal_does_not() -> No
     assert printable("größer als 7 µm") == "größer als 7 µm"
     assert printable("\x1b[31m\r\n\u202e\u2028\x85\ud800\0") == "?[31m???????"
     assert printable("a" * 5, 3) == "aa…"
-
-
-@pytest.mark.parametrize(("opening", "closing"), [("[", "]"), ('{"a":', "}")])
-@pytest.mark.parametrize("levels", [65, 900, 100_000])
-def test_a_document_that_is_nested_deep_is_refused(opening: str, closing: str, levels: int) -> None:
-    def nested(count: int) -> bytes:
-        return (opening * count + "1" + closing * count).encode()
-
-    with pytest.raises(ValueError, match=r"nested|recursion"):
-        parse_json(nested(levels))
-    assert parse_json(nested(64))
 
 
 @given(st.text(st.characters(), max_size=2 * MAX_CHARACTERS))

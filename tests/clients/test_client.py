@@ -74,7 +74,7 @@ def test_what_a_plan_does_not_ask_for_is_left_to_the_server():
     views = ({"fx": 1.0}, {"fx": 2.0})
     query = PlanQuery((0.0,), (1.0,), time_limit_s=2, ways=3, next_view=True, views=views, alternatives=True)
     form = sent.of(lambda client: client.plan(PNG, query))
-    assert (form["time_limit_s"], form["ways"], form["alternatives"]) == ([b"2.0"], [b"3"], [b"true"])
+    assert (form["time_limit_s"], form["ways"], form["alternatives"]) == ([b"2"], [b"3"], [b"true"])
     assert "site" not in form
     assert sent.of(lambda client: client.plan(PNG, replace(query, site="lab-3")))["site"] == [b"lab-3"]
     assert [json.loads(one) for one in form["view"]] == list(views)

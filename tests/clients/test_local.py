@@ -109,7 +109,7 @@ def test_a_source_of_the_project_gets_its_own_query_and_tells_the_clients_errors
     source = FakeSampleSource()
     query = SampleQuery(3, 7)
     ClientSource(source).answer(b"\x89PNG", query)
-    assert source.requests[0].query is query
+    assert source.requests[0].query == query
     with pytest.raises(SamplerUnavailableError):
         ClientSource(FakeSampleSource(ready=False)).answer(b"\x89PNG", query)
     with pytest.raises(SamplerError) as caught:

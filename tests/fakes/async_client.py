@@ -3,7 +3,7 @@
 from typing import Any
 
 import cspace_client
-from services.planner.client import mapped
+from services.planner.client import client_plan_query, mapped
 
 
 class AsyncSamplingClient(cspace_client.AsyncSamplingClient):
@@ -19,9 +19,9 @@ class AsyncSamplingClient(cspace_client.AsyncSamplingClient):
         with mapped():
             return await super().validity(*values, **options)
 
-    async def plan(self, *values: Any, **options: Any) -> Any:
+    async def plan(self, picture: Any, query: Any, *values: Any, **options: Any) -> Any:
         with mapped():
-            return await super().plan(*values, **options)
+            return await super().plan(picture, client_plan_query(query), *values, **options)
 
     async def sample(self, *values: Any, **options: Any) -> Any:
         with mapped():

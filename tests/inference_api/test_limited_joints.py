@@ -9,7 +9,8 @@ import pytest
 from cspace.png import encode_png
 from cspace.space import circles
 from cspace.worlds.planar.arm import PlanarArm
-from cspace_client.answers import read_samples, read_space
+from cspace_client.answers import read_headers, read_samples
+from cspace_client.models import ModelHead
 from inference_api.app import create_app
 from inference_api.settings import ApiSettings
 from tests.bundles import picture, write_tiny_bundle
@@ -49,7 +50,7 @@ def test_answers_tell_the_limits_and_keep_them(api):
 
 def test_the_client_reads_the_same_from_the_array_and_its_header(api):
     answer = api.post("/sample", json=JSON, headers={"accept": NPY})
-    space = read_space(answer.headers["x-joint-space"])
+    space = read_headers(ModelHead, answer.headers)["space"]
     expected = {name: value for name, value in asdict(ROBOT.space).items() if name != "names"}
     assert asdict(space) == expected
     samples = read_samples(answer.content, JSON["n"], space)

@@ -21,26 +21,17 @@ from tests.services.planner.hostile_server import GOOD_BODY, GOOD_HEADERS
 
 PNG = b"\x89PNG picture"
 TWO, THREE, *_ = (robot_digest(world) for world in examples().values())
-OLDER = {
-    "type": "urn:cspace-sampler:problem:invalid-value",
-    "title": "A field is wrong",
-    "status": 422,
-    "detail": "robot is wrong; expected one of image, n, model; got an unknown field",
-    "got": "an unknown field",
-}
 
 
 class Server:
-    """Answers as a release of today, or as an earlier one that knows no such field."""
+    """Answers with these headers beside the usual ones."""
 
-    def __init__(self, *, knows: bool = True, **headers: str) -> None:
+    def __init__(self, **headers: str) -> None:
         self.requests: list[dict[str, list[bytes]]] = []
-        self._knows, self._headers = knows, headers
+        self._headers = headers
 
     def handle(self, request: httpx.Request) -> httpx.Response:
         self.requests.append(fields := read_form(request.headers["content-type"], request.read()))
-        if "robot" in fields and not self._knows:
-            return httpx.Response(422, json=OLDER, headers={"Content-Type": "application/problem+json"})
         headers = {**GOOD_HEADERS, "X-Seed": fields["seed"][0].decode(), **self._headers}
         return httpx.Response(200, headers=headers, content=GOOD_BODY)
 
@@ -70,32 +61,15 @@ def test_without_a_robot_nothing_is_sent_and_any_is_taken():
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_an_older_server_is_asked_without_it_from_then_on(kind):
-    server = Server(knows=False)
-    batch = batch_of(server, TWO, kind, times=3)
-    assert (batch.robot, batch.alias_confirmed) == (None, None)
-    assert server.robots == [TWO.encode(), None, None, None]
-
-
-@pytest.mark.parametrize("knows", [True, False])
-def test_an_answer_for_another_robot_can_not_be_used(knows):
+def test_an_answer_for_another_robot_can_not_be_used(kind):
     with pytest.raises(SamplerAnswerError, match="another robot"):
-        batch_of(Server(knows=knows, **{"X-Robot": THREE}), TWO)
+        batch_of(Server(**{"X-Robot": THREE}), TWO, kind)
 
 
 @pytest.mark.parametrize("headers", [{"X-Robot": "two"}, {"X-Robot": ""}, {"X-Alias-Confirmed": "maybe"}])
 def test_headers_that_can_not_be_are_refused(headers):
     with pytest.raises(SamplerAnswerError, match=next(iter(headers)).lower()):
         batch_of(Server(**headers))
-
-
-def test_a_server_that_never_knows_the_field_is_not_asked_for_ever():
-    def handle(_: httpx.Request) -> httpx.Response:
-        return httpx.Response(422, json=OLDER, headers={"Content-Type": "application/problem+json"})
-
-    client = SamplingClient("http://test:1", transport=httpx.MockTransport(handle), robot=TWO)
-    with pytest.raises(SamplerError, match="robot is wrong"):
-        client.sample(PNG, 2)
 
 
 def test_a_robot_that_is_no_digest_is_refused():

@@ -29,7 +29,6 @@ from cspace_client.models import (
     NextView,
     PictureWarning,
     Plan,
-    PlanOptions,
     PlanQuery,
     SampleBatch,
     SampleQuery,
@@ -37,7 +36,6 @@ from cspace_client.models import (
     SourceTiming,
     SuggestedPose,
     Verdict,
-    Wanted,
 )
 from cspace_client.outcomes import OutcomeSender
 from cspace_client.pictures import DepthPictures, Picture, PlanarPicture
@@ -67,7 +65,6 @@ __all__ = [
     "Picture",
     "PictureWarning",
     "Plan",
-    "PlanOptions",
     "PlanQuery",
     "PlanarPicture",
     "PlanningError",
@@ -84,5 +81,4 @@ __all__ = [
     "SourceTiming",
     "SuggestedPose",
     "Verdict",
-    "Wanted",
 ]

@@ -1,12 +1,15 @@
-"""Reads a stranger's answers: headers, .npy bodies and JSON, each checked before use."""
+"""Reads a stranger's answers: JSON, headers and .npy bodies, each checked before use."""
 
 import json
 import math
 import re
-from collections.abc import Mapping
+import sys
+from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import astuple, dataclass
-from typing import Any, NoReturn, TypeVar
+from dataclasses import MISSING, astuple, fields
+from functools import cache
+from types import UnionType
+from typing import Annotated, Any, Literal, NoReturn, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,180 +19,246 @@ from cspace_client.models import (
     MAX_LIMIT_RAD,
     JointSpace,
     ModelHead,
-    PictureWarning,
+    SampleBatch,
     SourceTiming,
-    Wanted,
+    Wire,
     circles,
-    is_digest,
 )
 
-Choice = TypeVar("Choice", bound=str)
-_MAX_DIGITS, _MAX_DEPTH = 21, 64
-_SEED = re.compile("[0-9]{1,20}")
+Kind = TypeVar("Kind")
+_Reader = Callable[[Any, Any, str], Any]
+"""Of a type, a value of JSON, and where it stands, for the error."""
+_MAX_TEXT = 1000
+_DIGITS = re.compile("[0-9]{1,20}")
 
 
-def parse_json(data: bytes) -> object:
-    """The values of a text in UTF-8 without NaN, infinity, endless numbers, or a key twice in one object.
-
-    Raises:
-        ValueError: it is not that, or nested deeper than 64 levels.
-    """
-    try:
-        values = json.loads(
-            data.decode("utf-8"),
-            parse_constant=_refuse,
-            parse_int=_whole,
-            parse_float=_finite,
-            object_pairs_hook=_unique,
-        )
-    except RecursionError as error:
-        raise ValueError(str(error)) from error
-    # What the parser takes may still be too deep for whoever shows it.
-    level = [values]
-    for _ in range(_MAX_DEPTH + 1):
-        held = [
-            one.values() if isinstance(one, dict) else one for one in level if isinstance(one, dict | list)
-        ]
-        level = [part for one in held for part in one]
-        if not level:
-            return values
-    raise ValueError(f"it is nested deeper than {_MAX_DEPTH} levels")
-
-
-class Members:
-    """The members of an object in an answer.
+def parse_object(body: bytes, what: str) -> dict[str, Any]:
+    """The members of an object in JSON.
 
     Args:
-        values: the object.
-        what: the answer is not, where it does not fit, as "a plan".
-        path: of the object in the answer, for the error; with a dot at its end.
+        body: of an answer.
+        what: it stands for, for the error, as "plan".
 
     Raises:
-        SamplerAnswerError: it is no object.
+        SamplerAnswerError: it is none.
     """
-
-    def __init__(self, values: object, what: str, path: str = "") -> None:
-        self._what, self._path = what, path
-        if not isinstance(values, Mapping):
-            self._wrong("", "an object", values)
-        self._values = values
-
-    def one_of(self, name: str, choices: tuple[Choice, ...]) -> Choice:
-        """A text that is one of some."""
-        value = self._values.get(name)
-        found = next((one for one in choices if one == value), None)
-        return self._wrong(name, str(choices), value) if found is None else found
-
-    def text(self, name: str, most: int | None = None) -> str:
-        """A text; where ``most`` is told, of 1 to so many characters."""
-        value = self._values.get(name)
-        fits = isinstance(value, str) and (most is None or 1 <= len(value) <= most)
-        return str(value) if fits else self._wrong(name, "a text", value)
-
-    def flag(self, name: str) -> bool:
-        """Whether it is true."""
-        value = self._values.get(name)
-        return value if isinstance(value, bool) else self._wrong(name, "true or false", value)
-
-    def whole(self, name: str) -> int:
-        """A whole number."""
-        value = self._values.get(name)
-        return value if type(value) is int else self._wrong(name, "a whole number", value)
-
-    def seed(self, name: str) -> int:
-        """A seed, in decimal; a number in answers of earlier servers."""
-        value = self._values.get(name)
-        if isinstance(value, str) and _SEED.fullmatch(value):
-            return int(value)
-        return self.count(name)
-
-    def count(self, name: str) -> int:
-        """A whole number that is not negative."""
-        value = self.whole(name)
-        return value if value >= 0 else self._wrong(name, "0 or more", value)
-
-    def number(self, name: str, most: float = math.inf) -> float:
-        """A number from 0 to ``most``."""
-        return self._number(name, self._values.get(name), 0.0, most)
-
-    def shares(self, name: str) -> list[float]:
-        """Numbers from 0 to 1."""
-        return [self._number(name, value, 0.0, 1.0) for value in self._list(name, self._values.get(name))]
-
-    def texts(self, name: str) -> list[str]:
-        """Texts."""
-        values = self._list(name, self._values.get(name))
-        return [one if isinstance(one, str) else self._wrong(name, "texts", one) for one in values]
-
-    def row(self, name: str) -> list[float]:
-        """Finite numbers."""
-        return self._row(name, self._values.get(name))
-
-    def rows(self, name: str) -> list[list[float]]:
-        """Lists of finite numbers."""
-        return [self._row(name, row) for row in self._list(name, self._values.get(name))]
-
-    def has(self, name: str) -> bool:
-        """Whether it is there, and not null."""
-        return self._values.get(name) is not None
-
-    def has_required(self, name: str) -> bool:
-        """As :meth:`has`, of what has to be told even where it is null."""
-        return self.has(name) if name in self._values else self._wrong(name, "a value or null", None)
-
-    def inner(self, name: str) -> "Members":
-        """An object."""
-        return Members(self._values.get(name), self._what, f"{self._path}{name}.")
-
-    def each(self, name: str) -> list["Members"]:
-        """Objects."""
-        values = self._list(name, self._values.get(name))
-        return [Members(one, self._what, f"{self._path}{name}.") for one in values]
-
-    def plain(self, name: str) -> dict[str, Any]:
-        """An object as it is."""
-        value = self._values.get(name)
-        return dict(value) if isinstance(value, Mapping) else self._wrong(name, "an object", value)
-
-    def _list(self, name: str, value: object) -> list[Any]:
-        return value if isinstance(value, list) else self._wrong(name, "a list", value)
-
-    def _row(self, name: str, value: object) -> list[float]:
-        return [self._number(name, one, -math.inf, math.inf) for one in self._list(name, value)]
-
-    def _number(self, name: str, value: object, low: float, high: float) -> float:
-        if type(value) not in (int, float) or not low <= value <= high:  # type: ignore[operator]
-            self._wrong(name, f"a number from {low:g} to {high:g}", value)
-        return float(value)  # type: ignore[arg-type]
-
-    def _wrong(self, name: str, expected: str, got: object) -> NoReturn:
-        where = f"{self._path}{name}".rstrip(".") or "the document"
-        raise unusable(f"is no {self._what}", f"{where}: {expected}", repr(got)[:80])
+    try:
+        values = _parse_json(body)
+    except ValueError as error:
+        raise unusable(f"is no {what}", "JSON", str(error)) from error
+    if not isinstance(values, dict):
+        raise unusable(f"is no {what}", "an object", repr(values)[:80])
+    return values
 
 
-def _whole(text: str) -> int:
-    # As seeds have, in decimal, and a sign.
-    if len(text) > _MAX_DIGITS:
-        raise ValueError(f"{text[:80]} has too many digits")
-    return int(text)
+def read_object(kind: type[Kind], members: Mapping[str, Any], what: str, **given: Any) -> Kind:
+    """An object of JSON as a dataclass, by the types of its fields and what :class:`Wire` says of them.
+
+    Members that the class does not know are left out, and absent ones are as null.
+
+    Args:
+        kind: the dataclass.
+        members: of the object.
+        what: it stands for, for the error.
+        given: fields that do not come from the object.
+
+    Raises:
+        SamplerAnswerError: a member is missing or wrong.
+    """
+    try:
+        found: Kind = _read_fields(kind, members, "", given)
+    except ValueError as error:
+        raise unusable(f"is no {what}", f"the members of a {what}", str(error)) from error
+    return found
 
 
-def _finite(text: str) -> float:
-    value = float(text)
-    if not math.isfinite(value):
-        raise ValueError(f"{text[:80]} is not finite")
-    return value
+def read_headers(kind: Any, headers: Mapping[str, str]) -> dict[str, Any]:
+    """Those fields of a dataclass that headers tell, by name; an absent header is left to the default.
+
+    Args:
+        kind: the dataclass.
+        headers: of the answer; names in any case if the mapping does not mind it.
+
+    Raises:
+        SamplerAnswerError: a header is missing or wrong.
+    """
+    found: dict[str, Any] = {}
+    try:
+        for name, hint, wire, required in _fields(kind):
+            if not wire.header or not (required or wire.header in headers):
+                continue
+            value: Any = headers.get(wire.header)
+            # Texts have a pattern; all others are JSON.
+            if value is not None and not wire.pattern:
+                value = _parse_header(wire.header, value)
+            found[name] = _read(hint, value, f"header {wire.header}")
+    except ValueError as error:
+        raise unusable("has wrong headers", "those of an inference API", str(error)) from error
+    return found
+
+
+def _parse_json(text: bytes | str) -> Any:
+    try:
+        return json.loads(text, parse_constant=_refuse)
+    except RecursionError as error:
+        raise ValueError("it is nested too deep") from error
+
+
+def _parse_header(name: str, text: str) -> Any:
+    with suppress(ValueError):
+        if (value := _parse_json(text)) is not None:
+            return value
+    return _wrong(f"header {name}", "JSON", text)
 
 
 def _refuse(name: str) -> float:
     raise ValueError(f"{name} is not JSON")
 
 
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    values = dict(pairs)
-    if len(values) != len(pairs):
-        raise ValueError("a key stands twice in one object")
-    return values
+@cache
+def _fields(kind: Any) -> list[tuple[str, Any, Wire, bool]]:
+    """Name, type, :class:`Wire` and whether there is no default, of each field of a dataclass."""
+    hints = get_type_hints(kind, include_extras=True)
+    return [
+        (
+            one.name,
+            hints[one.name],
+            next((note for note in get_args(hints[one.name])[1:] if isinstance(note, Wire)), Wire()),
+            one.default is MISSING,
+        )
+        for one in fields(kind)
+    ]
+
+
+def _read_fields(kind: Any, members: Any, where: str, given: Mapping[str, Any]) -> Any:
+    found = dict(given)
+    for name, hint, wire, required in _fields(kind):
+        if name in given:
+            continue
+        value, place = members, wire.at or name
+        for part in place.split("."):
+            value = value.get(part) if isinstance(value, Mapping) else None
+        if required or value is not None:
+            found[name] = _read(hint, value, f"{where}{place}")
+    return kind(**found)
+
+
+def _read(hint: Any, value: object, where: str) -> Any:
+    """A value of JSON as a type.
+
+    Raises:
+        ValueError: it is none of that type.
+    """
+    read: _Reader = _READERS.get(get_origin(hint) or hint, _read_nested)
+    return read(hint, value, where)
+
+
+def _read_nested(hint: Any, value: object, where: str) -> Any:
+    return _read_fields(hint, value, f"{where}.", {})
+
+
+def _read_bounded(hint: Any, value: object, where: str) -> Any:
+    """Of ``Annotated``: a value within what its :class:`Wire` allows."""
+    kind, wire = get_args(hint)
+    found = _read(kind, value, where)
+    if found is None:
+        return None
+    # As it came: what can not be printed is replaced in what was read.
+    if wire.pattern and re.fullmatch(wire.pattern, str(value)) is None:
+        _wrong(where, f"a text as {wire.pattern}", value)
+    if wire.most < math.inf and not np.all((np.asarray(found) >= 0.0) & (np.asarray(found) <= wire.most)):
+        _wrong(where, f"0 to {wire.most:g}", value)
+    return found
+
+
+def _read_optional(hint: Any, value: object, where: str) -> Any:
+    return None if value is None else _read(get_args(hint)[0], value, where)
+
+
+def _read_choice(hint: Any, value: object, where: str) -> Any:
+    return value if value in get_args(hint) else _wrong(where, f"one of {get_args(hint)}", value)
+
+
+def _read_tuple(hint: Any, value: object, where: str) -> tuple[Any, ...]:
+    kind, *others = get_args(hint)
+    if not isinstance(value, list) or (others != [...] and len(value) != 1 + len(others)):
+        _wrong(where, f"a list for {hint}", value)
+    return tuple(_read(kind, one, where) for one in value)
+
+
+def _read_array(hint: Any, value: object, where: str) -> NDArray[Any]:
+    (dtype,) = get_args(get_args(hint)[1])
+    # Lists of different lengths make no array.
+    with suppress(ValueError), np.errstate(over="ignore"):
+        numbers = np.asarray(value)
+        if isinstance(value, list) and numbers.dtype.kind in "iuf":
+            numbers = numbers.astype(dtype)
+            if np.isfinite(numbers).all():
+                return numbers
+    return _wrong(where, "finite numbers", value)
+
+
+def _read_mapping(_: Any, value: object, where: str) -> dict[str, Any]:
+    return value if isinstance(value, dict) else _wrong(where, "an object", value)
+
+
+def _read_text(_: Any, value: object, where: str) -> str:
+    return printable(value, _MAX_TEXT) if isinstance(value, str) else _wrong(where, "a text", value)
+
+
+def _read_flag(_: Any, value: object, where: str) -> bool:
+    return value if isinstance(value, bool) else _wrong(where, "true or false", value)
+
+
+def _read_whole(_: Any, value: object, where: str) -> int:
+    # Seeds are texts, for many readers of JSON keep no 64 bits of a number.
+    if isinstance(value, str) and _DIGITS.fullmatch(value):
+        return int(value)
+    return value if type(value) is int and value >= 0 else _wrong(where, "a whole number from 0", value)
+
+
+def _read_number(_: Any, value: Any, where: str) -> float:
+    fits = type(value) in (int, float) and abs(value) <= sys.float_info.max
+    return float(value) if fits else _wrong(where, "a finite number", value)
+
+
+def _read_space(_: Any, value: Any, where: str) -> JointSpace:
+    """A joint space, whose limits are told where not all joints are circles."""
+    members = value if isinstance(value, dict) else {}
+    kind, dim = members.get("kind"), members.get("dim")
+    if type(dim) is not int or not 1 <= dim <= MAX_JOINTS or members.get("unit") != "rad":
+        _wrong(where, f"a joint space of 1 to {MAX_JOINTS} joints in rad", value)
+    if kind == "torus" and "lower" not in members:
+        return circles(dim)
+    space: JointSpace = _read_fields(JointSpace, members, f"{where}.", {})
+    whole = len(space.lower) == len(space.upper) == len(space.periodic) == dim
+    ranges = zip(space.lower, space.upper, strict=whole)
+    if not whole or not all(-MAX_LIMIT_RAD <= low < high <= MAX_LIMIT_RAD for low, high in ranges):
+        _wrong(where, "a joint space with a range for each joint", value)
+    if kind != ("mixed" if any(space.periodic) else "box") or all(space.periodic):
+        _wrong(where, "the kind of joint space that its joints make", value)
+    return space
+
+
+def _wrong(where: str, expected: str, got: object) -> NoReturn:
+    raise ValueError(f"{where}: {got!r:.80} in place of {expected}")
+
+
+_READERS: dict[Any, _Reader] = {
+    Annotated: _read_bounded,
+    Union: _read_optional,
+    UnionType: _read_optional,
+    Literal: _read_choice,
+    tuple: _read_tuple,
+    np.ndarray: _read_array,
+    Mapping: _read_mapping,
+    str: _read_text,
+    bool: _read_flag,
+    int: _read_whole,
+    float: _read_number,
+    JointSpace: _read_space,
+}
+"""How a value of each type is read; all others are dataclasses."""
 
 
 NPY = "application/x-npy"
@@ -264,143 +333,18 @@ def read_samples(body: bytes, n: int, space: JointSpace | None = None) -> NDArra
 
 
 _PRETRAINED = "pretrained"
-_MAX_TEXT = 256
-_MAX_WARNINGS, _MAX_MESSAGE = 8192, 1000
-_ENDS = ("lower", "upper", "periodic")
 
 
-def read_media_type(headers: Mapping[str, str], expected: str) -> None:
-    """Refuse an answer of another media type.
-
-    Raises:
-        SamplerAnswerError: it is another.
-    """
-    media_type = headers.get("content-type", "").partition(";")[0].strip().lower()
-    if media_type != expected:
-        raise unusable("has another media type", expected, repr(media_type))
-
-
-def read_model_head(headers: Mapping[str, str], model: str | None, robot: str | None) -> ModelHead:
-    """The model's headers of an answer.
-
-    Args:
-        headers: of the answer.
-        model: that was asked for; None for the default.
-        robot: that is planned for; None for any.
-
-    Raises:
-        SamplerAnswerError: a header is missing or wrong, or the model another.
-    """
-    name, version = text(headers, "x-model-name"), count(headers, "x-model-version", 9)
-    answered_robot = digest(headers, "x-robot") if "x-robot" in headers else None
-    require_requested(model, robot, name, version, answered_robot)
-    return ModelHead(
-        model_name=name,
-        model_version=version,
-        digest=digest(headers, "x-model-digest"),
-        novelty=share(headers, "x-novelty") if "x-novelty" in headers else None,
-        space=read_space(headers["x-joint-space"]) if "x-joint-space" in headers else None,
-        robot=answered_robot,
-        alias_confirmed=_flag(headers, "x-alias-confirmed") if "x-alias-confirmed" in headers else None,
-        warnings=read_warnings(headers.get("x-warnings", "[]")),
-    )
-
-
-def read_warnings(header: str) -> tuple[PictureWarning, ...]:
-    """The warnings of an answer's header.
-
-    Raises:
-        SamplerAnswerError: it holds none.
-    """
-    try:
-        said = parse_json(header.encode()) if len(header) <= _MAX_WARNINGS else header
-    except ValueError:
-        said = header
-    return warnings_of(Members({"warnings": said}, "list of warnings"))
-
-
-def warnings_of(answer: Members) -> tuple[PictureWarning, ...]:
-    """The member ``warnings`` of an answer.
-
-    Raises:
-        SamplerAnswerError: it holds none.
-    """
-    return tuple(
-        PictureWarning(
-            printable(one.text("code", _MAX_TEXT)),
-            printable(one.text("message"), _MAX_MESSAGE),
-            tuple(int(number) for number in one.row("pictures")),
-        )
-        for one in answer.each("warnings")
-    )
-
-
-def require_requested(
-    model: str | None, robot: str | None, name: str, version: int, answered_robot: str | None
-) -> None:
+def require_requested(model: str | None, robot: str | None, head: ModelHead | SampleBatch) -> None:
     """Refuse the answer of another model than was asked for, or of one of another robot.
 
     Raises:
         SamplerAnswerError: it is one.
     """
-    if not _answers(model, name, version):
-        raise unusable("comes from another model", str(model), f"{name}/{version}")
-    if answered_robot is not None and robot not in (None, answered_robot):
-        raise unusable("is of another robot", str(robot), answered_robot)
-
-
-def read_space(header: str) -> JointSpace:
-    """The joint space that an answer's header says it is of.
-
-    Raises:
-        SamplerAnswerError: it says none.
-    """
-    try:
-        said = parse_json(header.encode())
-    except ValueError:
-        said = None
-    return space_of(said, f"header x-joint-space: {header[:80]}")
-
-
-def space_of(said: object, source: str) -> JointSpace:
-    """A joint space as plain values tell it.
-
-    Args:
-        said: the values.
-        source: where they stand, for the error.
-
-    Raises:
-        SamplerAnswerError: they tell none.
-    """
-    members = dict(said) if isinstance(said, Mapping) else {}
-    kind, dim, unit = (members.pop(name, None) for name in ("kind", "dim", "unit"))
-    space = _space_of(members, dim) if type(dim) is int and 1 <= dim <= MAX_JOINTS else None
-    if space is None or unit != "rad" or kind != _kind(space):
-        raise unusable("has a wrong joint space", "a joint space as JSON", source)
-    return space
-
-
-def _kind(space: JointSpace) -> str:
-    return "torus" if all(space.periodic) else "mixed" if any(space.periodic) else "box"
-
-
-def _space_of(said: dict[str, Any], dim: int) -> JointSpace | None:
-    if not said:
-        return circles(dim)
-    columns = [said.get(name) for name in _ENDS]
-    if set(said) != set(_ENDS) or not all(isinstance(one, list) and len(one) == dim for one in columns):
-        return None
-    joints = list(zip(*columns, strict=True))
-    if not all(type(wraps) is bool and _is_range(low, high) for low, high, wraps in joints):
-        return None
-    space = JointSpace(*(tuple(one) for one in zip(*joints, strict=True)))
-    # Circles alone are told by their number.
-    return None if all(space.periodic) else space
-
-
-def _is_range(low: object, high: object) -> bool:
-    numbers = type(low) in (int, float) and type(high) in (int, float)
-    return numbers and -MAX_LIMIT_RAD <= low < high <= MAX_LIMIT_RAD  # type: ignore[operator]
+    if not _answers(model, head.model_name, head.model_version):
+        raise unusable("comes from another model", str(model), f"{head.model_name}/{head.model_version}")
+    if head.robot is not None and robot not in (None, head.robot):
+        raise unusable("is of another robot", str(robot), head.robot)
 
 
 def _answers(requested: str | None, name: str, version: int) -> bool:
@@ -419,104 +363,9 @@ def _answers(requested: str | None, name: str, version: int) -> bool:
     return name == bare or (not at and shipped)
 
 
-def text(headers: Mapping[str, str], name: str) -> str:
-    """A header's short printable text."""
-    value = headers.get(name, "")
-    if not value:
-        raise unusable("lacks a header", name, "nothing")
-    if len(value) > _MAX_TEXT or not (value.isascii() and value.isprintable()):
-        expected = f"at most {_MAX_TEXT} printable ASCII characters"
-        raise unusable(f"has a wrong header {name}", expected, repr(value[:40]))
-    return value
-
-
-def count(headers: Mapping[str, str], name: str, digits: int) -> int:
-    """A header's whole number of at most so many digits."""
-    value = text(headers, name)
-    if not (value.isdigit() and len(value) <= digits):
-        raise unusable(f"has a wrong header {name}", "a whole number", repr(value[:40]))
-    return int(value)
-
-
-def digest(headers: Mapping[str, str], name: str) -> str:
-    """A header's SHA-256."""
-    value = text(headers, name)
-    if not is_digest(value):
-        raise unusable(f"has a wrong header {name}", "a SHA-256 in hexadecimal", repr(value[:80]))
-    return value
-
-
-def share(headers: Mapping[str, str], name: str) -> float:
-    """A header's number from 0 to 1."""
-    value = text(headers, name)
-    try:
-        found = float(value)
-    except ValueError:
-        found = math.nan
-    if not 0.0 <= found <= 1.0:
-        raise unusable(f"has a wrong header {name}", "a number from 0 to 1", repr(value[:40]))
-    return found
-
-
-def _flag(headers: Mapping[str, str], name: str) -> bool:
-    value = text(headers, name)
-    if value not in ("true", "false"):
-        raise unusable(f"has a wrong header {name}", "true or false", repr(value[:40]))
-    return value == "true"
-
-
 _MAX_TIMING = 1024
 REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,128}", re.ASCII)
 """Of the header that answers carry."""
-
-
-@dataclass(frozen=True, slots=True)
-class SampleHead:
-    """As :class:`cspace_client.models.SampleBatch` has it, without the samples.
-
-    Args:
-        model: that answered.
-        seed: likewise, and so the rest.
-        shortfall: likewise.
-        timing: likewise.
-        acceptance: likewise.
-        request_id: likewise.
-    """
-
-    model: ModelHead
-    seed: int
-    shortfall: int
-    timing: SourceTiming | None
-    acceptance: float | None = None
-    request_id: str | None = None
-
-
-def read_head(headers: Mapping[str, str], query: Wanted, model: str | None) -> SampleHead:
-    """The headers of an answer.
-
-    Args:
-        headers: of the answer; names in any case if the mapping does not mind it.
-        query: which it has to answer.
-        model: that was asked for; None for the default.
-
-    Raises:
-        SamplerAnswerError: a header is missing, wrong, or answers another question.
-    """
-    read_media_type(headers, NPY)
-    seed = count(headers, "x-seed", 20)
-    if seed != query.seed:
-        raise unusable("is for another seed", str(query.seed), str(seed))
-    shortfall = count(headers, "x-shortfall", 9)
-    if shortfall > query.n:
-        raise unusable("lacks more samples than requested", f"at most {query.n}", str(shortfall))
-    return SampleHead(
-        model=read_model_head(headers, model, query.robot),
-        seed=seed,
-        shortfall=shortfall,
-        timing=read_timing(headers.get("server-timing", "")),
-        acceptance=share(headers, "x-acceptance") if "x-acceptance" in headers else None,
-        request_id=read_request_id(headers),
-    )
 
 
 def read_request_id(headers: Mapping[str, str]) -> str | None:

@@ -1,6 +1,5 @@
 """The clients of an inference API, for programs with threads and for those with an event loop."""
 
-import random
 import time
 from abc import ABC, abstractmethod
 from dataclasses import replace
@@ -16,12 +15,11 @@ from cspace_client.models import (
     Belief,
     Diagnosis,
     FoundPlan,
-    PlanOptions,
+    PlanQuery,
     QueryOptions,
     SampleBatch,
     SampleQuery,
     Source,
-    Wanted,
     is_digest,
 )
 from cspace_client.pictures import Picture, shown
@@ -73,7 +71,7 @@ class HttpClient(ABC, Generic[Transport]):
         self._endpoint = Endpoint(url, timeout_s, connect_timeout_s, policy, api_key)
         self._fallback = fallback
         self._closed = False
-        self._robot, self._sends_robot = robot, True
+        self._robot = robot
         self._transport: Transport = self._network() if transport is None else transport
 
     @property
@@ -85,54 +83,27 @@ class HttpClient(ABC, Generic[Transport]):
     @abstractmethod
     def _network() -> Transport: ...
 
-    def _of_samples(self, picture: Picture, query: Wanted, model: str | None) -> SampleQuestion:
-        query = self._for_robot(query)
-        given = shown(picture), model, query.robot, self._sends_robot
-        return SampleQuestion(*given, query)
+    def _of_samples(self, picture: Picture, query: SampleQuery, model: str | None) -> SampleQuestion:
+        if query.robot is None:
+            query = replace(query, robot=self._robot)
+        return SampleQuestion(shown(picture), model, query.robot, query)
 
     def _of_validity(self, picture: Picture, rows: ArrayLike, model: str | None) -> ValidityQuestion:
-        given = shown(picture), model, self._robot, self._sends_robot
-        return ValidityQuestion(*given, rows_of(rows))
+        return ValidityQuestion(shown(picture), model, self._robot, rows_of(rows))
 
-    def _of_plan(self, picture: Picture, query: PlanOptions, model: str | None) -> PlanQuestion:
-        given = shown(picture), model, self._robot, self._sends_robot
-        return PlanQuestion(*given, query)
+    def _of_plan(self, picture: Picture, query: PlanQuery, model: str | None) -> PlanQuestion:
+        return PlanQuestion(shown(picture), model, self._robot, query)
 
     def _of_belief(self, picture: Picture, model: str | None) -> BeliefQuestion:
-        return BeliefQuestion(shown(picture), model, self._robot, self._sends_robot)
+        return BeliefQuestion(shown(picture), model, self._robot)
 
     def _of_doctor(self, picture: Picture, model: str | None) -> DoctorQuestion:
-        return DoctorQuestion(shown(picture), model, self._robot, self._sends_robot)
-
-    def _for_robot(self, query: Wanted) -> Wanted:
-        """A query for the robot that it names, else for the client's."""
-        if self._robot is None or query.robot is not None:
-            return query
-        return SampleQuery(
-            query.n,
-            query.seed,
-            query.epsilon_sigma,
-            query.start,
-            query.goal,
-            query.min_confidence,
-            self._robot,
-        )
-
-    def _without_robot(self, question: Question[Found], found: Failure) -> Question[Found] | None:
-        """The question without its robot, where it failed for an older server knows no such field; else None.
-
-        From then on it is not sent; the robot of an answer is looked at all the same.
-        """
-        if not (found.knows_no_robot and question.sends_robot):
-            return None
-        self._sends_robot = False
-        return replace(question, sends_robot=False)
+        return DoctorQuestion(shown(picture), model, self._robot)
 
     def _pause_s(self, failure: Failure, tried: int, began: float) -> float:
         """How long to wait before another attempt; raises the failure's error where there is none."""
-        spent_s, draw = time.perf_counter() - began, random.random()  # noqa: S311 - jitter is no secret
-        pause_s = self._endpoint.policy.pause_s(tried, spent_s, failure.retry_after_s, draw)
-        if not failure.again or pause_s is None:
+        pause_s = failure.pause_s(self._endpoint.policy, tried, began)
+        if pause_s is None:
             raise failure.error
         return pause_s
 
@@ -186,7 +157,7 @@ class SamplingClient(HttpClient[httpx.BaseTransport]):
         """
         return self.answer(picture, SampleQuery.of(n, seed, **options), model)
 
-    def answer(self, picture: Picture, query: Wanted, model: str | None = None) -> SampleBatch:
+    def answer(self, picture: Picture, query: SampleQuery, model: str | None = None) -> SampleBatch:
         """One batch of at most ``query.n`` samples.
 
         Args:
@@ -203,7 +174,7 @@ class SamplingClient(HttpClient[httpx.BaseTransport]):
         began = time.perf_counter()
         question = self._of_samples(picture, query, model)
         try:
-            return self._ask(question, began)
+            return self._ask(question)
         except SamplerUnavailableError as error:
             if self._fallback is None:
                 raise
@@ -226,9 +197,9 @@ class SamplingClient(HttpClient[httpx.BaseTransport]):
             SamplerAnswerError: likewise.
             SamplerError: likewise, or the configurations can not be asked about.
         """
-        return self._ask(self._of_validity(picture, configurations, model), time.perf_counter())
+        return self._ask(self._of_validity(picture, configurations, model))
 
-    def plan(self, picture: Picture, query: PlanOptions, model: str | None = None) -> FoundPlan:
+    def plan(self, picture: Picture, query: PlanQuery, model: str | None = None) -> FoundPlan:
         """A path from start to goal by what a model predicts for a picture; no fallback answers.
 
         The client's time limits have to leave room for that of the search.
@@ -243,7 +214,7 @@ class SamplingClient(HttpClient[httpx.BaseTransport]):
             SamplerAnswerError: likewise, for a path that does not lead from start to goal, for example.
             SamplerError: likewise.
         """
-        return self._ask(self._of_plan(picture, query, model), time.perf_counter())
+        return self._ask(self._of_plan(picture, query, model))
 
     def belief(self, picture: Picture, model: str | None = None) -> Belief:
         """What a model takes the whole scene of depth pictures to be, seen or not; no fallback answers.
@@ -257,7 +228,7 @@ class SamplingClient(HttpClient[httpx.BaseTransport]):
             SamplerAnswerError: likewise.
             SamplerError: likewise.
         """
-        return self._ask(self._of_belief(picture, model), time.perf_counter())
+        return self._ask(self._of_belief(picture, model))
 
     def doctor(self, picture: Picture, model: str | None = None) -> Diagnosis:
         """What is wrong with pictures, cameras and state, and what to do; no fallback answers.
@@ -271,7 +242,7 @@ class SamplingClient(HttpClient[httpx.BaseTransport]):
             SamplerAnswerError: likewise.
             SamplerError: likewise.
         """
-        return self._ask(self._of_doctor(picture, model), time.perf_counter())
+        return self._ask(self._of_doctor(picture, model))
 
     def close(self) -> None:
         """Close the connection."""
@@ -288,17 +259,14 @@ class SamplingClient(HttpClient[httpx.BaseTransport]):
     def _network() -> httpx.BaseTransport:
         return DeadlineTransport(LIMITS)
 
-    def _ask(self, question: Question[Found], began: float) -> Found:
+    def _ask(self, question: Question[Found]) -> Found:
         if self._closed:
             raise RuntimeError("the client is closed")
-        tried = 0
+        began, tried = time.perf_counter(), 0
         while True:
             found = self._attempt(question, began)
             if not isinstance(found, Failure):
                 return found
-            if (without_robot := self._without_robot(question, found)) is not None:
-                question = without_robot
-                continue
             tried += 1
             time.sleep(self._pause_s(found, tried, began))
 
@@ -309,7 +277,10 @@ class SamplingClient(HttpClient[httpx.BaseTransport]):
             with deadline(until):
                 answer = self._transport.handle_request(request)
                 try:
-                    return self._read(answer, question, began, until)
+                    incoming = IncomingAnswer(answer, question, until)
+                    for chunk in cast("httpx.SyncByteStream", answer.stream):
+                        incoming.take(chunk)
+                    return incoming.conclude(time.perf_counter() - began)
                 except SamplerAnswerError:
                     _hang_up(answer)
                     raise
@@ -319,15 +290,6 @@ class SamplingClient(HttpClient[httpx.BaseTransport]):
             return Failure(error)
         except Exception as error:  # noqa: BLE001 - whatever a stranger's bytes bring out of the HTTP library
             return lost(error, self._endpoint)
-
-    @staticmethod
-    def _read(
-        answer: httpx.Response, question: Question[Found], began: float, until: float
-    ) -> Found | Failure:
-        incoming = IncomingAnswer(answer, question, until)
-        for chunk in cast("httpx.SyncByteStream", answer.stream):
-            incoming.take(chunk)
-        return incoming.conclude(time.perf_counter() - began)
 
 
 def _hang_up(answer: httpx.Response) -> None:
@@ -356,7 +318,7 @@ class AsyncSamplingClient(HttpClient[httpx.AsyncBaseTransport]):
         """See :meth:`cspace_client.SamplingClient.sample`."""
         return await self.answer(picture, SampleQuery.of(n, seed, **options), model)
 
-    async def answer(self, picture: Picture, query: Wanted, model: str | None = None) -> SampleBatch:
+    async def answer(self, picture: Picture, query: SampleQuery, model: str | None = None) -> SampleBatch:
         """See :meth:`cspace_client.SamplingClient.answer`.
 
         Raises:
@@ -367,7 +329,7 @@ class AsyncSamplingClient(HttpClient[httpx.AsyncBaseTransport]):
         began = time.perf_counter()
         question = self._of_samples(picture, query, model)
         try:
-            return await self._ask(question, began)
+            return await self._ask(question)
         except SamplerUnavailableError as error:
             if self._fallback is None:
                 raise
@@ -381,19 +343,19 @@ class AsyncSamplingClient(HttpClient[httpx.AsyncBaseTransport]):
         self, picture: Picture, configurations: ArrayLike, model: str | None = None
     ) -> Predictions:
         """See :meth:`cspace_client.SamplingClient.validity`."""
-        return await self._ask(self._of_validity(picture, configurations, model), time.perf_counter())
+        return await self._ask(self._of_validity(picture, configurations, model))
 
-    async def plan(self, picture: Picture, query: PlanOptions, model: str | None = None) -> FoundPlan:
+    async def plan(self, picture: Picture, query: PlanQuery, model: str | None = None) -> FoundPlan:
         """See :meth:`cspace_client.SamplingClient.plan`."""
-        return await self._ask(self._of_plan(picture, query, model), time.perf_counter())
+        return await self._ask(self._of_plan(picture, query, model))
 
     async def belief(self, picture: Picture, model: str | None = None) -> Belief:
         """See :meth:`cspace_client.SamplingClient.belief`."""
-        return await self._ask(self._of_belief(picture, model), time.perf_counter())
+        return await self._ask(self._of_belief(picture, model))
 
     async def doctor(self, picture: Picture, model: str | None = None) -> Diagnosis:
         """See :meth:`cspace_client.SamplingClient.doctor`."""
-        return await self._ask(self._of_doctor(picture, model), time.perf_counter())
+        return await self._ask(self._of_doctor(picture, model))
 
     async def aclose(self) -> None:
         """Close the connections."""
@@ -410,17 +372,14 @@ class AsyncSamplingClient(HttpClient[httpx.AsyncBaseTransport]):
     def _network() -> httpx.AsyncBaseTransport:
         return httpx.AsyncHTTPTransport(trust_env=False, limits=LIMITS)
 
-    async def _ask(self, question: Question[Found], began: float) -> Found:
+    async def _ask(self, question: Question[Found]) -> Found:
         if self._closed:
             raise RuntimeError("the client is closed")
-        tried = 0
+        began, tried = time.perf_counter(), 0
         while True:
             found = await self._attempt(question, began)
             if not isinstance(found, Failure):
                 return found
-            if (without_robot := self._without_robot(question, found)) is not None:
-                question = without_robot
-                continue
             tried += 1
             await anyio.sleep(self._pause_s(found, tried, began))
 
@@ -431,7 +390,10 @@ class AsyncSamplingClient(HttpClient[httpx.AsyncBaseTransport]):
             with anyio.fail_after(self._endpoint.policy.deadline_s - spent_s):
                 answer = await self._transport.handle_async_request(request)
                 try:
-                    return await self._read(answer, question, began)
+                    incoming = IncomingAnswer(answer, question, began + self._endpoint.policy.deadline_s)
+                    async for chunk in cast("httpx.AsyncByteStream", answer.stream):
+                        incoming.take(chunk)
+                    return incoming.conclude(time.perf_counter() - began)
                 except SamplerAnswerError:
                     await _hang_up_async(answer)
                     raise
@@ -441,12 +403,6 @@ class AsyncSamplingClient(HttpClient[httpx.AsyncBaseTransport]):
             return Failure(error)
         except Exception as error:  # noqa: BLE001 - whatever a stranger's bytes bring out of the HTTP library
             return lost(error, self._endpoint)
-
-    async def _read(self, answer: httpx.Response, question: Question[Found], began: float) -> Found | Failure:
-        incoming = IncomingAnswer(answer, question, began + self._endpoint.policy.deadline_s)
-        async for chunk in cast("httpx.AsyncByteStream", answer.stream):
-            incoming.take(chunk)
-        return incoming.conclude(time.perf_counter() - began)
 
 
 async def _hang_up_async(answer: httpx.Response) -> None:

@@ -7,27 +7,16 @@ group ``cspace_client.local``; ``cspace-sampler`` does, and needs ``onnxruntime`
 from collections.abc import Callable
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Protocol, Unpack, cast
+from typing import Unpack, cast
 
 from cspace_client.errors import LocalError
-from cspace_client.models import QueryOptions, SampleBatch, SampleQuery, Source, Wanted
+from cspace_client.models import QueryOptions, SampleBatch, SampleQuery, Source
 from cspace_client.pictures import Picture
 
 GROUP = "cspace_client.local"
 """Of the entry points."""
 
 _REMEDY = "install onnxruntime and cspace-sampler beside cspace-client, or ask a server"
-
-
-class Open(Protocol):
-    """What an entry point is."""
-
-    def __call__(self, folder: Path, *, robot: str | None) -> Source:
-        """Open a bundle.
-
-        Raises:
-            LocalError: it can not be used.
-        """
 
 
 class LocalClient:
@@ -60,7 +49,7 @@ class LocalClient:
         """
         return self.answer(picture, SampleQuery.of(n, seed, **options), model)
 
-    def answer(self, picture: Picture, query: Wanted, model: str | None = None) -> SampleBatch:
+    def answer(self, picture: Picture, query: SampleQuery, model: str | None = None) -> SampleBatch:
         """See :meth:`cspace_client.SamplingClient.answer`.
 
         Raises:
@@ -69,7 +58,8 @@ class LocalClient:
         return self._source.answer(picture, query, model)
 
 
-def _opener() -> Open:
+def _opener() -> Callable[..., Source]:
+    """The function of a folder and ``robot`` that opens a bundle, or raises LocalError."""
     found = list(entry_points(group=GROUP))
     if not found:
         raise LocalError("nothing that is installed reads bundles", got="no cspace-sampler", remedy=_REMEDY)

@@ -1,10 +1,11 @@
 """What is asked of a sampler and of a planner, and what they answer."""
 
+import math
 import re
 import secrets
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, TypedDict
+from typing import Annotated, Any, Literal, Protocol, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -79,11 +80,6 @@ class JointSpace:
         # The modulo of a tiny negative number rounds up to the full period.
         return np.where(self.periodic, np.where(wrapped >= np.pi, -np.pi, wrapped), values)
 
-    def distance(self, start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:
-        """Euclidean length of the straight path, round the shorter side of each circle; (...,) rad."""
-        apart = np.asarray(end, dtype=np.float64) - np.asarray(start, dtype=np.float64)
-        return np.asarray(np.linalg.norm(self.wrap(apart), axis=-1))
-
     def clamp(self, configurations: ArrayLike) -> NDArray[np.float64]:
         """Joints that lie up to ``LIMIT_TOLERANCE_RAD`` beyond a limit brought to it; (..., d) rad."""
         values = np.asarray(configurations, dtype=np.float64)
@@ -91,17 +87,12 @@ class JointSpace:
         near = ~np.asarray(self.periodic) & (np.abs(values - inside) <= LIMIT_TOLERANCE_RAD)
         return np.where(near, inside, values)
 
-    def contains(self, configurations: ArrayLike) -> NDArray[np.bool_]:
-        """Whether each of (..., d) lies within the limits of the joints that have some."""
+    def admits(self, configurations: ArrayLike) -> NDArray[np.bool_]:
+        """Whether each of (..., d) lies within its limits, and its circles within ``MAX_CIRCLE_RAD`` of 0."""
         values = np.asarray(configurations, dtype=np.float64)
         inside = (values >= self.lower) & (values <= self.upper)
-        return np.asarray(np.all(inside | np.asarray(self.periodic), axis=-1))
-
-    def admits(self, configurations: ArrayLike) -> NDArray[np.bool_]:
-        """As :meth:`contains`, and all circles within ``MAX_CIRCLE_RAD`` of 0."""
-        turns = np.abs(np.asarray(configurations, dtype=np.float64)) <= MAX_CIRCLE_RAD
-        near = np.all(turns | ~np.asarray(self.periodic), axis=-1)
-        return np.asarray(self.contains(configurations) & near)
+        near = np.abs(values) <= MAX_CIRCLE_RAD
+        return np.asarray(np.all(np.where(self.periodic, near, inside), axis=-1))
 
     def narrowed(self, limits: Sequence[Sequence[float] | None]) -> "JointSpace":
         """The space whose joints keep to ranges (low, high) rad; None leaves one as it is.
@@ -133,6 +124,30 @@ def circles(dim: int) -> JointSpace:
     return JointSpace((-np.pi,) * dim, (np.pi,) * dim, (True,) * dim)
 
 
+_DIGEST = "[0-9a-f]{64}"
+
+
+@dataclass(frozen=True, slots=True)
+class Wire:
+    """Where a field stands in an answer and what it may hold, in the annotation of a dataclass's field.
+
+    Args:
+        at: its place in JSON, with dots between the names of nested objects; the field's own name when empty.
+        header: that holds it in answers without JSON.
+        most: of a number or of each of an array, which is then at least 0.
+        pattern: of a whole text.
+    """
+
+    at: str = ""
+    header: str = ""
+    most: float = math.inf
+    pattern: str = ""
+
+
+_Share = Annotated[float, Wire(most=1.0)]
+_Edges = Annotated[NDArray[np.float32], Wire(most=1.0)]
+
+
 @dataclass(frozen=True, slots=True)
 class PictureWarning:
     """Something about the pictures of a request that makes its answer worse or wrong.
@@ -146,6 +161,16 @@ class PictureWarning:
     code: str
     message: str
     pictures: tuple[int, ...] = ()
+
+
+_Name = Annotated[str, Wire("model.name", "x-model-name", pattern="[ -~]{1,256}")]
+_Version = Annotated[int, Wire("model.version", "x-model-version")]
+_Digest = Annotated[str, Wire("model.digest", "x-model-digest", pattern=_DIGEST)]
+_Novelty = Annotated[float | None, Wire("scenario.novelty", "x-novelty", most=1.0)]
+_Space = Annotated[JointSpace | None, Wire("joint_space", "x-joint-space")]
+_Robot = Annotated[str | None, Wire("model.robot", "x-robot", pattern=_DIGEST)]
+_Confirmed = Annotated[bool | None, Wire("model.alias_confirmed", "x-alias-confirmed")]
+_Warnings = Annotated[tuple[PictureWarning, ...], Wire("warnings", "x-warnings")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,14 +188,14 @@ class ModelHead:
         warnings: likewise.
     """
 
-    model_name: str
-    model_version: int
-    digest: str
-    novelty: float | None = None
-    space: JointSpace | None = None
-    robot: str | None = None
-    alias_confirmed: bool | None = None
-    warnings: tuple[PictureWarning, ...] = ()
+    model_name: _Name
+    model_version: _Version
+    digest: _Digest
+    novelty: _Novelty = None
+    space: _Space = None
+    robot: _Robot = None
+    alias_confirmed: _Confirmed = None
+    warnings: _Warnings = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -256,38 +281,6 @@ MAX_SAMPLES = 20_000
 
 PLAIN = (0.0,)
 """The schedule that leaves the encoder's standard deviation as it is."""
-
-
-class Wanted(Protocol):
-    """What is asked of a sampler; :class:`SampleQuery`, or any value with the same members."""
-
-    @property
-    def n(self) -> int:
-        """How many samples."""
-
-    @property
-    def seed(self) -> int:
-        """Unsigned 64 bit."""
-
-    @property
-    def epsilon_sigma(self) -> tuple[float, ...]:
-        """What the latent's standard deviation is raised by, in equal shares of the samples."""
-
-    @property
-    def start(self) -> tuple[float, ...] | None:
-        """(d,) rad, for path models."""
-
-    @property
-    def goal(self) -> tuple[float, ...] | None:
-        """As ``start``."""
-
-    @property
-    def min_confidence(self) -> float | None:
-        """What the validity head has to score; None for the model's own threshold."""
-
-    @property
-    def robot(self) -> str | None:
-        """Whose configurations are wanted."""
 
 
 class QueryOptions(TypedDict, total=False):
@@ -393,32 +386,32 @@ class SampleBatch:
             for it.
         space: the joint space; None where it is not told.
         warnings: what is wrong, or may be, with the pictures.
-        request_id: under which outcomes are told of it; None where no server answered, or an old one did.
+        request_id: under which outcomes are told of it; None where no server answered.
     """
 
     samples: NDArray[np.float32]
-    model_name: str
-    model_version: int
-    digest: str
-    seed: int
-    shortfall: int
+    model_name: _Name
+    model_version: _Version
+    digest: _Digest
+    seed: Annotated[int, Wire(header="x-seed")]
+    shortfall: Annotated[int, Wire(header="x-shortfall")]
     round_trip_s: float
     fallback: bool = False
-    novelty: float | None = None
+    novelty: _Novelty = None
     timing: SourceTiming | None = None
-    acceptance: float | None = None
-    robot: str | None = None
-    alias_confirmed: bool | None = None
+    acceptance: Annotated[float | None, Wire(header="x-acceptance", most=1.0)] = None
+    robot: _Robot = None
+    alias_confirmed: _Confirmed = None
     confidence: NDArray[np.float32] | None = None
-    space: JointSpace | None = None
-    warnings: tuple[PictureWarning, ...] = ()
+    space: _Space = None
+    warnings: _Warnings = ()
     request_id: str | None = None
 
 
 class Source(Protocol):
     """Whatever answers with samples: a client, or what stands in for a server."""
 
-    def answer(self, picture: Picture, query: Wanted, model: str | None = None) -> SampleBatch:
+    def answer(self, picture: Picture, query: SampleQuery, model: str | None = None) -> SampleBatch:
         """At most ``query.n`` samples, of the same picture and seed the same.
 
         Raises:
@@ -428,7 +421,7 @@ class Source(Protocol):
 
 def is_digest(value: object) -> bool:
     """Whether a value is a SHA-256 in hexadecimal, in small letters."""
-    return isinstance(value, str) and re.fullmatch("[0-9a-f]{64}", value, re.ASCII) is not None
+    return isinstance(value, str) and re.fullmatch(_DIGEST, value) is not None
 
 
 def random_seed() -> int:
@@ -463,62 +456,6 @@ def _whole(name: str, value: int) -> int:
 
 
 Status = Literal["solved", "refused", "timeout"]
-
-
-class PlanOptions(Protocol):
-    """What is asked of a planner; :class:`PlanQuery`, or any value with the same members."""
-
-    @property
-    def start(self) -> Sequence[float]:
-        """(d,) rad."""
-
-    @property
-    def goal(self) -> Sequence[float] | None:
-        """(d,) rad; None where the goal is a pose of the tool."""
-
-    @property
-    def seed(self) -> int:
-        """Of all draws, unsigned 64 bit."""
-
-    @property
-    def min_confidence(self) -> float | None:
-        """Below which no path is returned; None for the server's own."""
-
-    @property
-    def time_limit_s(self) -> float | None:
-        """For the search; None for the server's own."""
-
-    @property
-    def ways(self) -> int | None:
-        """That are looked for; None for the server's own number."""
-
-    @property
-    def next_view(self) -> bool:
-        """Whether a camera is wanted that would see more."""
-
-    @property
-    def views(self) -> Sequence[Mapping[str, Any]]:
-        """Cameras to choose it from."""
-
-    @property
-    def alternatives(self) -> bool:
-        """Whether all paths of sufficient confidence are wanted."""
-
-    @property
-    def goal_pose(self) -> Mapping[str, Any] | None:
-        """Pose of the tool at the goal."""
-
-    @property
-    def limits(self) -> Sequence[Sequence[float] | None] | None:
-        """Narrower limits of the joints."""
-
-    @property
-    def upright(self) -> Mapping[str, Any] | None:
-        """An axis of the tool that stays near a direction."""
-
-    @property
-    def unwrapped(self) -> bool:
-        """Whether circles go on beyond [-pi, pi) along the path."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -573,9 +510,9 @@ class LeastConfidence:
     """
 
     configuration: NDArray[np.float64]
-    confidence: float
-    unseen: float | None
-    along: float
+    confidence: _Share
+    unseen: _Share | None
+    along: _Share
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -589,8 +526,8 @@ class AlternativePath:
     """
 
     path: NDArray[np.float64]
-    confidence: float
-    edges: NDArray[np.float32]
+    confidence: _Share
+    edges: _Edges
 
 
 @dataclass(frozen=True, slots=True)
@@ -603,7 +540,7 @@ class NextView:
     """
 
     camera: Mapping[str, Any]
-    sees: float
+    sees: _Share
 
 
 @dataclass(frozen=True, slots=True)
@@ -654,16 +591,16 @@ class Plan:
 
     status: Status
     path: NDArray[np.float64]
-    confidence: float
-    edges: NDArray[np.float32]
-    unseen: NDArray[np.float32] | None
+    confidence: _Share
+    edges: _Edges
+    unseen: _Edges | None
     length_rad: float
-    found: int
-    least: LeastConfidence | None
+    found: Annotated[int, Wire("ways")]
+    least: Annotated[LeastConfidence | None, Wire("least_sure")]
     next_view: NextView | None
     alternatives: tuple[AlternativePath, ...]
-    search_ms: float
-    score_ms: float
+    search_ms: Annotated[float, Wire("timing_ms.search")]
+    score_ms: Annotated[float, Wire("timing_ms.score")]
     contact: Contact | None = None
 
 
@@ -677,7 +614,7 @@ class FoundPlan:
         seed: that was used.
         model: that answered.
         round_trip_s: from the request to the checked answer, further attempts included.
-        request_id: under which outcomes are told of it; None where an old server answered.
+        request_id: under which outcomes are told of it; None where the answer has none.
         calibration: that the confidence is by, as ``name/version``; None where it is the model's own.
     """
 

@@ -2,10 +2,10 @@
 
 import math
 import queue
-import random
 import re
 import time
 from contextlib import suppress
+from dataclasses import replace
 from threading import Event, Lock, Thread
 from typing import Any, Self
 
@@ -15,13 +15,14 @@ import numpy as np
 from cspace_client.errors import SamplerError
 from cspace_client.models import MAX_SAMPLES, FoundPlan, ModelHead, SampleBatch
 from cspace_client.transport import (
-    AGAIN,
     LIMITS,
     DeadlineTransport,
     Endpoint,
+    Failure,
     RetryPolicy,
     deadline,
-    parse_retry_after,
+    failure_of,
+    lost,
 )
 
 MAX_BATCH, MAX_WAITING = 1000, 10_000
@@ -183,28 +184,25 @@ class OutcomeSender:
     def _deliver(self, batch: list[dict[str, Any]]) -> bool:
         """Whether the server took a batch, which it may get twice: it counts an outcome once."""
         began, tried = time.perf_counter(), 0
-        while True:
-            status, retry_after_s = self._post(batch, began)
-            if status == httpx.codes.ACCEPTED:
-                return True
-            tried, spent_s = tried + 1, time.perf_counter() - began
-            pause_s = _POLICY.pause_s(tried, spent_s, retry_after_s, random.random())  # noqa: S311 - jitter is no secret
-            if pause_s is None or not (status is None or status in AGAIN):
+        while (failure := self._post(batch, began)) is not None:
+            tried += 1
+            if (pause_s := failure.pause_s(_POLICY, tried, began)) is None:
                 return False
             # Who closes this waits for answers, not for pauses.
             self._closing.wait(pause_s)
+        return True
 
-    def _post(self, batch: list[dict[str, Any]], began: float) -> tuple[int | None, float | None]:
-        """The status of the answer, None without one, and how long the server asks to wait."""
+    def _post(self, batch: list[dict[str, Any]], began: float) -> Failure | None:
+        """None where the server took it. Its words are not read, for nobody would see them."""
         try:
             spent_s = time.perf_counter() - began
             request = self._endpoint.post("/outcomes", spent_s, json={"outcomes": batch})
             with deadline(began + _POLICY.deadline_s):
                 answer = self._transport.handle_request(request)
                 answer.close()
-        except Exception:  # noqa: BLE001 - whatever a stranger's bytes bring out of the HTTP library
-            return None, None
-        return answer.status_code, parse_retry_after(answer.headers.get("retry-after"))
+        except Exception as error:  # noqa: BLE001 - whatever a stranger's bytes bring out of the HTTP library
+            return replace(lost(error, self._endpoint), again=True)
+        return None if answer.status_code == httpx.codes.ACCEPTED else failure_of(answer, b"")
 
 
 def _require(fits: object, name: str, got: object) -> None:

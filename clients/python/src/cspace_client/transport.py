@@ -3,13 +3,14 @@
 import base64
 import json
 import math
+import random
 import socket
 import ssl
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from email.utils import parsedate_to_datetime
 from typing import Any, Generic
@@ -19,14 +20,13 @@ import httpx
 
 from cspace_client.errors import (
     ConfigError,
-    SamplerAnswerError,
     SamplerError,
     SamplerModelError,
     SamplerUnavailableError,
     printable,
     unusable,
 )
-from cspace_client.requests import Found, Question, Reading
+from cspace_client.requests import Answer, Found, Question
 
 _MAX_DIGITS = 9
 _MAX_DATE = 64
@@ -102,7 +102,6 @@ def parse_retry_after(value: str | None, now: datetime | None = None) -> float |
 LIMITS = httpx.Limits(max_connections=100, max_keepalive_connections=20, keepalive_expiry=45.0)
 
 
-@dataclass(frozen=True, slots=True)
 class Endpoint:
     """Where a client asks and how patiently.
 
@@ -117,29 +116,28 @@ class Endpoint:
         ConfigError: the address, a time limit or the key can not be.
     """
 
-    url: str
-    timeout_s: float
-    connect_timeout_s: float | None
-    policy: RetryPolicy
-    api_key: str | None = field(repr=False)
-    _headers: dict[str, str] = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        limits = (self.timeout_s, self.connect_s)
-        if not all(0.0 < limit < math.inf for limit in limits):
+    def __init__(
+        self,
+        url: str,
+        timeout_s: float,
+        connect_timeout_s: float | None,
+        policy: RetryPolicy,
+        api_key: str | None,
+    ) -> None:
+        self.timeout_s, self.policy = timeout_s, policy
+        self.connect_s = timeout_s if connect_timeout_s is None else connect_timeout_s
+        if not all(0.0 < limit < math.inf for limit in (self.timeout_s, self.connect_s)):
             raise ConfigError(
-                "the client's time limit is out of range", expected="above 0", got=f"{limits[0]}, {limits[1]}"
+                "the client's time limit is out of range",
+                expected="above 0",
+                got=f"{self.timeout_s}, {self.connect_s}",
             )
-        key = self.api_key
-        if key is not None and not (key and key.isascii() and key.isprintable() and " " not in key):
+        if api_key is not None and not (
+            api_key and api_key.isascii() and api_key.isprintable() and " " not in api_key
+        ):
             raise ConfigError("the API key can not be", expected="printable ASCII without spaces")
-        object.__setattr__(self, "url", _checked(self.url))
-        object.__setattr__(self, "_headers", _headers(self.url, key))
-
-    @property
-    def connect_s(self) -> float:
-        """Time limit for connecting."""
-        return self.timeout_s if self.connect_timeout_s is None else self.connect_timeout_s
+        self.url = _checked(url)
+        self._headers = _headers(self.url, api_key)
 
     def timeout(self, spent_s: float) -> httpx.Timeout:
         """Time limits of an attempt, within what the deadline leaves."""
@@ -188,20 +186,17 @@ def _headers(url: str, key: str | None) -> dict[str, str]:
 def _checked(url: str) -> str:
     try:
         parsed = httpx.URL(url)
-    except (httpx.InvalidURL, TypeError) as error:
-        raise _bad_url(url) from error
-    if parsed.scheme not in ("http", "https") or not parsed.host or parsed.query or parsed.fragment:
-        raise _bad_url(url)
+        fits = parsed.scheme in ("http", "https") and parsed.host and not (parsed.query or parsed.fragment)
+    except (httpx.InvalidURL, TypeError):
+        fits = False
+    if not fits:
+        raise ConfigError(
+            "the sampling endpoint's address can not be",
+            expected="http://host:port",
+            got=repr(url),
+            remedy="for example http://127.0.0.1:8000",
+        )
     return url.rstrip("/")
-
-
-def _bad_url(url: str) -> ConfigError:
-    return ConfigError(
-        "the sampling endpoint's address can not be",
-        expected="http://host:port",
-        got=repr(url),
-        remedy="for example http://127.0.0.1:8000",
-    )
 
 
 MAX_PROBLEM_BYTES = 64 * 1024
@@ -210,14 +205,13 @@ MAX_PROBLEM_BYTES = 64 * 1024
 _START_REMEDY = "check that the inference API runs and that the address is right"
 # Statuses after which the same request may find an answer. A gateway's time-out (504) is not among them: the
 # server works on the request, and another would add to that. So it is with a time-out while reading.
-AGAIN = (
+_AGAIN = (
     httpx.codes.REQUEST_TIMEOUT,
     httpx.codes.TOO_MANY_REQUESTS,
     httpx.codes.BAD_GATEWAY,
     httpx.codes.SERVICE_UNAVAILABLE,
 )
 _UNKNOWN_MODEL = ":unknown-model"
-_UNKNOWN_FIELD = httpx.codes.UNPROCESSABLE_ENTITY, "an unknown field"
 _LOST = (httpx.NetworkError, httpx.ConnectTimeout, httpx.RemoteProtocolError)
 
 
@@ -229,13 +223,22 @@ class Failure:
         error: what it stands for.
         again: whether the same request may find an answer later.
         retry_after_s: what the server asks to wait at least, None when it does not.
-        knows_no_robot: whether the field ``robot`` alone was too much for the server.
     """
 
     error: SamplerError
     again: bool = False
     retry_after_s: float | None = None
-    knows_no_robot: bool = False
+
+    def pause_s(self, policy: RetryPolicy, tried: int, began: float) -> float | None:
+        """How long to wait before the next attempt, None to give up.
+
+        Args:
+            policy: by which.
+            tried: attempts so far.
+            began: the first one, as ``time.perf_counter()`` counts.
+        """
+        spent_s, draw = time.perf_counter() - began, random.random()  # noqa: S311 - jitter is no secret
+        return policy.pause_s(tried, spent_s, self.retry_after_s, draw) if self.again else None
 
 
 class IncomingAnswer(Generic[Found]):
@@ -251,15 +254,19 @@ class IncomingAnswer(Generic[Found]):
     """
 
     def __init__(self, answer: httpx.Response, question: Question[Found], until: float) -> None:
-        self._answer, self._until = answer, until
-        self._reading: Reading[Found] | None = None
+        self._answer, self._question, self._until = answer, question, until
         self._limit_bytes = MAX_PROBLEM_BYTES
         if answer.status_code == httpx.codes.OK:
-            self._reading = question.read(answer.headers)
-            self._limit_bytes = self._reading.limit_bytes
+            self._limit_bytes = question.limit_bytes
+            media_type = _media_type(answer.headers)
+            if media_type != question.media_type:
+                raise unusable("has another media type", question.media_type, repr(media_type))
         elif not httpx.codes.is_error(answer.status_code):
             raise unusable("has another status", "200, 4xx or 5xx", f"status {answer.status_code}")
-        self._check_framing(answer.headers)
+        # Asked for as it is: what unpacks it would decide how much memory it takes.
+        coding = answer.headers.get("content-encoding", "").strip().lower()
+        if coding not in ("", "identity"):
+            raise unusable("has a content coding", "none", repr(coding[:40]))
         # Of bytes, not a list of chunks: a chunk may hold a single byte.
         self._body = bytearray()
 
@@ -271,7 +278,11 @@ class IncomingAnswer(Generic[Found]):
             httpx.ReadTimeout: it takes too long.
         """
         if len(self._body) + len(chunk) > self._limit_bytes:
-            raise self._too_long("more of them")
+            raise unusable(
+                "is too long",
+                f"at most {self._limit_bytes} bytes",
+                f"more of them, status {self._answer.status_code}",
+            )
         # For transports that know of no deadline.
         if time.perf_counter() > self._until:
             raise httpx.ReadTimeout("the deadline has passed")
@@ -287,24 +298,9 @@ class IncomingAnswer(Generic[Found]):
             SamplerAnswerError: it can not be used.
         """
         body = bytes(self._body)
-        if self._reading is None:
-            return _failure(self._answer, body)
-        return self._reading.conclude(body, round_trip_s)
-
-    def _check_framing(self, headers: Mapping[str, str]) -> None:
-        # Asked for as it is: what unpacks it would decide how much memory it takes.
-        coding = headers.get("content-encoding", "").strip().lower()
-        if coding not in ("", "identity"):
-            raise unusable("has a content coding", "none", repr(coding[:40]))
-        length = headers.get("content-length", "0")
-        if not (length.isascii() and length.isdigit() and len(length) <= 20):
-            raise unusable("has a wrong header content-length", "a whole number", repr(length[:40]))
-        if int(length) > self._limit_bytes:
-            raise self._too_long(length)
-
-    def _too_long(self, got: str) -> SamplerAnswerError:
-        status = self._answer.status_code
-        return unusable("is too long", f"at most {self._limit_bytes} bytes", f"{got}, status {status}")
+        if self._answer.status_code != httpx.codes.OK:
+            return failure_of(self._answer, body)
+        return self._question.read(Answer(self._answer.headers, body, round_trip_s))
 
 
 def lost(error: Exception, endpoint: Endpoint) -> Failure:
@@ -333,11 +329,11 @@ def lost(error: Exception, endpoint: Endpoint) -> Failure:
     return Failure(found, isinstance(error, _LOST))
 
 
-def _failure(answer: httpx.Response, body: bytes) -> Failure:
+def failure_of(answer: httpx.Response, body: bytes) -> Failure:
     """What a status of 400 or above stands for, with the problem's own words (RFC 9457)."""
     status = answer.status_code
-    again, failed = status in AGAIN, status >= httpx.codes.INTERNAL_SERVER_ERROR
-    problem = _problem(answer.headers.get("content-type", ""), body)
+    again, failed = status in _AGAIN, status >= httpx.codes.INTERNAL_SERVER_ERROR
+    problem = _problem(body) if "json" in _media_type(answer.headers) else {}
     title = printable(problem.get("title") or f"{status} {answer.reason_phrase}".strip())
     named = f" ({printable(problem['type'])})" if problem.get("type") else ""
     # A request that is wrong is the caller's affair; a server that fails is as good as none.
@@ -348,19 +344,14 @@ def _failure(answer: httpx.Response, body: bytes) -> Failure:
         f"the sampling endpoint {'failed' if failed else 'refused the request'}: {title}{named}",
         got=printable(problem.get("detail") or f"status {status}"),
     )
-    retry_after_s = parse_retry_after(answer.headers.get("retry-after"))
-    return Failure(error, again, retry_after_s, status == _UNKNOWN_FIELD[0] and _names_robot(problem))
+    return Failure(error, again, parse_retry_after(answer.headers.get("retry-after")))
 
 
-def _names_robot(problem: Mapping[str, str]) -> bool:
-    """Whether the first field that a server objects to is ``robot``, for it knows of none."""
-    about_robot = problem.get("detail", "").startswith("robot ")
-    return about_robot and problem.get("got") == _UNKNOWN_FIELD[1]
+def _media_type(headers: Mapping[str, str]) -> str:
+    return headers.get("content-type", "").partition(";")[0].strip().lower()
 
 
-def _problem(media_type: str, body: bytes) -> Mapping[str, str]:
-    if "json" not in media_type:
-        return {}
+def _problem(body: bytes) -> Mapping[str, str]:
     try:
         members = json.loads(body)
     except (ValueError, RecursionError):
@@ -423,11 +414,9 @@ class _Backend(httpcore.NetworkBackend):
         failed: Exception = httpcore.ConnectError(f"{host} has no address")
         # One address at a time: the time limit would else begin again with every address of the host.
         for address in _addresses(host, port):
+            left_s = _left_s(timeout)
             try:
-                left_s = _left_s(timeout)
                 return _Stream(self._sockets.connect_tcp(address, port, left_s, local_address, options))
-            except TimeoutError as error:
-                raise httpcore.ConnectTimeout(str(error)) from error
             except (httpcore.ConnectError, httpcore.ConnectTimeout) as error:
                 failed = error
         raise failed
@@ -436,25 +425,19 @@ class _Backend(httpcore.NetworkBackend):
 class _Stream(httpcore.NetworkStream):
     def __init__(self, inner: httpcore.NetworkStream) -> None:
         self._inner = inner
-        self._socket: socket.socket = inner.get_extra_info("socket")
 
     def read(self, max_bytes: int, timeout: float | None = None) -> bytes:
-        try:
-            self._socket.settimeout(_left_s(timeout))
-            return self._socket.recv(max_bytes)
-        except TimeoutError as error:
-            raise httpcore.ReadTimeout(str(error)) from error
-        except OSError as error:
-            raise httpcore.ReadError(str(error)) from error
+        return self._inner.read(max_bytes, _left_s(timeout))
 
     def write(self, buffer: bytes, timeout: float | None = None) -> None:
+        link: socket.socket = self._inner.get_extra_info("socket")
         rest = memoryview(buffer)
         try:
             # Not sendall, nor the inner stream's: a server that takes a few bytes at a time would start the
             # time limit again with each of them.
             while rest:
-                self._socket.settimeout(_left_s(timeout))
-                rest = rest[self._socket.send(rest) :]
+                link.settimeout(_left_s(timeout))
+                rest = rest[link.send(rest) :]
         except TimeoutError as error:
             raise httpcore.WriteTimeout(str(error)) from error
         except OSError as error:
@@ -468,9 +451,9 @@ class _Stream(httpcore.NetworkStream):
     ) -> httpcore.NetworkStream:
         try:
             left_s = _left_s(timeout)
-        except TimeoutError as error:
+        except TimeoutError:
             self.close()
-            raise httpcore.ConnectTimeout(str(error)) from error
+            raise
         return _Stream(self._inner.start_tls(ssl_context, server_hostname, left_s))
 
     def get_extra_info(self, info: str) -> Any:
@@ -492,10 +475,8 @@ def _left_s(timeout: float | None) -> float | None:
     Raises:
         TimeoutError: the deadline has passed.
     """
-    until = _UNTIL.get()
-    if until == math.inf:
-        return timeout
-    left_s = until - time.perf_counter()
+    left_s = _UNTIL.get() - time.perf_counter()
     if left_s <= 0.0:
         raise TimeoutError("the deadline has passed")
-    return left_s if timeout is None else min(timeout, left_s)
+    within_s = left_s if timeout is None else min(timeout, left_s)
+    return None if within_s == math.inf else within_s

@@ -196,11 +196,7 @@ class LearnedSampler:
         self.batch, self._is_free = batch, problem.is_free
         self.space: JointSpace = batch.space or circles(batch.samples.shape[1])
         # Limits as single precision has them may lie a little beyond themselves.
-        low, high = (
-            np.where(self.space.periodic, open_end, ends)
-            for open_end, ends in ((-np.inf, self.space.lower), (np.inf, self.space.upper))
-        )
-        self._samples = np.clip(batch.samples.astype(np.float64), low, high)
+        self._samples = self.space.clamp(batch.samples)
         self._ends = [self._end(name, getattr(problem, name)) for name in ("start", "goal")]
 
     def solve(
