@@ -72,9 +72,14 @@ def set_is_free(centres, radii, boxes, cylinders):  # type: ignore[no-untyped-de
     """Whether no sphere of (S, 3), (S,) touches an obstacle; stops at the first that does."""
     for at in range(centres.shape[0]):
         x, y, z, radius = centres[at, 0], centres[at, 1], centres[at, 2], radii[at]
-        # What is farther than a little more than the radius need not be told apart.
-        if point_distance(x, y, z, boxes, cylinders, radius * (1.0 + 1e-9)) <= radius:
-            return False
+        for index in range(boxes.shape[0]):
+            row = boxes[index]
+            if not is_beyond(x, y, z, row, radius) and box_distance(x, y, z, row) <= radius:
+                return False
+        for index in range(cylinders.shape[0]):
+            row = cylinders[index]
+            if not is_beyond(x, y, z, row, radius) and cylinder_distance(x, y, z, row) <= radius:
+                return False
     return True
 
 

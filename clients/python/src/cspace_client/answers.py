@@ -68,7 +68,8 @@ def read_object(kind: type[Kind], members: Mapping[str, Any], what: str, **given
     try:
         found: Kind = _read_fields(kind, members, "", given)
     except ValueError as error:
-        raise unusable(f"is no {what}", f"the members of a {what}", str(error)) from error
+        # The error says all that its cause would.
+        raise unusable(f"is no {what}", f"the members of a {what}", str(error)) from None
     return found
 
 
@@ -93,7 +94,7 @@ def read_headers(kind: Any, headers: Mapping[str, str]) -> dict[str, Any]:
                 value = _parse_header(wire.header, value)
             found[name] = _read(hint, value, f"header {wire.header}")
     except ValueError as error:
-        raise unusable("has wrong headers", "those of an inference API", str(error)) from error
+        raise unusable("has wrong headers", "those of an inference API", str(error)) from None
     return found
 
 
