@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cspace.errors import ScenarioError
+from cspace.errors import ConfigError, ScenarioError
 from cspace.space import JointSpace
 from cspace.world import Image, Scene, World
 
@@ -420,8 +420,11 @@ class Simulator(ABC):
             ConfigError: the robot has no spheres.
         """
         del arrays, configurations
-        self.world.grid_arm(groups)
-        raise NotImplementedError
+        raise ConfigError(
+            f"robots of the {self.world.kind} world have no spheres",
+            expected="a head that reads along links",
+            got=f"one of {groups} groups of spheres",
+        )
 
     def require(self, family: str) -> None:
         """Refuse a family that the robot has no problems of.
