@@ -159,7 +159,8 @@ def _make_service(settings: ApiSettings, store: ModelStore, metrics: Metrics) ->
     folder, most_bytes = settings.outcomes_folder, settings.outcomes_bytes
     spool = None if folder is None else Spool(folder, most_bytes, metrics.outcomes)
     shadow = Shadow(store, scheduler, lookups, spool, metrics.compared)
-    return Service(store, scheduler, lookups, metrics, shadow, spool)
+    keep_s = 86_400.0 * settings.kept_pictures_days
+    return Service(store, scheduler, lookups, metrics, shadow, spool, keep_s)
 
 
 def _verify_here(folder: Path, digest: str) -> None:

@@ -75,6 +75,7 @@ class Service:
         metrics: of the app.
         shadow: compares plans with a challenger's predictions.
         spool: of outcomes; None keeps none.
+        keep_s: how long pictures and paths of plans may be kept that are asked to be, s; 0 for not at all.
     """
 
     store: ModelStore
@@ -83,6 +84,7 @@ class Service:
     metrics: Metrics
     shadow: Shadow
     spool: Spool | None = None
+    keep_s: float = 0.0
 
     async def respond(self, request: Request, parse: Parse) -> Response:
         """The answer to a request whose body has been read.

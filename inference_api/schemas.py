@@ -625,6 +625,11 @@ class PlanRequest(SceneFields):
         description="Whether an answer without a path says in `contact` what is in the way; it does so, too, "
         "where bodies are known.",
     )
+    keep: Annotated[bool, Expected("true or false")] = Field(
+        default=False,
+        description="Whether pictures and path may be kept, to train on what becomes of the plan. Servers "
+        "do so for a time that is set there, for solved plans without known bodies, and say so in `kept`.",
+    )
     next_view: Annotated[bool, Expected("true or false")] = Field(
         default=False,
         description="Whether the answer names the camera that would see most of the unseen space that lowers "
@@ -924,6 +929,9 @@ class PlanAnswer(SceneAnswer):
         None,
         description="With `site`: the calibration, as `name/version`, that `confidence` is by, upon the "
         "bundle's. Left out without one for this site and model version.",
+    )
+    kept: Annotated[bool | None, LEFT_OUT] = Field(
+        None, description="With `keep`: whether the server keeps pictures and path."
     )
     edges: list[float] = Field(description="The lowest confidence on each edge of the path.")
     unseen: list[float] | None = Field(

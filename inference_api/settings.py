@@ -260,6 +260,8 @@ class ApiSettings(_Settings):
     """Folder where outcomes wait for their upload; none keeps none."""
     outcomes_bytes: _BytesOf16MiB = Field(256 * MIB, alias="CSPACE_OUTCOMES_MIB")
     """Largest size of the folder of outcomes, MiB."""
+    kept_pictures_days: float = Field(0.0, ge=0.0, le=3650.0, alias="CSPACE_OUTCOMES_KEEP_DAYS")
+    """How long pictures and paths of plans whose requests say keep may be kept, days; 0 keeps none."""
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str] | None = None) -> Self:

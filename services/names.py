@@ -15,6 +15,9 @@ PATH_MODEL_NAME = "path-sampler"
 EXPERIMENT = "cspace-sampler"
 # Of what users report of answers.
 OUTCOMES_EXPERIMENT, OUTCOMES_FILE = "cspace-outcomes", "outcomes.jsonl"
+# The plans of these that were asked to be kept with their pictures, the kind of their rows, and on a run when
+# they have to be gone, s since 1970.
+VIEWS_FILE, VIEW, TAG_KEEP_UNTIL = "views.jsonl", "view", "keep_until_s"
 # Calibrations of plans for a site: their runs, and the name of a site's registered model before the site's.
 CALIBRATIONS_EXPERIMENT, CALIBRATION_PREFIX = "cspace-calibrations", "calibration-"
 # Scene models: their runs, the registered model, and its weights among a run's files.

@@ -4,9 +4,13 @@ A server gathers outcomes in memory and writes them as whole files, one JSON obj
 (:class:`Spool`). ``python -m services.outcomes`` uploads the files as data sets and deletes them. A batch is
 moved into a folder of its own first, and stays there until it is uploaded. After an interruption the same
 batch is therefore uploaded again, into the same run.
+
+Plans that were asked to be kept are rows with their pictures. They become a file of their own, which the
+command deletes when its time is over.
 """
 
 import argparse
+import base64
 import hashlib
 import json
 import logging
@@ -23,10 +27,22 @@ from pathlib import Path
 from threading import Lock
 from typing import Any, Literal, get_args
 
+import numpy as np
+from numpy.typing import NDArray
+
 from cspace.errors import ConfigError, CspaceError, InputError, StorageBusyError, StorageError
 from cspace.files import HALF_PREFIX, HALF_SUFFIX, discard, holding, replacing
+from cspace.planning.paths import length_rad, spread_points
+from cspace.space import JointSpace
 from services.command_errors import report_error
-from services.names import OUTCOMES_EXPERIMENT, OUTCOMES_FILE, TAG_STAGE
+from services.names import (
+    OUTCOMES_EXPERIMENT,
+    OUTCOMES_FILE,
+    TAG_KEEP_UNTIL,
+    TAG_STAGE,
+    VIEW,
+    VIEWS_FILE,
+)
 from services.registry.ports import Tracking
 
 FOLDER = "CSPACE_OUTCOMES"
@@ -43,6 +59,8 @@ _BLOCK_BYTES = 4096
 # After which a half-written file is that of a killed process.
 _WRITTEN_S = 3600.0
 _SHOWN_MODELS = 20
+# One picture in so many is held out. A path's points are so far apart, and each so many of them is a row.
+HELD_OUT, _FINE_RAD, _EVERY = 5, 0.02, 5
 _BATCH, _LOCK = "uploading", ".upload.lock"
 _LOG = logging.getLogger(__name__)
 
@@ -177,11 +195,120 @@ def uploaded(tracking: Tracking) -> Iterator[tuple[str, str, list[dict[str, Any]
     Raises:
         RegistryError: the tracking server is away or refuses.
     """
+    for run_id, data in _files(tracking, OUTCOMES_FILE):
+        yield run_id, hashlib.sha256(data).hexdigest(), [*map(json.loads, data.splitlines())]
+
+
+def _files(tracking: Tracking, name: str) -> Iterator[tuple[str, bytes]]:
     with tempfile.TemporaryDirectory(prefix="cspace-outcomes-") as scratch:
         for run in reversed(tracking.finished(OUTCOMES_EXPERIMENT)):
-            path = tracking.file(run.run_id, OUTCOMES_FILE, Path(scratch) / run.run_id)
-            data = b"" if path is None else path.read_bytes()
-            yield run.run_id, hashlib.sha256(data).hexdigest(), [*map(json.loads, data.splitlines())]
+            path = tracking.file(run.run_id, name, Path(scratch) / run.run_id)
+            yield run.run_id, b"" if path is None else path.read_bytes()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KnownPlan:
+    """A plan of which pictures were kept and the end is known.
+
+    Args:
+        image: what showed the scene, as it was sent.
+        path: (k, d) rad.
+        collided_at: where it collides first, as a share of its length; None where it is free.
+        run_id: of the batch that holds the pictures.
+    """
+
+    image: bytes
+    path: NDArray[np.float64]
+    collided_at: float | None
+    run_id: str
+
+    @property
+    def picture(self) -> str:
+        """SHA-256 of the image."""
+        return hashlib.sha256(self.image).hexdigest()
+
+    @property
+    def held_out(self) -> bool:
+        """Whether it is for evaluations: a fifth of all pictures, which nothing is trained on."""
+        return int(self.picture, 16) % HELD_OUT == 0
+
+    def labelled(self, space: JointSpace) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Configurations of the path that are known to be free, and to collide, each (n, d) rad.
+
+        What comes after a collision is not known, nor for certain the tenth of a radian before it.
+        """
+        count = max(2, int(np.ceil(length_rad(self.path, space) / _FINE_RAD)) + 1)
+        rows = space.to_float32(spread_points(self.path, count, space))
+        if self.collided_at is None:
+            return rows[::_EVERY], rows[:0]
+        hit = round(self.collided_at * (count - 1))
+        return rows[: max(0, hit - _EVERY) : _EVERY], rows[hit : hit + 1]
+
+
+def known_plans(tracking: Tracking, robot: str, site: str | None = None) -> Iterator[KnownPlan]:
+    """All plans of a robot of which pictures were kept and the end was reported, the oldest batch first.
+
+    Args:
+        tracking: where outcomes were uploaded.
+        robot: SHA-256, as answers name it.
+        site: those of one place; None for all.
+
+    Raises:
+        RegistryError: the tracking server is away or refuses.
+    """
+    ends: dict[tuple[Any, Any], float | None] = {}
+    for _, _, rows in uploaded(tracking):
+        for row in rows:
+            if row["kind"] != "plan" or site not in (None, row.get("site")):
+                continue
+            key, collided, at = (
+                (row.get("client"), row["request_id"]),
+                row.get("collided"),
+                row.get("collided_at"),
+            )
+            # Who reports a success without more has seen no collision.
+            if collided is False or (collided is None and row["success"]):
+                ends[key] = None
+            elif at is not None:
+                ends[key] = float(at)
+            else:
+                ends.pop(key, None)
+    for run_id, data in _files(tracking, VIEWS_FILE):
+        for row in map(json.loads, data.splitlines()):
+            key = row.get("client"), row["request_id"]
+            if key in ends and row["robot"] == robot:
+                path = np.array(row["path"], dtype=np.float64)
+                yield KnownPlan(base64.b64decode(row["image"]), path, ends.pop(key), run_id)
+
+
+def view_row(
+    model: object, robot: str, image: bytes, path: NDArray[np.float64], keep_s: float
+) -> dict[str, Any]:
+    """What is kept of a plan beside its request, for so many seconds from now."""
+    return {
+        "kind": VIEW,
+        "model": str(model),
+        "robot": robot,
+        "path": path.tolist(),
+        "image": base64.b64encode(image).decode(),
+        "keep_until_s": round(time.time() + keep_s, 3),
+    }
+
+
+def forget(tracking: Tracking) -> int:
+    """Deletes the kept pictures whose time is over; returns of how many batches.
+
+    Raises:
+        RegistryError: the tracking server is away or refuses.
+    """
+    count = 0
+    for run in tracking.finished(OUTCOMES_EXPERIMENT):
+        until = run.tags.get(TAG_KEEP_UNTIL)
+        if until and float(until) <= time.time():
+            tracking.remove_file(run.run_id, VIEWS_FILE)
+            tracking.note(run.run_id, {TAG_KEEP_UNTIL: ""})
+            count += 1
+    return count
 
 
 def _claim(folder: Path) -> list[Path]:
@@ -208,9 +335,14 @@ def _upload(files: Sequence[Path], tracking: Tracking) -> Upload:
             row = _row(path, line)
             lines.setdefault((str(row.get("client")), str(row["request_id"]), str(row["kind"])), line)
             models.add(str(row["model"]))
-    data = b"".join(lines.values())
+    data = b"".join(line for (*_, kind), line in lines.items() if kind != VIEW)
     digest, counts = hashlib.sha256(data).hexdigest(), Counter(kind for *_, kind in lines)
-    key, tags = f"outcomes/{digest}", {TAG_STAGE: STAGE}
+    everything, tags = hashlib.sha256(), {TAG_STAGE: STAGE}
+    for line in lines.values():
+        everything.update(line)
+    key = f"outcomes/{everything.hexdigest()}"
+    views = {line: json.loads(line)["keep_until_s"] for (*_, kind), line in lines.items() if kind == VIEW}
+    kept = {line: until for line, until in views.items() if until > time.time()}
     with (
         tempfile.TemporaryDirectory(prefix="cspace-outcomes-") as scratch,
         tracking.start(OUTCOMES_EXPERIMENT, "outcomes, {id}", tags=tags, key=key) as run,
@@ -220,6 +352,13 @@ def _upload(files: Sequence[Path], tracking: Tracking) -> Upload:
         run.params({"models": sorted(models)[:_SHOWN_MODELS]})
         run.metrics(counts, 0)
         run.artifact(copy)
+        if kept:
+            # Before the file, so that none is there that nobody would delete.
+            run.tags({TAG_KEEP_UNTIL: str(min(kept.values()))})
+            beside = Path(scratch) / VIEWS_FILE
+            with beside.open("wb") as file:
+                file.writelines(kept)
+            run.artifact(beside)
         run.dataset("outcomes", digest, f"runs:/{run.run_id}/{OUTCOMES_FILE}", "outcomes")
     return Upload(run.run_id, digest, counts)
 
@@ -244,7 +383,7 @@ def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] 
     argparse.ArgumentParser(
         prog="python -m services.outcomes",
         description=f"Upload what POST /outcomes was told from the folder {FOLDER} to MLFLOW_TRACKING_URI, "
-        "and delete it there.",
+        "and delete it there; delete kept pictures whose time is over.",
         epilog="Exit codes: 0 uploaded, or nothing to upload; 1 failed; 2 wrong request.",
     ).parse_args(arguments)
     folder, uri = Path(environment.get(FOLDER, "")), environment.get("MLFLOW_TRACKING_URI", "")
@@ -256,10 +395,13 @@ def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] 
                 got=f"the folder {str(folder)!r}, and {'an' if uri else 'no'} address",
                 remedy='`eval "$(make -s env)"` sets both; a server makes the folder with the first outcome',
             )
-        for done in upload(folder, MlflowTracking(uri)):
+        tracking = MlflowTracking(uri)
+        for done in upload(folder, tracking):
             kinds = ", ".join(f"{number} of {kind}" for kind, number in sorted(done.counts.items()))
             sys.stdout.write(f"uploaded {kinds}; SHA-256 {done.digest}, run {done.run_id}\n")
         sys.stdout.write("no file of outcomes is left\n")
+        if gone := forget(tracking):
+            sys.stdout.write(f"deleted the kept pictures of {gone} batches, whose time was over\n")
     except CspaceError as error:
         return report_error(error, ConfigError)
     return 0

@@ -176,7 +176,7 @@ class HeadConfig(ValidityConfig):
         None,
         exclude_if=lambda part: part is None,
         description="of arms in space: shipped, or the absolute path of what python -m training.scene_model "
-        "wrote, instead of training a head; none to train one",
+        "wrote, instead of training a head; with data.outcomes it is trained further; none to train one",
     )
     threshold: float | None = Field(
         None, gt=0, lt=1, description="the confidence that the bundle recommends; none to choose it"
@@ -291,6 +291,8 @@ class TrainConfig(JobConfig):
             # The job tells when it opens or makes the data.
             return self
         grid = self.validity.grid
+        if self.data.outcomes is not None and (grid is None or not self.validity.steps):
+            raise ValueError("data.outcomes is for heads of arms in space; it needs validity.grid and steps")
         if self.validity.scene_model is not None and grid is None:
             raise ValueError("validity.scene_model reads arrays of space; it needs validity.grid")
         if self.validity.steps and grid is None:

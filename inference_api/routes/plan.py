@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 from fastapi import APIRouter, Request
 from fastapi.responses import Response
+from numpy.typing import NDArray
 
 from cspace.bundle import BundleSpec
 from cspace.bundle.samples import fitted_plan, fitted_problem, require_robot
@@ -36,6 +37,7 @@ from inference_api.schemas import (
 from inference_api.shadow import Offer
 from inference_api.telemetry import Answered
 from services.names import ALIAS_CHAMPION
+from services.outcomes import view_row
 
 # Findings by which a plan is refused.
 _WHY = (ARM_IN_PICTURE, LITTLE_IN_REACH)
@@ -94,6 +96,11 @@ def _answer(
     if record is not None and found.status == "solved" and served.alias == ALIAS_CHAMPION:
         own = float(confidence_of_cost(np.array(found.cost), spec.plan_calibration or (0.0, 1.0)))
         offers.append(Offer(record.request_id, record.client, served, image, found.path, own))
+    kept = None
+    if request.keep:
+        kept = (
+            found.status == "solved" and not request.has_known and _keep(service, served, image, found.path)
+        )
     least, view = found.least, found.next_view
     body = PlanAnswer.model_construct(
         status=found.status,
@@ -101,6 +108,7 @@ def _answer(
         path=found.path.tolist(),
         confidence=found.confidence,
         calibration=None if local is None else local[1],
+        kept=kept,
         edges=found.edges.tolist(),
         unseen=None if found.unseen is None else found.unseen.tolist(),
         length_rad=found.length_rad,
@@ -132,6 +140,16 @@ def _answer(
         **about(served, prepared.picture.novelty, warnings_of(warnings)),
     )
     return Response(body.model_dump_json(), media_type="application/json")
+
+
+def _keep(service: Service, served: ServedModel, image: bytes, path: NDArray[np.float64]) -> bool:
+    """Whether pictures and path are taken for the upload of outcomes."""
+    record = request_record.get()
+    if record is None or service.spool is None or not service.keep_s:
+        return False
+    asked = {"request_id": record.request_id, "client": record.client, "received_s": round(time.time(), 3)}
+    row = view_row(served, served.bundle.robot, image, path, service.keep_s)
+    return service.spool.add([asked | row])
 
 
 def query_of(request: PlanRequest) -> PlanQuery:

@@ -21,6 +21,7 @@ from mlflow import MlflowClient
 from mlflow.artifacts import download_artifacts
 from mlflow.entities import Dataset, DatasetInput, Experiment, InputTag, Metric, Param, Run, RunTag
 from mlflow.exceptions import MlflowException
+from mlflow.store.artifact.artifact_repository_registry import get_artifact_repository
 
 from cspace.errors import RegistryError, RegistryUnavailableError
 from services.names import (
@@ -143,16 +144,27 @@ class MlflowTracking:
 
     def file(self, run_id: str, path: str, folder: Path) -> Path | None:
         """A file of a run; see :meth:`services.registry.ports.Tracking.file`."""
-        parent = Path(path).parent.as_posix()
         with mapped(f"fetching {path} of run {run_id}"):
-            there = self.client.list_artifacts(run_id, None if parent == "." else parent)
-            if all(one.path != path for one in there):
+            if not self._keeps(run_id, path):
                 return None
             return Path(
                 download_artifacts(
                     run_id=run_id, artifact_path=path, dst_path=str(folder), tracking_uri=self._uri
                 )
             )
+
+    def remove_file(self, run_id: str, path: str) -> None:
+        """Delete a file of a run; see :meth:`services.registry.ports.Tracking.remove_file`."""
+        with mapped(f"deleting {path} of run {run_id}"):
+            if self._keeps(run_id, path):
+                address = self.client.get_run(run_id).info.artifact_uri
+                repository: Any = get_artifact_repository(address, tracking_uri=self._uri)
+                repository.delete_artifacts(path)
+
+    def _keeps(self, run_id: str, path: str) -> bool:
+        parent = Path(path).parent.as_posix()
+        there = self.client.list_artifacts(run_id, None if parent == "." else parent)
+        return any(one.path == path for one in there)
 
     def ask(self, action: str, call: Callable[[], Answer]) -> Answer:
         """The answer of a call that may be repeated, waited for as long as this waits."""

@@ -424,6 +424,10 @@ class Tracking(Protocol):
         """A file that a run keeps, fetched into a folder; None where it keeps none of this name."""
         ...
 
+    def remove_file(self, run_id: str, path: str) -> None:
+        """Delete a file that a run keeps, for good; nothing happens where it keeps none of this name."""
+        ...
+
 
 # MLflow's limits of a parameter's name and value.
 MAX_NAME, MAX_VALUE = 250, 6000

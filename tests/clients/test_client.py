@@ -76,6 +76,8 @@ def test_what_a_plan_does_not_ask_for_is_left_to_the_server():
     form = sent.of(lambda client: client.plan(PNG, query))
     assert (form["time_limit_s"], form["ways"], form["alternatives"]) == ([b"2"], [b"3"], [b"true"])
     assert "site" not in form
+    assert "keep" not in form
+    assert sent.of(lambda client: client.plan(PNG, replace(query, keep=True)))["keep"] == [b"true"]
     assert sent.of(lambda client: client.plan(PNG, replace(query, site="lab-3")))["site"] == [b"lab-3"]
     assert [json.loads(one) for one in form["view"]] == list(views)
 

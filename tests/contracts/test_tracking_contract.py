@@ -208,5 +208,9 @@ def test_runs_under_another_are_found_newest_first_with_what_they_keep(
     assert kept is not None
     assert json.loads(kept.read_text()) == {"columns": ["measure", "value"], "data": [["edr", 1.0]]}
     assert backend.tracking.file(made[0], "tables/other.json", tmp_path) is None
+    for _ in range(2):
+        backend.tracking.remove_file(made[0], "tables/measures.json")
+        assert backend.tracking.file(made[0], "tables/measures.json", tmp_path) is None
+    assert backend.tracking.file(made[1], "tables/measures.json", tmp_path) is not None
     with pytest.raises(RegistryError):
         backend.tracking.run("0" * 32)

@@ -161,6 +161,9 @@ class FakeTracking:
         fetched.write_bytes(kept)
         return fetched
 
+    def remove_file(self, run_id: str, path: str) -> None:
+        self.runs[run_id].artifacts.pop(path, None)
+
 
 class FakeRegistry:
     """A model registry in memory that keeps its bundles in a folder.

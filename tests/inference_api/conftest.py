@@ -63,6 +63,7 @@ def api_over(
     protection: Protection | None = None,
     outcomes_folder: Path | None = None,
     outcomes_bytes: int = 2**28,
+    kept_pictures_days: float = 0.0,
 ) -> Iterator[ApiClient]:
     """An app in this process; its registry is looked at once on start and then only when told."""
     settings = ApiSettings(
@@ -75,6 +76,7 @@ def api_over(
         guide_folder=folder / "no guide",
         outcomes_folder=outcomes_folder,
         outcomes_bytes=outcomes_bytes,
+        kept_pictures_days=kept_pictures_days,
     )
     with running(create_app(settings, registry)) as client:
         yield client

@@ -1,5 +1,6 @@
 """``POST /outcomes``: what is kept, what is refused, and that a disk that refuses harms nothing else."""
 
+import base64
 import errno
 import json
 import threading
@@ -12,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from cspace.worlds import robot_digest
 from cspace_client import OutcomeSender, SamplingClient
 from inference_api import app
 from inference_api.keys import digest_of
@@ -21,7 +23,10 @@ from tests.inference_api.answers import PNG, assert_answers, assert_problem
 from tests.inference_api.client import ApiClient
 from tests.inference_api.client_transports import IntoApp
 from tests.inference_api.conftest import api_over
+from tests.inference_api.fake_registry import MODEL, CountingRegistry
 from tests.inference_api.test_metrics import scrape, value
+from tests.inference_api.test_plan import PNG as PLANNED
+from tests.inference_api.test_plan import WORLD, ask
 
 Keeping = Callable[..., AbstractContextManager[ApiClient]]
 
@@ -206,3 +211,26 @@ def test_the_client_reports_the_outcome_of_a_real_answer(keeping: Keeping, tmp_p
     [row] = rows_in(tmp_path)
     assert row["request_id"] == batch.request_id is not None
     assert (row["model"], row["checked"], row["free"]) == ("pretrained/0", 20, 19)
+
+
+def test_pictures_are_kept_only_of_plans_that_say_so_and_where_the_server_may(
+    tmp_path: Path, bundles: dict[str, Path], registry: CountingRegistry
+) -> None:
+    registry.add(bundles["careful"], "champion")
+    folder = tmp_path / "outcomes"
+    with api_over(tmp_path, bundles, registry, outcomes_folder=folder) as api:
+        assert ask(api, model=None, keep=True).json()["kept"] is False
+    assert rows_in(tmp_path) == []
+    began = time.time()
+    with api_over(tmp_path, bundles, registry, outcomes_folder=folder, kept_pictures_days=2.0) as api:
+        assert "kept" not in ask(api, model=None).json()
+        answer = ask(api, model=None, keep=True)
+        assert answer.json()["kept"] is True
+        refused = ask(api, model=None, keep=True, min_confidence=1.0).json()
+        assert (refused["status"], refused["kept"]) == ("refused", False)
+    [row] = rows_in(tmp_path)
+    assert row["request_id"] == answer.headers["X-Request-ID"]
+    assert (row["kind"], row["model"], row["robot"]) == ("view", f"{MODEL}/1", robot_digest(WORLD))
+    assert base64.b64decode(row["image"]) == PLANNED
+    assert row["path"] == answer.json()["path"]
+    assert 172_800.0 <= row["keep_until_s"] - began < 172_860.0

@@ -50,6 +50,7 @@ def test_every_setting_is_read() -> None:
         "CSPACE_API_LOAD_PLANNER": "0",
         "CSPACE_OUTCOMES": "/srv/outcomes",
         "CSPACE_OUTCOMES_MIB": "16",
+        "CSPACE_OUTCOMES_KEEP_DAYS": "30",
     }
     protection = Protection(
         keys_file=Path("/srv/keys"),
@@ -81,6 +82,7 @@ def test_every_setting_is_read() -> None:
         load_planner=False,
         outcomes_folder=Path("/srv/outcomes"),
         outcomes_bytes=16 * 2**20,
+        kept_pictures_days=30.0,
     )
 
 
@@ -126,6 +128,7 @@ WRONG = {
     "CSPACE_API_TRUSTED_PROXIES": ("*", "proxy.example", "10.0.0.1/8"),
     "CSPACE_API_WORKBENCH": ("yes",),
     "CSPACE_OUTCOMES_MIB": ("15", "inf"),
+    "CSPACE_OUTCOMES_KEEP_DAYS": ("-1", "nan", "4000"),
     "CSPACE_API_MLFLOW_PAGES": ("javascript:alert(1)",),
 }
 

@@ -4,11 +4,14 @@ import json
 
 import numpy as np
 import pytest
+from mlflow import MlflowClient
 
 from cspace.dataset import open_dataset
 from cspace.simulator import Split, scenario_rng
 from cspace.view_file import unpack_view
-from cspace.worlds import checker_of, examples, picture_file_of, simulator_of
+from cspace.worlds import checker_of, examples, picture_file_of, robot_digest, simulator_of
+from services.outcomes import Spool, known_plans, upload, view_row
+from services.registry.mlflow_tracking import MlflowTracking
 from tests.training.clusters.test_pipeline import bundle_of, submit
 from training.data.__main__ import main as datasets
 
@@ -94,6 +97,45 @@ def recordings(folder, count=5):
         np.save(folder / f"scene-{index}.npy", rows[free])
         np.save(folder / f"scene-{index}.collision.npy", rows[~free])
     return folder
+
+
+def test_what_became_of_plans_trains_the_scene_model_further(server, tmp_path, monkeypatch):
+    """With the preset panda_outcomes: import-outcomes --arm panda, and data.outcomes."""
+    rows = []
+    for index in range(6):
+        scene = simulator_of(WORLD).scene(scenario_rng(Split.DEMO, 2, index), Split.DEMO, index)
+        path = WORLD.space.sample_uniform(np.random.default_rng(index), 2)
+        asked = {"request_id": f"r{index}", "client": None}
+        rows.append(
+            asked | view_row("panda-sampler/1", robot_digest(WORLD), picture_file_of(scene), path, 1e6)
+        )
+        ended = {"success": False, "collided": True, "collided_at": 0.5} if index % 2 else {"success": True}
+        rows.append(asked | {"kind": "plan", "model": "panda-sampler/1"} | ended)
+    spool, data = tmp_path / "spool", tmp_path / "outcomes"
+    kept = Spool(spool, 2**28, lambda *_: None)
+    assert kept.add(rows)
+    kept.flush()
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", server)
+    assert len(list(upload(spool, MlflowTracking(server)))) == 1
+    assert datasets(["import-outcomes", str(data), "--arm", "panda"]) == 0
+    there = open_dataset(data)
+    assert there.scenario_count == sum(
+        not one.held_out for one in known_plans(MlflowTracking(server), robot_digest(WORLD))
+    )
+    without_size = [
+        part
+        for part in SMALL
+        if not part.startswith(("validity.scene_model", "validity.grid", "validity.hidden"))
+    ]
+    settings = [part for setting in (*without_size, f"data.outcomes={data}") for part in ("--set", setting)]
+    result = submit(server, tmp_path / "jobs", "--preset", "panda_outcomes", *settings)
+    assert "validity" in result["trials"]
+    bundle = bundle_of(server, result["model"], result["version"], tmp_path / "bundle")
+    assert bundle.tells_belief
+    (generated,) = (tmp_path / "jobs").glob("datasets/*/*.json")
+    assert "outcomes" not in open_dataset(generated.parent).manifest.generator
+    inputs = MlflowClient(server).get_run(result["run_id"]).inputs.dataset_inputs
+    assert {one.dataset.name for one in inputs} == {generated.parent.name, "outcomes"}
 
 
 def test_recordings_of_ones_own_train_a_version_that_promises_nothing(server, tmp_path):

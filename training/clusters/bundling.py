@@ -27,7 +27,7 @@ from training.jobs.environment import provenance
 from training.jobs.job import TAG_START
 from training.models.autoencoders import network_size
 from training.models.belief import belief_graph
-from training.models.checkpoint import load_scene_model, trained
+from training.models.checkpoint import load_scene_model, load_weights, trained
 from training.models.export import (
     encoder_graph,
     generator_graph,
@@ -127,7 +127,7 @@ def head_graphs(config: HeadConfig, world: World, checkpoint: Path) -> dict[str,
     Args:
         config: of the head.
         world: whose configurations it scores.
-        checkpoint: file of the scene model, or folder of the trained head.
+        checkpoint: file of the scene model, or folder of the trained head, which may have started from it.
     """
     if config.grid is None:
         flat = trained(lambda: make_head(config, world), checkpoint, "head")
@@ -135,7 +135,11 @@ def head_graphs(config: HeadConfig, world: World, checkpoint: Path) -> dict[str,
     if config.scene_model is None:
         head = trained(lambda: GridHead.of(config, world), checkpoint, "head")
     else:
-        model = load_scene_model(checkpoint, world)
+        file = config.scene_model_file if checkpoint.is_dir() else checkpoint
+        assert file is not None  # noqa: S101 - for the type checker
+        model = load_scene_model(file, world)
+        if checkpoint.is_dir():
+            model.load_state_dict(load_weights(checkpoint, "head.model"))
         head = GridHead(model, world.grid_arm(model.config.groups), counts_of(world)).eval()
     return {
         "map": map_graph(head),

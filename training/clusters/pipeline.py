@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cspace.bundle import Bundle
 from cspace.dataset import Dataset, open_dataset
-from cspace.errors import ConfigError
+from cspace.errors import ConfigError, DatasetError
 from cspace.simulator import ORIGINS, Split
 from cspace.space import JointSpace
 from services.evaluator.evaluation.report import gallery
@@ -49,10 +49,12 @@ from training.trials.trainables import (
 SHOWN_SCENARIOS = 3
 
 
-def log_start(run: RunLog, config: TrainConfig, dataset: Dataset) -> None:
-    """The configuration as parameters and the data set as an input with its digest."""
+def log_start(run: RunLog, config: TrainConfig, *datasets: Dataset | None) -> None:
+    """The configuration as parameters and the data sets as inputs with their digests."""
     log_configuration(run, config)
-    run.dataset(dataset.folder.name, dataset.digest, str(dataset.folder), "training")
+    for one in datasets:
+        if one is not None:
+            run.dataset(one.folder.name, one.digest, str(one.folder), "training")
 
 
 def log_result(
@@ -104,7 +106,37 @@ def prepare_data(config: TrainConfig, data_folder: Path) -> Dataset:
     """The user's own data set, or the configured one, generated unless it is there already."""
     if config.data_folder is not None:
         return open_dataset(config.data_folder)
-    return generate(config.data, data_folder / "datasets" / config.data.folder_name)
+    generated = config.data.model_copy(update={"outcomes": None})
+    return generate(generated, data_folder / "datasets" / generated.folder_name)
+
+
+def open_outcomes(config: TrainConfig, dataset: Dataset) -> Dataset | None:
+    """The data set of outcomes that a head learns from beside the other; None without one.
+
+    Raises:
+        DatasetError: it is none, or of another robot or sensor.
+    """
+    folder = config.data.outcomes
+    if folder is None:
+        return None
+    found = open_dataset(folder)
+    for what in ("body", "sensor"):
+        ours, theirs = getattr(dataset.world, what), getattr(found.world, what)
+        if ours != theirs:
+            words = "robot" if what == "body" else "sensor"
+            raise DatasetError(
+                f"the outcomes are of another {words}",
+                expected=str(ours)[:200],
+                got=f"{str(theirs)[:200]} in {folder}",
+                remedy="import them with the options of the training's robot",
+            )
+    if found.collision is None:
+        raise DatasetError(
+            "data.outcomes is no data set of outcomes",
+            expected="what python -m training.data import-outcomes writes",
+            got=str(folder),
+        )
+    return found
 
 
 def train_on_pictures(
@@ -112,15 +144,17 @@ def train_on_pictures(
 ) -> tuple[TrialOutcome | None, TrialOutcome | None]:
     """Stage 3: one VAE over all pictures, shared by every later trial; the validity head beside it.
 
-    Without configurations in collision, with no steps for it, or with a scene model, no head is trained; with
-    an encoder that is there already, or that is trained with the generator, no VAE is.
+    Without configurations in collision, with no steps for it, or with a scene model, no head is trained, but
+    with outcomes a scene model is trained further; with an encoder that is there already, or that is trained
+    with the generator, no VAE is.
     """
     config = job.config
     sensor = dataset.world.sensor
     images = shown(sensor, dataset.images)
     if dataset.extra_images is not None:
         images = np.concatenate([images, shown(sensor, dataset.extra_images)])
-    trained = config.validity.steps > 0 and config.validity.scene_model is None
+    given = config.validity.scene_model is not None and config.data.outcomes is None
+    trained = config.validity.steps > 0 and not given
     head = trained and has_occupancy(dataset, config.validity)
     vae = not config.joint and config.vae.checkpoint is None
     names = [name for name, wanted in ((VAE, vae), (VALIDITY, head)) if wanted]
@@ -332,7 +366,7 @@ def run_job(job: Job[TrainConfig]) -> TrainResult:
             named = recorded_name(dataset.manifest.generator) or label(dataset.world)
             config = config.model_copy(update={"robot_name": named})
         model = registered_name(job, dataset.world, config.robot_name, path=False)
-        log_start(run, job.config, dataset)
+        log_start(run, job.config, dataset, open_outcomes(job.config, dataset))
         job.add_tags(world_tag(dataset.world, config.robot_name))
         require_encoder(job, dataset)
         data = cluster_data(job, dataset)
@@ -344,7 +378,7 @@ def run_job(job: Job[TrainConfig]) -> TrainResult:
         generators = tuple(outcome.checkpoint for outcome in final or local)
         encoder = generators[0] if job.config.joint else encoder_checkpoint(job, vae)
         gate_at = _checkpoint(gate)
-        head_at = job.config.validity.scene_model_file or _checkpoint(head)
+        head_at = _checkpoint(head) or job.config.validity.scene_model_file
         parts = TrainedParts(encoder, generators, gate_at, head_at, arrays, job.start_run_id)
         bundle = kept_bundle(job.folder / BUNDLE_FOLDER)
         if bundle is None:

@@ -1,4 +1,4 @@
-"""Data sets: ``python -m training.data generate|paths|import|import-recording|merge|verify``.
+"""Data sets: ``python -m training.data generate|paths|import|import-recording|import-outcomes|merge|verify``.
 
 Exit codes: 0 done; 1 the data or the disk is bad; 2 the command is wrong.
 """
@@ -21,6 +21,7 @@ from services.command_errors import report_error
 from services.scene_files import given_scenes, read_scene_file
 from training.data.config import USUAL_OF_ARMS, DatasetConfig, PathDatasetConfig
 from training.data.merge import merge
+from training.data.outcomes import import_outcomes
 from training.data.own import import_folder
 from training.data.recordings import add_recording_options
 
@@ -70,6 +71,11 @@ def parser() -> argparse.ArgumentParser:
     add_recording_options(
         commands.add_parser(
             "import-recording", help="a recording of ROS 2 (.mcap, .db3): views and a data set"
+        )
+    )
+    _add_outcomes(
+        commands.add_parser(
+            "import-outcomes", help="plans that were kept, and what became of them, from MLflow"
         )
     )
     merged = commands.add_parser("merge", help="several data sets of one world as one, each scenario once")
@@ -123,6 +129,24 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("folder", type=Path, help="where the data set goes")
     add_world_options(parser, sensor=True)
     parser.set_defaults(run=_import)
+
+
+def _add_outcomes(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("folder", type=Path, help="where the data set goes")
+    parser.add_argument("--site", help="plans of this place only, as outcomes name it")
+    add_world_options(parser, sensor=True)
+    parser.set_defaults(run=_import_outcomes)
+
+
+def _import_outcomes(options: argparse.Namespace) -> Dataset:
+    # Imported here so that other commands do not wait for MLflow.
+    from services.registry.mlflow_tracking import MlflowTracking  # noqa: PLC0415
+
+    uri = os.environ.get("MLFLOW_TRACKING_URI", "")
+    if not uri:
+        raise ConfigError("no tracking server is named", remedy="set MLFLOW_TRACKING_URI")
+    world = described_world(options)
+    return import_outcomes(options.folder, world=world, tracking=MlflowTracking(uri), site=options.site)
 
 
 def _merge(options: argparse.Namespace) -> Dataset:

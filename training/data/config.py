@@ -14,7 +14,7 @@ from pydantic_core import CoreSchema
 from cspace.errors import InputError
 from cspace.world import Body, World
 from cspace.worlds import default_world, examples, named_world, part_types, usual_world
-from training.section import RobotName
+from training.section import AbsolutePath, RobotName
 
 # Counts on with every change of what worlds propose for labelling, and of how they are seen then.
 _PROPOSALS = 4
@@ -100,6 +100,12 @@ class DatasetConfig(GeneratedConfig):
         "0: uniform ones, in the numbers of free_per_scenario and collision_per_scenario",
     )
     extra_image_count: int = Field(6000, ge=0)
+    outcomes: AbsolutePath | None = Field(
+        None,
+        exclude_if=lambda folder: folder is None,
+        description="absolute: a data set of python -m training.data import-outcomes, which the head of an "
+        "arm in space learns from as well",
+    )
 
     def _versions(self) -> dict[str, int]:
         return {"proposals": _PROPOSALS} if self.proposals_per_scenario else {}

@@ -11,6 +11,7 @@ from torch import nn
 from cspace.dataset import Dataset, open_dataset
 from cspace.world import Sensor, World
 from cspace.worlds import simulator_of
+from training.config import HeadConfig
 from training.models.autoencoders import (
     GridNovelty,
     GridVaeDecoder,
@@ -22,7 +23,7 @@ from training.models.autoencoders import (
     shown_size,
 )
 from training.models.cells import Base, CellBase, CellPoints
-from training.models.checkpoint import trained
+from training.models.checkpoint import load_scene_model, trained
 from training.models.data import ScenarioSamples
 from training.models.grid_training import ArmSamples, GridHeadModule, GridSamples
 from training.models.lookups import Scenes
@@ -167,7 +168,9 @@ def has_occupancy(dataset: Dataset, config: ValidityConfig) -> bool:
     return config.grid is not None or len(_with_both_kinds(dataset)) > 0
 
 
-def head_module(folder: Path, config: ValidityConfig, images: torch.Tensor, seed: int) -> TrialModule:
+def head_module(
+    folder: Path, config: HeadConfig, images: torch.Tensor, seed: int, outcomes: Path | None = None
+) -> TrialModule:
     """The training of a validity head.
 
     Args:
@@ -175,12 +178,23 @@ def head_module(folder: Path, config: ValidityConfig, images: torch.Tensor, seed
         config: of the head.
         images: as of :func:`occupancy_samples`; a head of arrays of space reads them where they lie.
         seed: of initialisation and of every draw.
+        outcomes: folder of a further data set, of whose pictures a step may be as well; a scene model is then
+            what the training starts from.
     """
     dataset = open_dataset(folder, verify=False)
     if config.grid is None:
         return ValidityModule(config, occupancy_samples(dataset, images), dataset.world, seed)
-    held = ArmSamples((dataset.world,), (grid_samples(dataset, config.grid),))
-    return GridHeadModule(config, held, seed)
+    file, grid = config.scene_model_file, config.grid
+    start = None if file is None else load_scene_model(file, dataset.world)
+    if start is not None:
+        grid = start.config
+        config = config.model_copy(update={"grid": grid, "hidden": start.hidden})
+    sets = [dataset, *([] if outcomes is None else [open_dataset(outcomes, verify=False)])]
+    held = ArmSamples(tuple(one.world for one in sets), tuple(grid_samples(one, grid) for one in sets))
+    module = GridHeadModule(config, held, seed)
+    if start is not None:
+        module.head.model.load_state_dict(start.state_dict())
+    return module
 
 
 def occupancy_samples(dataset: Dataset, images: torch.Tensor) -> OccupancySamples:

@@ -130,7 +130,7 @@ def picture_trial(
     settings: TrialSettings
     with seeded_initialisation(trial.seed):
         if trial.name == VALIDITY:
-            module = head_module(data_folder, train.validity, pictures, trial.seed)
+            module = head_module(data_folder, train.validity, pictures, trial.seed, train.data.outcomes)
             settings = train.validity
         else:
             module, settings = VaeModule(train.vae, pictures, trial.seed), train.vae

@@ -14,6 +14,7 @@ from cspace.world import World
 from cspace.worlds import simulator_of
 from services.evaluator.cluster import on_cluster, spread
 from services.evaluator.evaluation.gate import Comparison, Verdict, compare_paths, compare_samplers
+from services.evaluator.evaluation.held_out import outcome_evidence
 from services.evaluator.evaluation.report import (
     comparison_note,
     decide,
@@ -116,8 +117,13 @@ def evaluate_version(
             evaluation = assemble(results, setting)
             compared = tuple(_beside(rival, evaluation, execute, work, progress) for rival in rivals)
             verdict = decide(evaluation, replace(bar, comparisons=compared))
-            evidence = shadow_evidence(version, bar.against, tracking, summary_rng(request.seed))
-            verdict = with_evidence(verdict, evidence)
+            champion = next((one for one in rivals if one.version == bar.against is not None), None)
+            rng = summary_rng(request.seed)
+            verdict = with_evidence(
+                verdict,
+                shadow_evidence(version, bar.against, tracking, rng),
+                None if champion is None else outcome_evidence(bundle, champion, tracking, rng),
+            )
             figures = log_evaluation(run, evaluation, verdict, bundle_sampler(bundle), str(version))
         if request.promote:
             record(registry, version, evaluation, verdict)

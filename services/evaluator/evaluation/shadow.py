@@ -1,7 +1,7 @@
 """What servers found of a version beside the champion, on real requests: see ``inference_api.shadow``."""
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -40,11 +40,7 @@ class ShadowEvidence:
         )
         if self.gain is None:
             return f"{found}, {self.outcomes} with an outcome; {FEWEST_OUTCOMES} would count"
-        words = "better" if self.gain.low > 0.0 else "worse" if self.gain.high < 0.0 else "no different"
-        return (
-            f"{found}; predicts {self.outcomes} outcomes {words} beyond the interval: gain in log loss "
-            f"{self.gain:+.3f}"
-        )
+        return f"{found}; predicts {self.outcomes} outcomes {gain_in_words(self.gain)}"
 
 
 def shadow_evidence(
@@ -74,10 +70,26 @@ def shadow_evidence(
     return ShadowEvidence(champion, len(stated), agreement, len(free), gain)
 
 
-def with_evidence(verdict: Verdict, evidence: ShadowEvidence | None) -> Verdict:
+def gain_in_words(gain: Interval) -> str:
+    """Whether a gain in log loss is one, and its size."""
+    words = "better" if gain.low > 0.0 else "worse" if gain.high < 0.0 else "no different"
+    return f"{words} beyond the interval: gain in log loss {gain:+.3f}"
+
+
+class Evidence(Protocol):
+    """What outcomes say of a version beside the champion, in words.
+
+    ``gain`` is the log loss of the champion less that of the version; None where too little is known.
+    """
+
+    @property
+    def gain(self) -> Interval | None:
+        """See the class."""
+
+
+def with_evidence(verdict: Verdict, *evidence: Evidence | None) -> Verdict:
     """A verdict that also counts outcomes: what predicts them worse than the champion is not promoted."""
-    if evidence is None:
-        return verdict
-    is_worse = evidence.gain is not None and evidence.gain.high < 0.0
-    reasons = (*verdict.reasons, str(evidence))
+    known = [one for one in evidence if one is not None]
+    is_worse = any(one.gain is not None and one.gain.high < 0.0 for one in known)
+    reasons = (*verdict.reasons, *map(str, known))
     return replace(verdict, promoted=verdict.promoted and not is_worse, reasons=reasons)

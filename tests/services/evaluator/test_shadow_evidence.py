@@ -89,7 +89,7 @@ def test_only_comparisons_with_the_present_champion_count_and_each_once(tmp_path
     assert (found.plans, found.agreement) == (2, 0.5)
     assert evidence(tmp_path, rows, champion=9) is None
     assert evidence(tmp_path, rows, champion=None) is None
-    assert with_evidence(PASSED, None) is PASSED
+    assert with_evidence(PASSED, None) == PASSED
 
 
 def test_an_evaluation_weighs_what_servers_found(tmp_path, verified_here, monkeypatch):

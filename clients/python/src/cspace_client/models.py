@@ -479,6 +479,7 @@ class PlanQuery:
         upright: ``axis`` of the tool that the path keeps within ``max_rad`` of ``up`` in the base frame.
         unwrapped: whether circles go on beyond [-pi, pi) along the path, from the start as it is given.
         site: name of the place, whose own calibration of the confidence is to be used.
+        keep: whether the server may keep pictures and path, to train on what becomes of the plan.
     """
 
     start: Sequence[float]
@@ -496,6 +497,7 @@ class PlanQuery:
     upright: Mapping[str, Any] | None = None
     unwrapped: bool = False
     site: str | None = None
+    keep: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -616,6 +618,7 @@ class FoundPlan:
         round_trip_s: from the request to the checked answer, further attempts included.
         request_id: under which outcomes are told of it; None where the answer has none.
         calibration: that the confidence is by, as ``name/version``; None where it is the model's own.
+        kept: whether the server keeps pictures and path, of a query with ``keep``.
     """
 
     plan: Plan
@@ -625,3 +628,4 @@ class FoundPlan:
     round_trip_s: float
     request_id: str | None = None
     calibration: str | None = None
+    kept: bool = False

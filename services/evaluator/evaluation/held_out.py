@@ -1,0 +1,74 @@
+"""Plans whose end is known, on pictures that no training has seen, as evidence for the gate."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cspace.bundle import Bundle
+from services.evaluator.evaluation.rivals import Rival
+from services.evaluator.evaluation.shadow import FEWEST_OUTCOMES, gain_in_words
+from services.evaluator.statistics import Interval, mean_interval
+from services.outcomes import KnownPlan, known_plans
+from services.registry.ports import Tracking
+
+_LEAST = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOutEvidence:
+    """What a version and the champion say of configurations that plans have shown to be free or not.
+
+    Args:
+        champion: its version number.
+        plans: on pictures that are held out.
+        gain: mean over plans of the champion's log loss less that of the version; None for fewer than 20.
+    """
+
+    champion: int | None
+    plans: int
+    gain: Interval | None
+
+    def __str__(self) -> str:
+        if self.gain is None:
+            return f"{self.plans} held-out plans with an outcome; {FEWEST_OUTCOMES} would count"
+        return (
+            f"beside version {self.champion}, predicts {self.plans} held-out plans {gain_in_words(self.gain)}"
+        )
+
+
+def outcome_evidence(
+    bundle: Bundle, champion: Rival, tracking: Tracking, rng: np.random.Generator
+) -> HeldOutEvidence | None:
+    """From all plans that were kept; None without any on a picture that is held out, or without heads.
+
+    Args:
+        bundle: of the version.
+        champion: it is compared with.
+        tracking: where outcomes were uploaded.
+        rng: of the interval.
+
+    Raises:
+        RegistryError: the tracking server is away or refuses.
+    """
+    beside = champion.packed.load()
+    if not (bundle.has_validity and beside.has_validity):
+        return None
+    plans = [one for one in known_plans(tracking, bundle.robot) if one.held_out]
+    if not plans:
+        return None
+    if len(plans) < FEWEST_OUTCOMES:
+        return HeldOutEvidence(champion.version, len(plans), None)
+    losses = [_losses(one, plans) for one in (bundle, beside)]
+    return HeldOutEvidence(champion.version, len(plans), mean_interval(losses[1] - losses[0], rng))
+
+
+def _losses(bundle: Bundle, plans: list[KnownPlan]) -> NDArray[np.float64]:
+    """Mean log loss of each plan's configurations, (n,)."""
+    losses = []
+    for plan in plans:
+        free, collision = plan.labelled(bundle.spec.world.space)
+        picture = bundle.prepare(bundle.spec.world.read_picture(plan.image))
+        sure = np.clip(bundle.score(picture, np.concatenate([free, collision])), _LEAST, 1.0 - _LEAST)
+        losses.append(np.mean(-np.log(np.concatenate([sure[: len(free)], 1.0 - sure[len(free) :]]))))
+    return np.array(losses, dtype=np.float64)
