@@ -19,6 +19,7 @@ def fuzzed(first: int, seconds: float, count: int) -> dict[str, int]:
     return found
 
 
+@pytest.mark.slow
 def test_a_few_hundred_changed_bundles_load_or_are_refused() -> None:
     found = fuzzed(0, 60.0, 300)
     assert sum(found.values()) == 300

@@ -83,6 +83,7 @@ def test_plans_are_judged_again(source, tmp_path, capsys):
     assert "exists" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_what_no_plan_can_be_judged_by_is_refused(source, headless, tmp_path, capsys):
     assert plan_confidence.main([str(source), str(tmp_path / "few"), "--problems", "5"]) == 2
     assert "6 or more" in capsys.readouterr().err
@@ -107,6 +108,7 @@ def test_proposals_are_mixed_again(source, tmp_path, capsys):
     assert "exists" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_bundles_that_mix_no_proposals_are_refused(headless, tmp_path, capsys):
     assert proposals.main([str(headless), str(tmp_path / "none")]) == 1
     assert "no validity head" in capsys.readouterr().err

@@ -65,6 +65,7 @@ def test_no_costs_are_told_where_there_is_no_path_or_none_is_shortened(blocked, 
     assert bool(solve(blocked, PlannerSettings(planner)).costs) == (planner in OPTIMISING_PLANNERS)
 
 
+@pytest.mark.slow
 def test_rrt_star_minimises_the_torus_length_and_not_the_sum_over_the_joints(make_problem):
     # Where nothing is in the way, every monotone way has the least sum, and only the straight one is short.
     problem = make_problem(start=(-1.0, -1.0), goal=(1.0, 1.0))

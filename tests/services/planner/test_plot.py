@@ -48,6 +48,7 @@ def test_a_solved_problem_shows_all_its_parts(blocked, samples, tmp_path):
         assert len(picture.convert("RGB").getcolors(10**6) or []) > 50
 
 
+@pytest.mark.slow
 def test_an_arm_in_space_is_drawn_from_the_side_with_the_way_of_its_tool():
     problem = simulator_of(WORLD).problem("table", Split.DEMO, 7)
     axes = Figure().subplots()

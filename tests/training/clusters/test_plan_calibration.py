@@ -45,6 +45,7 @@ def test_a_path_without_cost_is_certain_and_a_higher_cost_never_is_more_confiden
     np.testing.assert_allclose(confidence_of_cost(costs, (0.0, 1.0)), np.exp(-costs), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_plans_of_validation_problems_are_checked_against_the_ground_truth(tmp_path):
     bundle = Bundle.load(write_tiny_bundle(tmp_path / "bundle", validity=True))
     world = examples()["two-link"]

@@ -34,6 +34,7 @@ def pictures(count=1):
     return torch.rand(count, 3, 48, 48) * 2.0 - 1.0
 
 
+@pytest.mark.slow
 def test_the_encoders_graph_answers_as_the_network_for_any_number_of_pictures():
     encoder = Encoder(48, 6, 4, 4)
 
@@ -45,6 +46,7 @@ def test_the_encoders_graph_answers_as_the_network_for_any_number_of_pictures():
     check(encoder_graph(encoder, 48), mu_and_sigma, *feeds, atol=5e-7)
 
 
+@pytest.mark.slow
 def test_the_torus_generators_graph_answers_as_the_network():
     generator = TorusGenerator(Sizes(circles(3), 6, 16, 2), 2)
     feeds = [
@@ -54,12 +56,14 @@ def test_the_torus_generators_graph_answers_as_the_network():
     check(generator_graph(generator, 6), generator, *feeds)
 
 
+@pytest.mark.slow
 def test_the_means_generators_graph_answers_as_the_network():
     generator = MeansGenerator(Sizes(circles(2), 6, 16, 2), 4, 0.1, (torch.zeros(2), torch.ones(2)))
     feeds = {"latent": torch.randn(9, 6), "noise": torch.randn(9, 4, 2)}
     check(generator_graph(generator, 6), generator, feeds)
 
 
+@pytest.mark.slow
 def test_the_validity_heads_graph_answers_as_the_network():
     head = make_head(ValidityConfig(free_share=0.69, hidden=8), PlanarWorld(TWO_LINK, Camera()))
 
@@ -70,6 +74,7 @@ def test_the_validity_heads_graph_answers_as_the_network():
     check(validity_graph(head, 48, 2), confidence, *feeds)
 
 
+@pytest.mark.slow
 def test_the_novelty_graph_answers_as_the_network():
     scores = NoveltyScores(Decoder(48, 6, 4), 48).eval()
     feeds = {"image": pictures(), "mu": torch.randn(1, 6)}

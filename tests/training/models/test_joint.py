@@ -1,3 +1,4 @@
+import pytest
 import torch
 
 from tests.training.models.builders import run, tiny_joint_module, weights
@@ -43,6 +44,7 @@ def test_one_step_moves_generator_encoder_decoder_and_critic():
     assert {"kl", "reconstruction_loss", "generator_loss", "wasserstein_estimate"} <= set(module.metrics())
 
 
+@pytest.mark.slow
 def test_training_reconstructs_the_pictures():
     rates = {"generator_learning_rate": 5e-3, "critic_learning_rate": 5e-3, "critic_steps": 1}
     module = run(tiny_joint_module(steps=120, **rates), 1)

@@ -96,6 +96,7 @@ def test_a_sample_costs_the_network_of_its_own_cluster_alone():
 
 
 @pytest.mark.parametrize("lookups", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_the_mixtures_graph_answers_as_the_network(lookups):
     look = ArmLookups(PlanarWorld(TWO_LINK, Camera()), 3, 0.1) if lookups else None
     with seeded_initialisation(1):
@@ -112,6 +113,7 @@ def test_the_mixtures_graph_answers_as_the_network(lookups):
         np.testing.assert_allclose(found, expected.numpy(), atol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_graph_with_lookups_answers_as_the_network():
     look = ArmLookups(PlanarWorld(TWO_LINK, Camera()), 3, 0.0)
     (generator, *_), _ = experts(looked_up=look.values)

@@ -57,6 +57,7 @@ def places_along(module, given, count=ROWS):
     return np.linalg.norm(space.difference(wanted, found), axis=1)
 
 
+@pytest.mark.slow
 def test_a_flow_that_is_asked_for_a_place_learns_the_only_path_there_is():
     given = arrays(count=1, scenarios=1)
     module, _ = trained("flow", given=given)
@@ -73,6 +74,7 @@ def test_the_critics_steps_change_the_generator_and_tell_their_losses():
     assert any(not torch.equal(before[name], after[name]) for name in before)
 
 
+@pytest.mark.slow
 def test_a_guide_pulls_the_generator_its_way():
     class Guide(torch.nn.Module):
         def forward(self, points, condition, seen):

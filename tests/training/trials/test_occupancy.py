@@ -81,6 +81,7 @@ def test_a_head_learns_from_outcomes_as_often_as_they_have_pictures(tmp_path):
     assert len(head_module(data, config, torch.empty(0), 0).samples.samples) == 1
 
 
+@pytest.mark.slow
 def test_a_scene_model_is_trained_further_and_exported_as_it_became(tmp_path):
     data = spatial(tmp_path / "data", 100, 1)
     config = HeadConfig(free_share=0.5, grid=GridConfig(), scene_model="shipped", steps=1)

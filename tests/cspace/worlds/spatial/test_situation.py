@@ -72,6 +72,7 @@ def test_a_mesh_is_as_far_away_as_trimesh_says_and_a_closed_one_is_solid():
     ],
     ids=lambda shape: next(iter(shape)),
 )
+@pytest.mark.slow
 def test_an_attached_body_is_covered_by_few_spheres_that_stick_out_little(shape):
     known = scene_of(
         attached=[{"name": "held", **shape}], meshes={"m": stl_of(trimesh.creation.torus(0.1, 0.03))}

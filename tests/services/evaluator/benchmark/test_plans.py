@@ -86,6 +86,7 @@ def test_options_of_another_protocol_are_refused(tmp_path, capsys):
     assert "--pictures" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_request_holds_what_a_set_has_at_most(tmp_path):
     bundle = write_space_bundle(tmp_path / "bundle")
     given = ("--bundle", f"m={bundle}", "--family", "motionbench_cage", "--family", "shelf")

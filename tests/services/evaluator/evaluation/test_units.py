@@ -208,6 +208,7 @@ def test_the_terminal_table_is_aligned(evaluation):
     ]
 
 
+@pytest.mark.slow
 def test_three_joints_are_evaluated_with_planning_and_with_both_scores():
     budget = replace(TINY, scenarios=2, disconnected_scenarios=0)
     sampler = UniformSampler(THREE_LINK.space)

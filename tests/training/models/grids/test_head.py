@@ -240,6 +240,7 @@ def test_configurations_are_drawn_from_their_own_scenario(picture, rows):
         assert (drawn[:, None] == own).all(axis=2).any(axis=1).all()
 
 
+@pytest.mark.slow
 def test_training_lowers_the_loss(picture, rows):
     config = SMALL.model_copy(update={"steps": 30, "learning_rate": 0.02})
     with seeded_initialisation(1):
