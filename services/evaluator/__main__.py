@@ -30,6 +30,8 @@ from services.registry.ports import ModelReference
 from services.results import report_result
 
 BENCHMARK, COMPARE, RECALIBRATE, CARD = "planning", "compare", "recalibrate", "card"
+# Calibration error of a site's plans above which training on them is proposed.
+MISCALIBRATED = 0.05
 SHIPPED_FOLDER = Path(__file__).parents[2] / "inference_api" / "pretrained"
 
 
@@ -98,6 +100,13 @@ def _recalibrate(arguments: Sequence[str], environment: Mapping[str, str]) -> in
             else "not put into use, for it predicts no better"
         )
     )
+    if fit.error_before > MISCALIBRATED:
+        print(
+            f"the model misjudges this site; to train on its plans, if their pictures were kept:\n"
+            f"  python -m training.data import-outcomes $PWD/outcomes --site {options.site} --arm ROBOT\n"
+            "  ray job submit --working-dir . -- python training/cluster_train.py --preset panda_outcomes "
+            "--set data.robot=ROBOT --set data.outcomes=$PWD/outcomes"
+        )
     return 0
 
 

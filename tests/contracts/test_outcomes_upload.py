@@ -117,6 +117,7 @@ def test_what_became_of_plans_at_a_site_changes_the_confidence_that_is_stated_th
         assert "at least 20" in printed.err
         assert "calibration-cell.4/1 of pretrained/0, 24 plans, 66.7% collide" in printed.out
         assert "in use for requests with this site" in printed.out
+        assert "import-outcomes $PWD/outcomes --site cell.4" in printed.out
         after = client.plan(picture, replace(query, site="cell.4"), "pretrained")
     assert (before.calibration, after.calibration) == (None, "calibration-cell.4/1")
     assert after.plan.confidence < 0.6 < before.plan.confidence
