@@ -261,11 +261,8 @@ def known_plans(tracking: Tracking, robot: str, site: str | None = None) -> Iter
         for row in rows:
             if row["kind"] != "plan" or site not in (None, row.get("site")):
                 continue
-            key, collided, at = (
-                (row.get("client"), row["request_id"]),
-                row.get("collided"),
-                row.get("collided_at"),
-            )
+            key = row.get("client"), row["request_id"]
+            collided, at = row.get("collided"), row.get("collided_at")
             # Who reports a success without more has seen no collision.
             if collided is False or (collided is None and row["success"]):
                 ends[key] = None
