@@ -45,12 +45,13 @@ def shoulder(limits: str) -> str:
         (TWO_LINKS.replace('<axis xyz="2 0 0"/>', "<axis/>"), "xyz of <axis> in line 21.*3 finite numbers"),
         (with_more("".join(MIMICS) + "</robot>"), "mimics no joint.*a long row"),
         # An axis that is too long for floats is one.
-        (TWO_LINKS.replace('"2 0 0"', '"0 1e308 1e308"').replace('"0.12"', '"-1"'), "base.*a sphere with"),
+        (TWO_LINKS.replace('"2 0 0"', '"0 1e9 1e9"').replace('"0.12"', '"-1"'), "base.*a sphere with"),
         (TWO_LINKS.replace('"0.05" length="0.3"', '"1e-9" length="1e6"'), "upper.*a cylinder with sizes"),
         (TWO_LINKS.replace('"0.04 0.06 0.1"', '"0.1 0.1 1e-300"'), "link lower.*a box with sizes"),
         (with_more("".join(f'<link name="l{n}"/>' for n in range(1000)) + "</robot>"), "too many links"),
         (with_more("".join(f'<joint name="j{n}"/>' for n in range(1000)) + "</robot>"), "too many joints"),
         # Numbers of Python that are none of XML.
+        (TWO_LINKS.replace('"2 0 0"', '"2 0 1e308"'), "xyz of <axis> in line 21.*finite numbers, up to 1e9"),
         (TWO_LINKS.replace('"0.12"', '"0.1_2"'), "radius of <sphere> in line 4.*1 finite numbers"),
         (shoulder('lower="-\u0662" upper="2"'), "lower of <limit> in line 17.*a number; got '-\u0662'"),
         (TWO_LINKS.replace('<sphere radius="0.12"/>', "<mesh/>"), "a mesh is not found"),
