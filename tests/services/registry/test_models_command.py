@@ -34,6 +34,7 @@ def models(uri: str, *arguments: str, code: int = 0) -> str:
     return done.stdout + done.stderr
 
 
+@pytest.mark.timeout(400)
 def test_a_model_lives_through_all_commands(uri: str, tmp_path: Path) -> None:
     for number in (1, 2):
         bundle = write_tiny_bundle(tmp_path / f"bundle-{number}", scale=number / 4)
