@@ -35,6 +35,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_tiny_bundle(tmp_path_factory.mktemp("source") / "bundle", validity=True)
 
 
+@pytest.mark.slow
 def test_a_path_bundle_keeps_what_it_sees_with_and_tells_where_it_comes_from(
     source: Path, tmp_path: Path
 ) -> None:

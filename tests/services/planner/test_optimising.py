@@ -29,6 +29,7 @@ def going_on(request, other_narrow):
     return request.param, solve(other_narrow, PlannerSettings(request.param, seed=2, **PATIENT))
 
 
+@pytest.mark.slow
 def test_every_shorter_path_is_told_from_the_first_to_the_last_which_is_nearly_the_shortest(going_on):
     _, result = going_on
     assert result.solved

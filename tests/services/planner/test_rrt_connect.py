@@ -1,6 +1,7 @@
 """The project's own RRT-Connect: the same search as OMPL's, with samples that are given."""
 
 import numpy as np
+import pytest
 from scipy.stats import mannwhitneyu
 
 from cspace.planning.rrt_connect import BLOCK, Trees, sampled_states
@@ -61,6 +62,7 @@ def test_samples_along_the_path_are_all_that_is_needed(blocked):
     assert all(one.solved and one.uniform_drawn == 0 for one in found)
 
 
+@pytest.mark.slow
 def test_a_long_search_outgrows_its_first_arrays(disconnected):
     result = solve(disconnected, settings(max_iterations=40_000, time_limit_s=120.0), keep_tree=True)
     assert result.reason == Reason.ITERATION_LIMIT

@@ -175,6 +175,7 @@ def test_xacro_files_are_expanded_with_arguments_and_packages(tmp_path: Path) ->
         ('<link name="${{9**9**9}}"/>', "no end within"),
     ],
 )
+@pytest.mark.slow
 def test_xacro_reads_nothing_outside_its_packages_and_ends(tmp_path: Path, text: str, message: str) -> None:
     outside, folder = tmp_path / "outside", tmp_path / "arm"
     outside.mkdir()
