@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from cspace.errors import EvaluationError, InputError, RegistryError
 from cspace.planning.calibration import fit_calibration
 from cspace.planning.cost import calibration_error, confidence_of_cost
+from services.evaluator.statistics import log_losses
 from services.names import (
     ALIAS_CHAMPION,
     CALIBRATIONS_EXPERIMENT,
@@ -199,8 +200,8 @@ def fitted(cost: NDArray[np.float64], free: NDArray[np.bool_]) -> Fit:
         float(1.0 - free.mean()),
         calibration_error(predicted, free),
         calibration_error(own, free),
-        _loss(predicted, free),
-        _loss(own, free),
+        float(log_losses(predicted, free, _LEAST).mean()),
+        float(log_losses(own, free, _LEAST).mean()),
     )
 
 
@@ -236,8 +237,3 @@ def _version(registry: ModelRegistry, text: str) -> ModelVersion:
     if not number.isdecimal():
         raise RegistryError("an outcome names no calibration", expected="name/version", got=repr(text)[:200])
     return registry.version(name, int(number))
-
-
-def _loss(confidence: NDArray[np.float64], free: NDArray[np.bool_]) -> float:
-    sure = np.clip(confidence, _LEAST, 1.0 - _LEAST)
-    return float(-np.where(free, np.log(sure), np.log1p(-sure)).mean())

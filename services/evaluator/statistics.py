@@ -70,6 +70,14 @@ def bootstrap_interval(
     return Interval(float(statistic(rows)), float(low), float(high), rows.shape[0])
 
 
+def log_losses(
+    confidence: NDArray[np.floating], free: NDArray[np.bool_], least: float
+) -> NDArray[np.float64]:
+    """-log of what each confidence gave to what happened; none counts as surer than ``least`` leaves it."""
+    sure = np.clip(confidence, least, 1.0 - least)
+    return np.asarray(-np.where(free, np.log(sure), np.log1p(-sure)), dtype=np.float64)
+
+
 def mean_interval(values: ArrayLike, rng: np.random.Generator) -> Interval:
     """Mean of (n,) values."""
     return bootstrap_interval(values, lambda rows: rows[..., 0].mean(axis=-1), rng)

@@ -132,13 +132,12 @@ def head_graphs(config: HeadConfig, world: World, checkpoint: Path) -> dict[str,
     if config.grid is None:
         flat = trained(lambda: make_head(config, world), checkpoint, "head")
         return {"validity": validity_graph(flat, world.sensor.pixels, world.dim)}
-    if config.scene_model is None:
+    file = config.scene_model_file
+    if file is None:
         head = trained(lambda: GridHead.of(config, world), checkpoint, "head")
     else:
-        file = config.scene_model_file if checkpoint.is_dir() else checkpoint
-        assert file is not None  # noqa: S101 - for the type checker
         model = load_scene_model(file, world)
-        if checkpoint.is_dir():
+        if checkpoint != file:
             model.load_state_dict(load_weights(checkpoint, "head.model"))
         head = GridHead(model, world.grid_arm(model.config.groups), counts_of(world)).eval()
     return {

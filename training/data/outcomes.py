@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.dataset import Dataset, write_dataset
-from cspace.errors import DatasetError, ImageError
+from cspace.errors import DatasetError
 from cspace.world import World
 from cspace.worlds import robot_digest
 from services.outcomes import known_plans
 from services.registry.ports import Tracking
+from training.data.own import read_picture
 
 Labelled = tuple[NDArray[np.float32], NDArray[np.float32]]
 
@@ -55,7 +56,9 @@ def import_outcomes(folder: Path, *, world: World, tracking: Tracking, site: str
         folder,
         # Where the pictures come from, nobody says.
         world=replace(cast("Any", world), scenes=None),
-        images=np.stack([_read(world, name, image) for name, image in images.items()]),
+        images=np.stack(
+            [read_picture(image, f"the kept picture {name[:12]}", world) for name, image in images.items()]
+        ),
         free=free,
         collision=collision,
         generator={"outcomes": batches, "site": site, "split": "train"},
@@ -64,15 +67,3 @@ def import_outcomes(folder: Path, *, world: World, tracking: Tracking, site: str
 
 def _sides(found: dict[str, list[Labelled]]) -> tuple[list[list[NDArray[np.float32]]], ...]:
     return tuple([[one[side] for one in plans] for plans in found.values()] for side in (0, 1))
-
-
-def _read(world: World, name: str, image: bytes) -> NDArray[np.uint8]:
-    try:
-        return world.read_picture(image)
-    except ImageError as error:
-        raise DatasetError(
-            f"the kept picture {name[:12]}: {error.what}",
-            expected=error.expected,
-            got=error.got,
-            remedy=error.remedy,
-        ) from error

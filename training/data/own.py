@@ -40,12 +40,25 @@ def read_own_picture(path: Path, world: World) -> NDArray[np.uint8]:
     Raises:
         DatasetError: a file is missing, too large, or not what the world takes; it is named.
     """
+    # A view may be none as well.
     try:
-        return world.read_picture(_view(path) if path.suffix == ".json" else _bytes(path))
+        data = _view(path) if path.suffix == ".json" else _bytes(path)
     except ImageError as error:
-        raise DatasetError(
-            f"{path}: {error.what}", expected=error.expected, got=error.got, remedy=error.remedy
-        ) from error
+        raise _named(str(path), error) from error
+    return read_picture(data, str(path), world)
+
+
+def read_picture(data: bytes, where: str, world: World) -> NDArray[np.uint8]:
+    """The picture in a file's bytes as its world reads it; raises DatasetError with the file's name."""
+    try:
+        return world.read_picture(data)
+    except ImageError as error:
+        raise _named(where, error) from error
+
+
+def _named(where: str, error: ImageError) -> DatasetError:
+    what = f"{where}: {error.what}"
+    return DatasetError(what, expected=error.expected, got=error.got, remedy=error.remedy)
 
 
 def _view(path: Path) -> bytes:

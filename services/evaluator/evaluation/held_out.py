@@ -7,12 +7,10 @@ from numpy.typing import NDArray
 
 from cspace.bundle import Bundle
 from services.evaluator.evaluation.rivals import Rival
-from services.evaluator.evaluation.shadow import FEWEST_OUTCOMES, gain_in_words
-from services.evaluator.statistics import Interval, mean_interval
+from services.evaluator.evaluation.shadow import FEWEST_OUTCOMES, LEAST, gain_in_words
+from services.evaluator.statistics import Interval, log_losses, mean_interval
 from services.outcomes import KnownPlan, known_plans
 from services.registry.ports import Tracking
-
-_LEAST = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +67,6 @@ def _losses(bundle: Bundle, plans: list[KnownPlan]) -> NDArray[np.float64]:
     for plan in plans:
         free, collision = plan.labelled(bundle.spec.world.space)
         picture = bundle.prepare(bundle.spec.world.read_picture(plan.image))
-        sure = np.clip(bundle.score(picture, np.concatenate([free, collision])), _LEAST, 1.0 - _LEAST)
-        losses.append(np.mean(-np.log(np.concatenate([sure[: len(free)], 1.0 - sure[len(free) :]]))))
+        confidence = bundle.score(picture, np.concatenate([free, collision]))
+        losses.append(log_losses(confidence, np.arange(len(confidence)) < len(free), LEAST).mean())
     return np.array(losses, dtype=np.float64)

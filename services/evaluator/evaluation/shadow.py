@@ -7,13 +7,14 @@ import numpy as np
 
 from cspace.bundle.spec import PLAN_CONFIDENCE
 from services.evaluator.evaluation.gate import Verdict
-from services.evaluator.statistics import Interval, mean_interval
+from services.evaluator.statistics import Interval, log_losses, mean_interval
 from services.names import SHADOW
 from services.outcomes import uploaded
 from services.registry.ports import ModelVersion, Tracking
 
 FEWEST_OUTCOMES = 20
-_LEAST = 1e-3
+LEAST = 1e-3
+"""Probability that predictions are taken to give to anything."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +64,7 @@ def shadow_evidence(
     released = stated >= PLAN_CONFIDENCE
     known = np.array([key in collided for key in compared])
     free = ~np.array([collided[key] for key in compared if key in collided], dtype=np.bool_)
-    sure = np.clip(stated[known], _LEAST, 1.0 - _LEAST)
-    losses = np.where(free[:, None], -np.log(sure), -np.log1p(-sure))
+    losses = log_losses(stated[known], free[:, None], LEAST)
     gain = mean_interval(losses[:, 1] - losses[:, 0], rng) if len(free) >= FEWEST_OUTCOMES else None
     agreement = float(np.mean(released[:, 0] == released[:, 1]))
     return ShadowEvidence(champion, len(stated), agreement, len(free), gain)
