@@ -176,12 +176,14 @@ class Examined:
         findings: that answers carry.
         without_state: whether it is not known where the robot stands in them.
         known: beside the pictures; None where they are all.
+        pictures: that an image is from.
     """
 
     images: Image
     findings: tuple[Finding, ...] = ()
     without_state: bool = False
     known: Known | None = None
+    pictures: int = 1
 
 
 @dataclass(frozen=True, slots=True)

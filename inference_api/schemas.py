@@ -921,9 +921,8 @@ class PlanAnswer(SceneAnswer):
     path: list[list[float]] = Field(description="From start to goal, straight in between, rad; or empty.")
     confidence: float = Field(
         description="Of the whole path, an estimate: exp(-exp(a + b log D)) with D the integral of "
-        "-log P(free) along it in rad and its largest value, and (a, b) the bundle's `plan_calibration`; "
-        "exp(-D) "
-        "without one. Of the best path where it is refused; 0 without one."
+        "-log P(free) along it in rad and its largest value, and (a, b) the bundle's `plan_calibration` for "
+        "this number of pictures; exp(-D) without one. Of the best path where it is refused; 0 without one."
     )
     calibration: Annotated[str | None, LEFT_OUT] = Field(
         None,

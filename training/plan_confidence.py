@@ -1,9 +1,9 @@
 """``python -m training.plan_confidence BUNDLE FOLDER``: recalibrate the plans of a bundle.
 
-The share of free plans at a given cost depends on the search, which changes now and then. This command
-plans in validation scenes with the current search, as training does with ``validity.plan_problems``, and
-writes the bundle with the new calibration. Networks and golden case stay as they are; the
-provenance names the source bundle.
+The share of free plans at a given cost depends on the search, which changes now and then, and on the number
+of pictures, each of which has its own calibration. This command plans in validation scenes with the current
+search, as training does with ``validity.plan_problems``, and writes the bundle with the new calibration.
+Networks and golden case stay as they are; the provenance names the source bundle.
 
 Exit codes: 0 done, 1 the bundle or the disk is bad, 2 the command is wrong.
 """
@@ -25,7 +25,7 @@ from training.clusters.calibration import (
     write_fitted,
 )
 
-# Fewer say nothing of what a third of them measures.
+# Fewer say nothing: each third of the plans is predicted from the others.
 _LEAST = 6
 
 
@@ -35,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         source = load_verified(options.bundle)
         found = _fitted(source, options.problems)
-        note = {"plan_problems": found.fitted + found.measured}
+        note = {"plan_problems": options.problems}
         folder = write_fitted(source, options.folder, found.stated_in(source.spec), "plans", note)
     except CspaceError as error:
         return report_error(error, InputError)
@@ -55,7 +55,7 @@ def parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("bundle", type=Path, help="a bundle with a validity head")
     parser.add_argument("folder", type=Path, help="where the new one goes; must not exist")
-    parser.add_argument("--problems", type=int, default=210, help="to plan in (default: %(default)s)")
+    parser.add_argument("--problems", type=int, default=990, help="to plan in (default: %(default)s)")
     return parser
 
 

@@ -67,7 +67,7 @@ def evaluate(
 
 def planned(bundle: Bundle, world: SpatialWorld, scene: SpatialScene, query: PlanQuery) -> Plan:
     """By what the scene's cameras see."""
-    return bundle.plan(bundle.prepare(world.observed(scene.view())), query)
+    return bundle.plan(bundle.prepare(world.examined(scene.view())), query)
 
 
 def seen_too(scene: SpatialScene, camera: DepthCamera) -> SpatialScene:

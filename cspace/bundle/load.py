@@ -38,7 +38,7 @@ from cspace.errors import BundleError, BundleIntegrityError, InputError, Storage
 from cspace.files import replacing
 from cspace.plan import path_confidence, plan
 from cspace.query import Plan, PlanQuery, QueryOptions, SampleQuery
-from cspace.world import CheckCancelled, World
+from cspace.world import CheckCancelled, Examined, World
 from cspace.worlds import robot_digest
 
 QUANTILES = 101
@@ -166,19 +166,26 @@ class Bundle:
         """
         return self.prepare(image).encoding
 
-    def prepare(self, image: NDArray[np.uint8]) -> Picture:
+    def prepare(self, picture: NDArray[np.uint8] | Examined) -> Picture:
         """A picture, uint8 (P, P, 3), for any number of calls of :meth:`sample` and :meth:`score`.
+
+        Args:
+            picture: of one camera; or the first that was read, with what is known beside it.
 
         Raises:
             InputError: the picture has another size or type.
             BundleError: the graph fails.
         """
+        read = picture if isinstance(picture, Examined) else Examined(picture[None])
+        image = read.images[0]
         pixels = self._network_image(image)
         size = (1, self.spec.latent_dim)
         found = self._graphs.encoder.run({"image": pixels}, {"mu": size, "sigma": size})
         encoding = Encoding(found["mu"][0], found["sigma"][0])
         novelty = self._novelty_of(image, pixels, found["mu"])
-        return Picture(self.digest, image, self.spec.world.sensor, encoding, novelty, self._map_of(pixels))
+        made = self._map_of(pixels)
+        sensor = self.spec.world.sensor
+        return Picture(self.digest, image, sensor, encoding, novelty, made, read.known, read.pictures)
 
     def _map_of(self, pixels: NDArray[np.float32]) -> NDArray[np.float32] | None:
         graph = self._graphs.map
@@ -277,7 +284,7 @@ class Bundle:
             image: uint8 (P, P, 3), or one that :meth:`prepare` made.
             query: the problem.
             check_cancelled: called now and then; may raise to stop, which passes through.
-            calibration: (a, b) in place of the bundle's ``plan_calibration``.
+            calibration: (a, b) in place of the bundle's for so many pictures.
 
         Raises:
             InputError: the bundle has no validity head, start, goal or a constraint does not fit the robot,
@@ -288,8 +295,10 @@ class Bundle:
         head, picture = self._head(), self._prepared(image)
         ends = fitted_problem(self.spec, query)
         wanted = fitted_plan(self.spec, query)
-        spec = self.spec if calibration is None else replace(self.spec, plan_calibration=calibration)
-        return plan(head.seen(spec, picture, check_cancelled), ends, wanted, check_cancelled)
+        seen = head.seen(self.spec, picture, check_cancelled)
+        if calibration is not None:
+            seen = replace(seen, plan_calibration=calibration)
+        return plan(seen, ends, wanted, check_cancelled)
 
     def path_confidence(
         self,

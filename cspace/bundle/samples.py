@@ -41,6 +41,7 @@ class Picture:
         novelty: how unlike the training scenarios it is, 0 to 1; None for a bundle that does not tell.
         map: float32, what the bundle's map graph makes of it; None for a bundle without.
         known: of the scene beside the picture; what touches it has no confidence.
+        pictures: of cameras that it is from.
     """
 
     digest: str
@@ -50,6 +51,7 @@ class Picture:
     novelty: float | None = None
     map: NDArray[np.float32] | None = None
     known: Known | None = None
+    pictures: int = 1
 
     @cached_property
     def pixels(self) -> NDArray[np.float32]:

@@ -116,7 +116,7 @@ class Head:
             spec.world,
             picture.image,
             lambda rows: self.predict(picture, rows, check_cancelled),
-            spec.plan_calibration or (0.0, 1.0),
+            spec.calibration_for(picture.pictures),
             picture.known,
         )
 

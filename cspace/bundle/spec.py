@@ -13,6 +13,7 @@ from cspace.bundle.files import LIMITS_BYTES, SPEC_FILE
 from cspace.errors import BundleIntegrityError
 from cspace.space import Standardisation
 from cspace.strict_json import Share, adapter_of, json_text, parse_json, read_object, validated
+from cspace.view_file import MAX_PICTURES
 from cspace.worlds import WorldField
 
 SCHEMA_VERSION = 5
@@ -30,6 +31,7 @@ _Calibration = tuple[
     Annotated[float, Field(ge=-_MAX_CALIBRATION, le=_MAX_CALIBRATION)],
     Annotated[float, Field(gt=0.0, le=_MAX_CALIBRATION)],
 ]
+_Calibrations = Annotated[tuple[_Calibration, ...], Field(min_length=1, max_length=MAX_PICTURES)]
 _Quantiles = Annotated[
     tuple[Annotated[tuple[float, ...], Field(min_length=2, max_length=1001)], ...],
     Field(min_length=1, max_length=16),
@@ -115,8 +117,8 @@ class BundleSpec:
             1; None where nobody measured it.
         novelty_quantiles: for each score of the novelty graph its rising quantiles over known pictures; None
             without one.
-        plan_calibration: (a, b), by which a path of cost D is free with exp(-exp(a + b log D)), b above 0;
-            see :mod:`cspace.planning`. None for (0, 1).
+        plan_calibration: (a, b) for one picture, for two and so on, the last for more: a path of cost D is
+            free with exp(-exp(a + b log D)), b above 0; see :mod:`cspace.planning`. None for (0, 1).
         provenance: how the bundle was made.
 
     Raises:
@@ -136,7 +138,7 @@ class BundleSpec:
     uniform_share: Share = 0.0
     passing_share: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
     novelty_quantiles: _Quantiles | None = None
-    plan_calibration: _Calibration | None = None
+    plan_calibration: _Calibrations | None = None
     provenance: Provenance = field(default_factory=Provenance)
 
     def __post_init__(self) -> None:
@@ -178,6 +180,11 @@ class BundleSpec:
     def endpoints(self) -> tuple[str, ...]:
         """Configurations that the generator is conditioned on."""
         return ENDPOINTS if self.kind == "path" else ()
+
+    def calibration_for(self, pictures: int) -> tuple[float, float]:
+        """(a, b) of plans by so many pictures."""
+        each = self.plan_calibration or ((0.0, 1.0),)
+        return each[min(pictures, len(each)) - 1]
 
     @property
     def plan_confidence(self) -> float:

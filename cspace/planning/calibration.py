@@ -10,14 +10,18 @@ _LEAST = 1e-6
 
 
 def fit_calibration(
-    cost: NDArray[np.float64], free: NDArray[np.bool_], prior: float = 4.0
+    cost: NDArray[np.float64],
+    free: NDArray[np.bool_],
+    prior: float = 4.0,
+    usual: tuple[float, float] = (0.0, 1.0),
 ) -> tuple[float, float]:
     """(a, b) by which paths of a cost D are free with exp(-exp(a + b log D)), by maximum likelihood.
 
     Args:
         cost: (n,) of each path, not negative.
         free: (n,) whether each was collision-free.
-        prior: precision, halved, of a normal prior of a at 0 and of b at 1, which leave the cost as it is.
+        prior: precision, halved, of a normal prior of a and b at ``usual``.
+        usual: without plans; (0, 1) leaves the cost as it is.
 
     Returns:
         (a, b), b above 0.
@@ -27,8 +31,8 @@ def fit_calibration(
     def loss(parameters: NDArray[np.float64]) -> float:
         confidence = confidence_of_cost(cost, (parameters[0], parameters[1]))
         confidence = np.clip(confidence, _LEAST, 1.0 - _LEAST)
-        pull = prior * (parameters[0] ** 2 + (parameters[1] - 1.0) ** 2)
+        pull = prior * ((parameters[0] - usual[0]) ** 2 + (parameters[1] - usual[1]) ** 2)
         return float(pull - np.where(free, np.log(confidence), np.log1p(-confidence)).sum())
 
-    found = minimize(loss, np.array([0.0, 1.0]), method="L-BFGS-B", bounds=[(-10.0, 10.0), (0.05, 10.0)])
+    found = minimize(loss, np.array(usual), method="L-BFGS-B", bounds=[(-10.0, 10.0), (0.05, 10.0)])
     return float(found.x[0]), float(found.x[1])

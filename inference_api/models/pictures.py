@@ -107,8 +107,7 @@ class PictureCache:
         began = time.perf_counter()
         read = decode()
         decoded = time.perf_counter()
-        picture = replace(bundle.prepare(read.images[0]), known=read.known)
-        prepared = Prepared(picture, 0.0, 0.0, read.findings, read.without_state)
+        prepared = Prepared(bundle.prepare(read), 0.0, 0.0, read.findings, read.without_state)
         encoded = time.perf_counter()
         # Without the pixels for the graphs, and without the request's body, of which the image may be a view.
         kept = replace(prepared, picture=replace(prepared.picture, image=read.images[0].copy()))

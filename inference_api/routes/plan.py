@@ -89,12 +89,13 @@ def _answer(
             # The calibration of other scenes does not hold here, so that paths are refused by default.
             query = replace(query, min_confidence=1.0)
         local = None if request.site is None else store.calibration(request.site, served)
-        calibration = None if local is None else local[0].after(spec.plan_calibration)
+        usual = spec.calibration_for(prepared.picture.pictures)
+        calibration = None if local is None else local[0].after(usual)
         found = bundle.plan(prepared.picture, query, check_cancelled, calibration)
     service.metrics.answered(Answered("plan", served, status=found.status, seed=query.seed))
     record = request_record.get()
     if record is not None and found.status == "solved" and served.alias == ALIAS_CHAMPION:
-        own = float(confidence_of_cost(np.array(found.cost), spec.plan_calibration or (0.0, 1.0)))
+        own = float(confidence_of_cost(np.array(found.cost), usual))
         offers.append(Offer(record.request_id, record.client, served, image, found.path, own))
     kept = None
     if request.keep:

@@ -114,7 +114,7 @@ class BundleSampler(SampleSource):
             world = self.bundle.spec.world
             read = world.examine_picture(picture) if isinstance(picture, bytes) else Examined(picture[None])
             decoded = time.perf_counter()
-            prepared = replace(self.bundle.prepare(read.images[0]), known=read.known)
+            prepared = self.bundle.prepare(read)
             encoded = time.perf_counter()
             found = self.bundle.answer(prepared, query, report_confidence=False)
         except (InputError, BundleError) as error:

@@ -43,9 +43,9 @@ class SiteCalibration(Record):
         values: dict[str, Any] = {name: version.tags.get(name, "") for name in ("model", "offset", "slope")}
         return cls(**values)
 
-    def after(self, plan_calibration: tuple[float, float] | None) -> tuple[float, float]:
+    def after(self, calibration: tuple[float, float]) -> tuple[float, float]:
         """(a, b) of this calibration upon a bundle's."""
-        a, b = plan_calibration or (0.0, 1.0)
+        a, b = calibration
         return self.offset + self.slope * a, self.slope * b
 
     @property

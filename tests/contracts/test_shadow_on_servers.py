@@ -30,7 +30,7 @@ PLANS = 24
 
 
 def bundle(folder: Path, calibration: tuple[float, float]) -> Bundle:
-    spec = replace(tiny_spec(), confidence_threshold=0.45, plan_calibration=calibration)
+    spec = replace(tiny_spec(), confidence_threshold=0.45, plan_calibration=(calibration,))
     return Bundle.load(write_bundle(folder, spec, tiny_graphs(spec, validity=True)))
 
 

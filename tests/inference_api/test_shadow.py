@@ -28,7 +28,7 @@ CHAMPION, CHALLENGER = f"{MODEL}/1", f"{MODEL}/2"
 @pytest.fixture(scope="module")
 def doubtful(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A bundle whose plans are less likely to be free than its head says."""
-    spec = replace(tiny_spec(), confidence_threshold=0.45, plan_calibration=(0.5, 1.0))
+    spec = replace(tiny_spec(), confidence_threshold=0.45, plan_calibration=((0.5, 1.0),))
     folder = tmp_path_factory.mktemp("doubtful") / "bundle"
     return write_bundle(folder, spec, tiny_graphs(spec, validity=True))
 

@@ -23,7 +23,7 @@ from cspace.planning.paths import spaced
 from cspace.query import PlanQuery
 from cspace.simulator import Split
 from cspace.world import World
-from cspace.worlds import checker_of, picture_of, simulator_of
+from cspace.worlds import checker_of, picture_file_of, simulator_of
 from services.evaluator.measures.scenes import Scene, Stage
 from training.models.autoencoders import blocks
 from training.models.settings import VaeConfig
@@ -242,6 +242,9 @@ def _risks(scenes: Sequence[Scored], threshold: float) -> NDArray[np.float64]:
 SEED = 46
 # Paths are checked at half of the resolution of planners.
 _FINER = 0.5
+# Of a fit for a number of pictures, at that for all: 20 plans weigh about as much.
+_PRIOR = 10.0
+_FOLDS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,46 +254,55 @@ class Planned:
     Args:
         cost: (n,) of each, see :mod:`cspace.planning.cost`.
         free: (n,) whether it is collision-free, by the ground truth.
+        pictures: (n,) that its scene was seen by.
     """
 
     cost: NDArray[np.float64]
     free: NDArray[np.bool_]
+    pictures: NDArray[np.int64]
+
+    def among(self, rows: NDArray[np.bool_]) -> "Planned":
+        """Those of some rows (n,)."""
+        return Planned(self.cost[rows], self.free[rows], self.pictures[rows])
 
 
 @dataclass(frozen=True, slots=True)
 class PlanCalibration:
-    """What was fitted, and how it did with plans that had no part in it.
+    """What was fitted, and how well such fits predict plans that had no part in them, each third in turn.
 
     Args:
-        parameters: (a, b).
-        fitted: plans that it was fitted to.
-        measured: other plans.
-        collide: share of these that collide.
+        parameters: (a, b) for one picture, two and so on.
+        plans: that it was fitted to.
+        collide: share of them that collide.
         error: calibration error of their confidence, ten bins.
+        errors: the same by number of pictures.
         plain_error: the same of exp(-D).
     """
 
-    parameters: tuple[float, float]
-    fitted: int
-    measured: int
+    parameters: tuple[tuple[float, float], ...]
+    plans: int
     collide: float
     error: float
+    errors: Mapping[int, float]
     plain_error: float
 
     def metrics(self) -> dict[str, float]:
         """As a bundle's provenance holds it."""
         values = {
-            "fitted": float(self.fitted),
-            "measured": float(self.measured),
-            "measured_collide": self.collide,
-            "measured_calibration_error": self.error,
-            "measured_calibration_error_of_exp_minus_doubt": self.plain_error,
+            "fitted": float(self.plans),
+            "collide": self.collide,
+            "calibration_error": self.error,
+            "calibration_error_of_exp_minus_cost": self.plain_error,
         }
-        return {f"plans/{name}": value for name, value in values.items()}
+        each = {f"calibration_error_{number}_pictures": value for number, value in self.errors.items()}
+        return {f"plans/{name}": value for name, value in {**values, **each}.items()}
 
     def stated_in(self, spec: BundleSpec) -> BundleSpec:
         """A bundle's description with what was fitted."""
-        provenance = replace(spec.provenance, metrics={**spec.provenance.metrics, **self.metrics()})
+        others = {
+            name: value for name, value in spec.provenance.metrics.items() if not name.startswith("plans/")
+        }
+        provenance = replace(spec.provenance, metrics={**others, **self.metrics()})
         return replace(spec, plan_calibration=self.parameters, provenance=provenance)
 
 
@@ -301,34 +313,53 @@ def planned(bundle: Bundle, world: World, problems: int) -> Planned:
     """
     simulator = simulator_of(world)
     families, measures = simulator.families.solvable, simulator.measures
-    costs, free = [], []
+    costs, free, pictures = [], [], []
     for number in range(problems):
         family, index = families[number % len(families)], number // len(families)
         problem = simulator.problem(family, Split.VALIDATION, SEED, index)
         start, goal = (tuple(float(angle) for angle in end) for end in (problem.start, problem.goal))
         query = PlanQuery(start, goal, number, 0.0, math.inf)
-        found = bundle.plan(bundle.prepare(picture_of(problem.scenario)), query)
+        read = world.examine_picture(picture_file_of(problem.scenario))
+        found = bundle.plan(bundle.prepare(read), query)
         if not len(found.path):
             continue
         states = spaced(found.path, world.space, _FINER * measures.resolution_rad)
         costs.append(found.cost)
         free.append(bool(checker_of(problem.scenario).valid_batch(states).all()))
-    return Planned(np.array(costs, dtype=np.float64), np.array(free, dtype=np.bool_))
+        pictures.append(read.pictures)
+    return Planned(np.array(costs, np.float64), np.array(free, np.bool_), np.array(pictures, np.int64))
 
 
 def fit_plan_calibration(plans: Planned) -> PlanCalibration | None:
     """Fit, and measure; None where there are too few plans to say anything."""
-    fits = np.arange(len(plans.cost)) % 3 < 2
-    if not fits.any() or fits.all():
+    fold = np.arange(len(plans.cost)) % _FOLDS
+    if len(fold) < _FOLDS:
         return None
-    cost, free = plans.cost, plans.free
-    parameters = fit_calibration(cost[fits], free[fits])
-    others, in_truth = cost[~fits], free[~fits]
+    predicted = np.empty(len(fold))
+    for number in range(_FOLDS):
+        others = fold == number
+        predicted[others] = _confidence(plans.among(others), _fitted(plans.among(~others)))
+    errors = {}
+    for number in np.unique(plans.pictures):
+        rows = plans.pictures == number
+        errors[int(number)] = calibration_error(predicted[rows], plans.free[rows])
     return PlanCalibration(
-        parameters=parameters,
-        fitted=int(fits.sum()),
-        measured=len(others),
-        collide=float(1.0 - in_truth.mean()),
-        error=calibration_error(confidence_of_cost(others, parameters), in_truth),
-        plain_error=calibration_error(np.exp(-others), in_truth),
+        parameters=_fitted(plans),
+        plans=len(fold),
+        collide=float(1.0 - plans.free.mean()),
+        error=calibration_error(predicted, plans.free),
+        errors=errors,
+        plain_error=calibration_error(np.exp(-plans.cost), plans.free),
     )
+
+
+def _fitted(plans: Planned) -> tuple[tuple[float, float], ...]:
+    usual = fit_calibration(plans.cost, plans.free)
+    each = [plans.among(plans.pictures == number) for number in range(1, int(plans.pictures.max()) + 1)]
+    return tuple(fit_calibration(one.cost, one.free, _PRIOR, usual) for one in each)
+
+
+def _confidence(plans: Planned, parameters: Sequence[tuple[float, float]]) -> NDArray[np.float64]:
+    places = np.minimum(plans.pictures, len(parameters)) - 1
+    found = [confidence_of_cost(plans.cost, one) for one in parameters]
+    return np.asarray(np.array(found)[places, np.arange(len(places))], dtype=np.float64)

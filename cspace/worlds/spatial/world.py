@@ -140,7 +140,7 @@ class SpatialWorld(World):
         if known is not None:
             known.complete(image, self.sensor.grid, check_cancelled or (lambda: None))
         findings = diagnose(self.body, self.sensor, view, single, image)
-        return Examined(image[None], findings, None in view.states, known)
+        return Examined(image[None], findings, None in view.states, known, len(view.pictures))
 
     def situation(self, known: PlanningScene) -> Any:
         """What is known, for this arm, as a :class:`cspace.worlds.spatial.situation.Situation`.

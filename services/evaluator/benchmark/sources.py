@@ -189,7 +189,7 @@ class PlanModel:
         if isinstance(self.engine, Bundle):
             bundle, began = self.engine.within(world), time.perf_counter()
             read = world.examine_picture(picture)
-            plan = bundle.plan(replace(bundle.prepare(read.images[0]), known=read.known), query)
+            plan = bundle.plan(bundle.prepare(read), query)
             return plan, time.perf_counter() - began
         if not self.space.contains(np.array([query.start, query.goal], dtype=np.float64)).all():
             return Plan("refused", np.empty((0, self.space.dim))), 0.0

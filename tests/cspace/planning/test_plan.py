@@ -109,7 +109,7 @@ def test_where_nobody_says_how_sure_a_plan_has_to_be_calibrated_bundles_ask_for_
     image, problem = scene
     query = query_of(problem)
     assert fitted_plan(bundle.spec, query).min_confidence == 0.0
-    calibrated = replace(bundle.spec, plan_calibration=(0.0, 1.0))
+    calibrated = replace(bundle.spec, plan_calibration=((0.0, 1.0),))
     assert fitted_plan(calibrated, query).min_confidence == 0.2
     for least in (0.0, 0.9):
         assert fitted_plan(calibrated, replace(query, min_confidence=least)).min_confidence == least

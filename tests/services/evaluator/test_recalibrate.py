@@ -65,7 +65,7 @@ def test_two_hundred_outcomes_bring_the_calibration_error_of_other_plans_down(pl
     assert calibration.model == MODEL
     others, free = drawn(20_000, seed=9)
     before = calibration_error(confidence_of_cost(others, (0.0, 1.0)), free)
-    after = calibration_error(confidence_of_cost(others, calibration.after(None)), free)
+    after = calibration_error(confidence_of_cost(others, calibration.after((0.0, 1.0))), free)
     assert before > 0.2
     errors = [
         calibration_error(confidence_of_cost(others, fitted(*drawn(200, seed)).parameters), free)
@@ -96,7 +96,7 @@ def test_the_same_outcomes_make_the_same_version_and_more_make_the_next(platform
 def test_confidence_that_a_calibration_has_changed_already_is_changed_back_first(platform: Platform) -> None:
     platform.upload(rows_of(*drawn(300)))
     first = platform.recalibrate()
-    by = SiteCalibration.of(first.version).after(None)
+    by = SiteCalibration.of(first.version).after((0.0, 1.0))
     cost, free = drawn(300, seed=3)
     platform.upload(rows_of(cost, free, start=300, stated_by=by, calibration=IN_USE))
     second = platform.recalibrate()
