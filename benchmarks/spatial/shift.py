@@ -5,10 +5,11 @@
 
 `report` asks a server that runs with CSPACE_OUTCOMES_KEEP_DAYS for plans in the cages of the validation
 problems, from ever other cameras, lets it keep them, checks each path and reports what became of it; it
-prints when the evidence of drift reaches the alarm's. `compare` takes the test problems, twice each, and
-problems of the project's own families, and prints for each bundle the log loss of configurations, half of
-them about start and goal, the share of plans that collide and the calibration error, with 95 % bootstrap
-intervals over problems, also of the difference to the first bundle. The truth is that of the spheres.
+prints when the evidence of drift reaches the alarm's, and the calibration error of the stated confidence.
+`compare` takes the test problems, twice each, and problems of the project's own families, and prints for each
+bundle the log loss of configurations, half of them about start and goal, the share of plans that collide and
+the calibration error, with 95 % bootstrap intervals over problems, also of the difference to the first
+bundle. The truth is that of the spheres.
 """
 
 import argparse
@@ -81,12 +82,12 @@ class Seen:
         return length_rad(states[: hit[0] + 1], space) / length_rad(states, space)
 
 
-def cages(world: SpatialWorld, split: Split, folder: Path | None) -> Iterator[Seen]:
-    """The cages, again and again."""
+def cages(world: SpatialWorld, split: Split, folder: Path | None, seed: int = SEED) -> Iterator[Seen]:
+    """The cages, again and again, from ever other sides."""
     found, turn = problems(split, folder, families=("cage",)), 0
     while True:
         for problem in found:
-            one = Seen.of(world, problem, np.random.default_rng([SEED, turn, problem.number]), RAISED_M)
+            one = Seen.of(world, problem, np.random.default_rng([seed, turn, problem.number]), RAISED_M)
             if one is not None:
                 yield one
         turn += 1
@@ -94,10 +95,11 @@ def cages(world: SpatialWorld, split: Split, folder: Path | None) -> Iterator[Se
 
 def report(options: argparse.Namespace) -> None:
     """Ask, check and report."""
-    world, count, collided, alarm = usual(shipped("panda")), 0, 0, None
+    world, alarm = usual(shipped("panda")), None
+    confidence, free = [], []
     with SamplingClient(options.url, 60.0) as client, OutcomeSender(options.url) as sender:
-        for number, one in enumerate(cages(world, Split.VALIDATION, None)):
-            if count == options.plans:
+        for number, one in enumerate(cages(world, Split.VALIDATION, None, options.seed)):
+            if len(free) == options.plans:
                 break
             ends = one.start.tolist(), one.goal.tolist()
             query = ClientQuery(
@@ -108,12 +110,17 @@ def report(options: argparse.Namespace) -> None:
                 continue
             at = one.collided_at(np.array(found.plan.path))
             sender.plan(found, success=at is None, collided=at is not None, collided_at=at, site=options.site)
-            count, collided = count + 1, collided + (at is not None)
+            confidence.append(found.plan.confidence)
+            free.append(at is None)
             if alarm is None and evidence(options.url) >= ALARM:
-                alarm = count
+                alarm = len(free)
                 print(f"the alarm came within {alarm} outcomes", flush=True)
-            if count % 20 == 0:
-                print(f"{count} plans, {collided} collide, evidence {evidence(options.url):.1f}", flush=True)
+            if len(free) % 20 == 0:
+                print(f"{len(free)} plans, {free.count(False)} collide", flush=True)
+    stated, rng = np.array(confidence), np.random.default_rng(0)
+    exact = np.mean([calibration_error(stated, rng.random(len(stated)) < stated) for _ in range(200)])
+    error = calibration_error(stated, free)
+    print(f"calibration error {error:.3f}, by {found.calibration or 'the model'}; were it exact {exact:.3f}")
 
 
 def evidence(url: str) -> float:
@@ -184,6 +191,7 @@ def main() -> int:
     reporting.add_argument("--model", help="default: the server's")
     reporting.add_argument("--site", default="cage")
     reporting.add_argument("--plans", type=int, default=240)
+    reporting.add_argument("--seed", type=int, default=SEED, help="of cameras")
     reporting.add_argument("--forget", action="store_true", help="the server keeps no pictures")
     comparing = commands.add_parser("compare")
     comparing.set_defaults(run=compare)
