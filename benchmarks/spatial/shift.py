@@ -26,6 +26,7 @@ from benchmarks.machine import machine
 from benchmarks.spatial.head_quality import SIGMA_RAD, OwnProblem, own_problems
 from benchmarks.spatial.problem_options import LIMIT_S, LOOK_RAD, PATHS
 from cspace.bundle import Bundle
+from cspace.errors import ImageError
 from cspace.planning.cost import calibration_error
 from cspace.planning.paths import length_rad, spaced
 from cspace.query import PlanQuery
@@ -46,7 +47,7 @@ RAISED_M, ALARM, SEED, LEAST = 0.4, 6.0, 25, 1e-3
 
 @dataclass(frozen=True)
 class Seen:
-    """A problem whose ends are free, as a camera sees it."""
+    """A problem whose ends are free, as a camera sees it that sees something."""
 
     start: np.ndarray
     goal: np.ndarray
@@ -69,8 +70,12 @@ class Seen:
         raised = replace(camera, pose=pose_of(looking(place, layout.focus)))
         scene = replace(scene, cameras=(raised,) if raised_m else scene.cameras)
         truth = CollisionChecker(world.body, problem.obstacles)
-        fits = world.space.contains(np.array([start, goal])).all()
-        return cls(start, goal, scene, truth) if fits and truth.valid_batch([start, goal]).all() else None
+        fits = world.space.contains(np.array([start, goal])).all() and truth.valid_batch([start, goal]).all()
+        try:
+            world.examined(scene.view())
+        except ImageError:
+            return None
+        return cls(start, goal, scene, truth) if fits else None
 
     def collided_at(self, path: np.ndarray) -> float | None:
         """The share of a path's length where it first collides."""

@@ -176,9 +176,9 @@ class Bundle:
             InputError: the picture has another size or type.
             BundleError: the graph fails.
         """
-        read = picture if isinstance(picture, Examined) else Examined(picture[None])
-        image = read.images[0]
+        image = picture.images[0] if isinstance(picture, Examined) else picture
         pixels = self._network_image(image)
+        read = picture if isinstance(picture, Examined) else Examined(image[None])
         size = (1, self.spec.latent_dim)
         found = self._graphs.encoder.run({"image": pixels}, {"mu": size, "sigma": size})
         encoding = Encoding(found["mu"][0], found["sigma"][0])

@@ -80,6 +80,17 @@ def test_what_does_not_fit_the_robot_is_refused(bundle, scene):
         bundle.plan(picture, PlanQuery((0.0, 0.0), (0.0, 0.0, 0.0)))
 
 
+def test_the_cost_of_a_path_is_its_mean_times_its_length_and_its_largest():
+    path = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 2.0]])
+
+    def predict(rows):
+        return np.where(abs(rows[:, 1] - 1.0) < 0.06, 0.5, 1.0).astype(np.float32), None
+
+    (one,) = score([path], WORLD.space, STEP, predict)
+    assert one.cost == pytest.approx(one.costs.mean() * 3.0 + np.log(2.0))
+    assert one.costs.mean() > 0.0
+
+
 def test_the_cost_of_a_path_does_not_depend_on_the_step():
     path = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 2.0]])
 
