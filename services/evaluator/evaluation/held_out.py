@@ -1,11 +1,12 @@
 """Plans whose end is known, on pictures that no training has seen, as evidence for the gate."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cspace.bundle import Bundle
+from services.evaluator.evaluation.gate import Comparison, Gain
 from services.evaluator.evaluation.rivals import Rival
 from services.evaluator.evaluation.shadow import FEWEST_OUTCOMES, LEAST, gain_in_words
 from services.evaluator.statistics import Interval, log_losses, mean_interval
@@ -20,12 +21,21 @@ class HeldOutEvidence:
     Args:
         champion: its version number.
         plans: on pictures that are held out.
-        gain: mean over plans of the champion's log loss less that of the version; None for fewer than 20.
+        losses: mean log loss of the version and of the champion; None for fewer than 20.
+        gain: mean over plans of the champion's log loss less that of the version; likewise.
     """
 
     champion: int | None
     plans: int
-    gain: Interval | None
+    losses: tuple[float, float] | None = None
+    gain: Interval | None = None
+
+    def beside(self, comparison: Comparison) -> Comparison:
+        """The comparison with the champion, in which this counts as a measure if it is known."""
+        if self.losses is None or self.gain is None:
+            return comparison
+        measure = Gain("log loss of held-out plans", *self.losses, self.gain)
+        return replace(comparison, gains=(*comparison.gains, measure))
 
     def __str__(self) -> str:
         if self.gain is None:
@@ -56,9 +66,10 @@ def outcome_evidence(
     if not plans:
         return None
     if len(plans) < FEWEST_OUTCOMES:
-        return HeldOutEvidence(champion.version, len(plans), None)
-    losses = [_losses(one, plans) for one in (bundle, beside)]
-    return HeldOutEvidence(champion.version, len(plans), mean_interval(losses[1] - losses[0], rng))
+        return HeldOutEvidence(champion.version, len(plans))
+    ours, theirs = (_losses(one, plans) for one in (bundle, beside))
+    means = float(ours.mean()), float(theirs.mean())
+    return HeldOutEvidence(champion.version, len(plans), means, mean_interval(theirs - ours, rng))
 
 
 def _losses(bundle: Bundle, plans: list[KnownPlan]) -> NDArray[np.float64]:

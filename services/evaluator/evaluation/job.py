@@ -116,14 +116,17 @@ def evaluate_version(
             results = _measure(execute, work, setting, PackedBundle.pack(bundle), progress)
             evaluation = assemble(results, setting)
             compared = tuple(_beside(rival, evaluation, execute, work, progress) for rival in rivals)
-            verdict = decide(evaluation, replace(bar, comparisons=compared))
             champion = next((one for one in rivals if one.version == bar.against is not None), None)
             rng = summary_rng(request.seed)
-            verdict = with_evidence(
-                verdict,
-                shadow_evidence(version, bar.against, tracking, rng),
-                None if champion is None else outcome_evidence(bundle, champion, tracking, rng),
-            )
+            shadow = shadow_evidence(version, bar.against, tracking, rng)
+            held_out = None if champion is None else outcome_evidence(bundle, champion, tracking, rng)
+            if held_out is not None:
+                compared = tuple(
+                    held_out.beside(one) if rival is champion else one
+                    for rival, one in zip(rivals, compared, strict=True)
+                )
+            verdict = decide(evaluation, replace(bar, comparisons=compared))
+            verdict = with_evidence(verdict, shadow, held_out)
             figures = log_evaluation(run, evaluation, verdict, bundle_sampler(bundle), str(version))
         if request.promote:
             record(registry, version, evaluation, verdict)

@@ -8,6 +8,7 @@ import pytest
 from cspace.bundle import Bundle
 from cspace.png import encode_png
 from services.evaluator.evaluation import job
+from services.evaluator.evaluation.gate import Comparison
 from services.evaluator.evaluation.held_out import outcome_evidence
 from services.evaluator.evaluation.job import evaluate_version
 from services.evaluator.evaluation.rivals import Rival
@@ -22,6 +23,7 @@ from tests.services.evaluator.evaluation.test_job import challenged, request
 from tests.services.evaluator.test_shadow_evidence import PASSED
 from tests.services.test_known_plans import uploaded
 
+NOTHING = Comparison("version 3", ())
 # The head of tiny bundles finds joints near 0 rad free, and others less so the farther away.
 NEAR, FAR = (np.array([[at, at], [at + 0.5, at + 0.5]]) for at in (0.0, 2.5))
 
@@ -80,6 +82,10 @@ def test_losses_are_of_what_was_free_and_of_where_it_collided(tmp_path, bundle, 
         gains.append(np.log(np.hstack(right)).mean() - np.log(0.5))
     assert found.gain.estimate == pytest.approx(np.mean(gains), abs=1e-6)
     assert with_evidence(PASSED, found).promoted == better == bool(found.gain.low > 0.0)
+    (measure,) = found.beside(NOTHING).gains
+    assert (measure.better, measure.worse) == (better, not better)
+    assert measure.theirs - measure.ours == pytest.approx(measure.gain.estimate)
+    assert measure.theirs == pytest.approx(np.log(2.0))
 
 
 def test_few_plans_are_told_and_decide_nothing_and_none_or_no_head_are_no_evidence(tmp_path, bundle, rival):
@@ -87,12 +93,16 @@ def test_few_plans_are_told_and_decide_nothing_and_none_or_no_head_are_no_eviden
     found = evidence(bundle, rival, few)
     assert (found.gain, str(found)) == (None, "19 held-out plans with an outcome; 20 would count")
     assert with_evidence(PASSED, found).promoted
+    assert found.beside(NOTHING) is NOTHING
     assert evidence(bundle, rival, FakeTracking()) is None
     assert evidence(Bundle.load(write_tiny_bundle(tmp_path / "headless")), rival, few) is None
 
 
 def test_an_evaluation_weighs_held_out_plans(tmp_path, bundle, verified_here, monkeypatch):
-    monkeypatch.setattr(job, "decide", lambda evaluation, bar: replace(PASSED, bar=bar))
+    decided = []
+    monkeypatch.setattr(
+        job, "decide", lambda evaluation, bar: decided.append(bar) or replace(PASSED, bar=bar)
+    )
     tracking, registry = challenged(tmp_path, bundle)
     promote(registry, registry.version(MODEL_NAME, 1), "the first")
     second = Bundle.load(write_tiny_bundle(tmp_path / "second", validity=True, scale=0.5))
@@ -107,3 +117,7 @@ def test_an_evaluation_weighs_held_out_plans(tmp_path, bundle, verified_here, mo
     # Both have the same head.
     reasons = decisions_of(registry.version(MODEL_NAME, 2))[0].reasons
     assert "beside version 1, predicts 20 held-out plans no different" in reasons[-1]
+    (champions, *others) = decided[0].comparisons
+    measure = champions.gains[-1]
+    assert (measure.name, measure.gain.estimate) == ("log loss of held-out plans", 0.0)
+    assert all("held-out" not in gain.name for one in others for gain in one.gains)
