@@ -40,14 +40,16 @@ from cspace.worlds.spatial.view import write_view
 from cspace.worlds.spatial.world import SpatialWorld, shipped, usual
 from cspace_client import OutcomeSender, SamplingClient
 from cspace_client import PlanQuery as ClientQuery
+from inference_api.drift import ALARM
+from services.evaluator.evaluation.shadow import LEAST
 from services.evaluator.statistics import difference_interval, log_losses, mean_interval
 
-RAISED_M, ALARM, SEED, LEAST = 0.4, 6.0, 25, 1e-3
+RAISED_M, SEED = 0.4, 25
 
 
 @dataclass(frozen=True)
 class Seen:
-    """A problem whose ends are free, as a camera sees it that sees something."""
+    """A problem whose ends are free, and what one camera sees of it."""
 
     start: np.ndarray
     goal: np.ndarray
@@ -131,9 +133,8 @@ def report(options: argparse.Namespace) -> None:
 def evidence(url: str) -> float:
     """Of drift, as the server states it."""
     lines = httpx.get(f"{url}/metrics").raise_for_status().text.splitlines()
-    return max(
-        (float(line.split()[1]) for line in lines if line.startswith("cspace_collision_ev")), default=0.0
-    )
+    name = "cspace_collision_evidence "
+    return max((float(line.split()[1]) for line in lines if line.startswith(name)), default=0.0)
 
 
 def compare(options: argparse.Namespace) -> None:

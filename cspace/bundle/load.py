@@ -170,7 +170,7 @@ class Bundle:
         """A picture, uint8 (P, P, 3), for any number of calls of :meth:`sample` and :meth:`score`.
 
         Args:
-            picture: of one camera; or the first that was read, with what is known beside it.
+            picture: decoded, from one camera; or what :meth:`cspace.world.World.examine_picture` read.
 
         Raises:
             InputError: the picture has another size or type.

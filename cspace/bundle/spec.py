@@ -24,7 +24,7 @@ PICTURE, MAP = "image", "map"
 MAX_PER_LATENT = 4096
 MAX_JOINTS, MIN_PIXELS, MAX_PIXELS = 64, 16, 2048
 _MAX_CALIBRATION = 100.0
-# Default minimum confidence of calibrated plans; at it 95 % of the validation problems stay solved.
+# Default minimum confidence of calibrated plans; at it 97 % of the validation problems stay solved.
 PLAN_CONFIDENCE = 0.2
 _RESERVED = frozenset({"latent", PICTURE, MAP, *ENDPOINTS})
 _Calibration = tuple[
