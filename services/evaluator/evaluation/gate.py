@@ -238,7 +238,7 @@ class Bar:
     Args:
         comparisons: with rivals that were measured on the same scenes.
         recorded: earlier champions that were not measured again.
-        notes: who is left out, and why.
+        notes: who is left out, and why; what else is known beside the champion.
         against: the number of the present champion, None without one.
     """
 

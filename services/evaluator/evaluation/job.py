@@ -119,14 +119,15 @@ def evaluate_version(
             champion = next((one for one in rivals if one.version == bar.against is not None), None)
             rng = summary_rng(request.seed)
             shadow = shadow_evidence(version, bar.against, tracking, rng)
+            bar = replace(bar, comparisons=compared)
             held_out = None if champion is None else outcome_evidence(bundle, champion, tracking, rng)
             if held_out is not None:
-                compared = tuple(
+                comparisons = [
                     held_out.beside(one) if rival is champion else one
                     for rival, one in zip(rivals, compared, strict=True)
-                )
-            verdict = decide(evaluation, replace(bar, comparisons=compared))
-            verdict = with_evidence(verdict, shadow, held_out)
+                ]
+                bar = replace(bar, comparisons=tuple(comparisons), notes=(*bar.notes, str(held_out)))
+            verdict = with_evidence(decide(evaluation, bar), shadow)
             figures = log_evaluation(run, evaluation, verdict, bundle_sampler(bundle), str(version))
         if request.promote:
             record(registry, version, evaluation, verdict)

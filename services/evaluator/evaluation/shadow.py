@@ -1,7 +1,7 @@
 """What servers found of a version beside the champion, on real requests: see ``inference_api.shadow``."""
 
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -76,20 +76,10 @@ def gain_in_words(gain: Interval) -> str:
     return f"{words} beyond the interval: gain in log loss {gain:+.3f}"
 
 
-class Evidence(Protocol):
-    """What outcomes say of a version beside the champion, in words.
-
-    ``gain`` is the log loss of the champion less that of the version; None where too little is known.
-    """
-
-    @property
-    def gain(self) -> Interval | None:
-        """See the class."""
-
-
-def with_evidence(verdict: Verdict, *evidence: Evidence | None) -> Verdict:
+def with_evidence(verdict: Verdict, evidence: ShadowEvidence | None) -> Verdict:
     """A verdict that also counts outcomes: what predicts them worse than the champion is not promoted."""
-    known = [one for one in evidence if one is not None]
-    is_worse = any(one.gain is not None and one.gain.high < 0.0 for one in known)
-    reasons = (*verdict.reasons, *map(str, known))
+    if evidence is None:
+        return verdict
+    is_worse = evidence.gain is not None and evidence.gain.high < 0.0
+    reasons = (*verdict.reasons, str(evidence))
     return replace(verdict, promoted=verdict.promoted and not is_worse, reasons=reasons)

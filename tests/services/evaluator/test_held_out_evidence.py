@@ -8,17 +8,17 @@ import pytest
 from cspace.bundle import Bundle
 from cspace.png import encode_png
 from services.evaluator.evaluation import job
-from services.evaluator.evaluation.gate import Comparison
+from services.evaluator.evaluation.gate import Bar, Comparison, verdict_of
 from services.evaluator.evaluation.held_out import outcome_evidence
 from services.evaluator.evaluation.job import evaluate_version
 from services.evaluator.evaluation.rivals import Rival
-from services.evaluator.evaluation.shadow import with_evidence
 from services.evaluator.measures.scenes import PackedBundle
 from services.names import MODEL_NAME
 from services.outcomes import KnownPlan, view_row
-from services.registry.promotion import decisions_of, promote
+from services.registry.promotion import promote
 from tests.bundles import picture, write_tiny_bundle
 from tests.fakes.registry import FakeTracking
+from tests.services.evaluator.evaluation.test_gate import PLANAR, candidate
 from tests.services.evaluator.evaluation.test_job import challenged, request
 from tests.services.evaluator.test_shadow_evidence import PASSED
 from tests.services.test_known_plans import uploaded
@@ -81,7 +81,8 @@ def test_losses_are_of_what_was_free_and_of_where_it_collided(tmp_path, bundle, 
         ]
         gains.append(np.log(np.hstack(right)).mean() - np.log(0.5))
     assert found.gain.estimate == pytest.approx(np.mean(gains), abs=1e-6)
-    assert with_evidence(PASSED, found).promoted == better == bool(found.gain.low > 0.0)
+    assert better == bool(found.gain.low > 0.0)
+    assert verdict_of(candidate(), Bar((found.beside(NOTHING),), against=3), PLANAR).promoted == better
     (measure,) = found.beside(NOTHING).gains
     assert (measure.better, measure.worse) == (better, not better)
     assert measure.theirs - measure.ours == pytest.approx(measure.gain.estimate)
@@ -92,7 +93,6 @@ def test_few_plans_are_told_and_decide_nothing_and_none_or_no_head_are_no_eviden
     few = tracked(tmp_path, bundle, FAR, images(19), collided=False)
     found = evidence(bundle, rival, few)
     assert (found.gain, str(found)) == (None, "19 held-out plans with an outcome; 20 would count")
-    assert with_evidence(PASSED, found).promoted
     assert found.beside(NOTHING) is NOTHING
     assert evidence(bundle, rival, FakeTracking()) is None
     assert evidence(Bundle.load(write_tiny_bundle(tmp_path / "headless")), rival, few) is None
@@ -115,8 +115,7 @@ def test_an_evaluation_weighs_held_out_plans(tmp_path, bundle, verified_here, mo
         run.run_id = run_id
     evaluate_version(request(), tracking, registry, progress=lambda line: None)
     # Both have the same head.
-    reasons = decisions_of(registry.version(MODEL_NAME, 2))[0].reasons
-    assert "beside version 1, predicts 20 held-out plans no different" in reasons[-1]
+    assert "beside version 1, predicts 20 held-out plans no different" in decided[0].notes[-1]
     (champions, *others) = decided[0].comparisons
     measure = champions.gains[-1]
     assert (measure.name, measure.gain.estimate) == ("log loss of held-out plans", 0.0)
