@@ -195,12 +195,6 @@ class HeadConfig(ValidityConfig):
     target_precision: float = Field(
         0.995, gt=0, lt=1, description="that the chosen threshold reaches on validation scenarios"
     )
-    uniform_share: float | None = Field(
-        None, ge=0, le=1, description="of uniform proposals among those that are filtered; none to choose it"
-    )
-    target_acceptance: float = Field(
-        0.4, ge=0, le=1, description="of all proposals, that the chosen uniform share leaves at least"
-    )
 
     @property
     def scene_model_file(self) -> Path | None:

@@ -269,7 +269,9 @@ class Bundle:
         require_inside(samples, self.spec.world.space)
         shortfall = request.n - len(samples)
         times = encode_ms, generate_ms
-        return SampleSet(samples, confidence, shortfall, found.acceptance, *times, unseen, found.ways)
+        return SampleSet(
+            samples, confidence, shortfall, found.acceptance, *times, unseen, found.ways, found.proposals
+        )
 
     def plan(
         self,
