@@ -5,6 +5,7 @@ their own: whatever a file makes them do ends at the limits of memory, time and 
 cspace.bounded`` is the worker.
 """
 
+import errno
 import importlib
 import json
 import os
@@ -141,8 +142,6 @@ def _limit_of(status: int, limits: Limits) -> str:
         return f"no end within {limits.cpu_s} s of a core"
     if status == -signal.SIGALRM:
         return f"no end within {limits.wall_s:g} s"
-    if status == -signal.SIGXFSZ:
-        return f"a file of more than {limits.file_bytes} bytes"
     return f"its process ended with status {status}, most likely for want of memory"
 
 
@@ -158,8 +157,7 @@ def _limit_resources(limits: Limits) -> None:
     """Bound this process for good."""
     # Ctrl-C is the parent's to handle.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    for kind in (signal.SIGALRM, signal.SIGXFSZ):
-        signal.signal(kind, signal.SIG_DFL)
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGALRM})
     held = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
     wanted = {
@@ -201,6 +199,13 @@ def _main(name: str, limits_json: str, results: str) -> NoReturn:
             found = {"kind": type(problem).__name__, **{field: getattr(problem, field) for field in _FIELDS}}
         except (MemoryError, RecursionError) as problem:
             found = {"limit": f"{type(problem).__name__} beyond {limits.memory_bytes // 2**20} MiB"}
+        except OSError as problem:
+            if problem.errno != errno.EFBIG:
+                raise
+            found = {"limit": f"a file of more than {limits.file_bytes} bytes"}
+        except ImportError as problem:
+            found = {"kind": "ServiceError", "what": "a library is missing", "expected": None}
+            found |= {"got": f"no package {problem.name}", "remedy": f"pip install {problem.name}"}
         sys.stdout.flush()
         writing.write(json.dumps(found).encode())
     os._exit(0)
