@@ -91,11 +91,12 @@ def call(
     try:
         with (
             os.fdopen(reading, "rb") as results,
+            os.fdopen(writing, "wb") as theirs,
             subprocess.Popen(
                 command, stdin=subprocess.PIPE, env=environment, pass_fds=[writing], process_group=0
             ) as worker,
         ):
-            os.close(writing)
+            theirs.close()
             # It ends when its standard input does: with this process, however that ends.
             timer = threading.Timer(START_S + limits.wall_s, worker.kill)
             timer.start()
@@ -111,8 +112,6 @@ def call(
                 raise
             finally:
                 timer.cancel()
-                with suppress(OSError):
-                    worker.stdin and worker.stdin.close()
     except OSError as problem:
         raise ServiceError(f"{what} cannot be read: no process starts", got=problem.strerror) from None
     if not answer.startswith(_STARTED):

@@ -163,6 +163,8 @@ def _elements(robot: Any, kind: str, lines: dict[str, int]) -> dict[str, Any]:
         alone.append(deepcopy(element))
         try:
             read = URDF.load(BytesIO(etree.tostring(alone)), build_scene_graph=False, load_meshes=False)
+        except MemoryError:
+            raise
         except Exception as error:  # yourdfpy raises whatever its parts do
             raise ScenarioError(
                 f"{where} cannot be read",
