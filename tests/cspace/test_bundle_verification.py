@@ -70,7 +70,7 @@ def test_a_bundle_that_computes_for_minutes_is_refused_in_time(tmp_path: Path) -
 def test_a_bundle_that_takes_memory_takes_none_of_this_process(tmp_path: Path) -> None:
     hungry = write_hungry_bundle(tmp_path / "hungry")
     before = psutil.Process().memory_info().rss
-    with pytest.raises(BundleError, match="MiB of memory"):
+    with pytest.raises(BundleError, match=r"MiB of memory|Available memory of"):
         verify(hungry)
     assert psutil.Process().memory_info().rss - before < 20 * 2**20
 
