@@ -16,7 +16,6 @@ from services.names import model_name
 from services.registry.ports import ModelReference, flatten
 from training.data.config import DatasetConfig, GeneratedConfig, PathDatasetConfig
 from training.models.settings import (
-    FlowConfig,
     GanConfig,
     GateConfig,
     GlobalConfig,
@@ -195,12 +194,6 @@ class HeadConfig(ValidityConfig):
     target_precision: float = Field(
         0.995, gt=0, lt=1, description="that the chosen threshold reaches on validation scenarios"
     )
-    uniform_share: float | None = Field(
-        None, ge=0, le=1, description="of uniform proposals among those that are filtered; none to choose it"
-    )
-    target_acceptance: float = Field(
-        0.4, ge=0, le=1, description="of all proposals, that the chosen uniform share leaves at least"
-    )
 
     @property
     def scene_model_file(self) -> Path | None:
@@ -341,11 +334,6 @@ class TrainConfig(JobConfig):
 
 def _check_lookups(key: str, lookups: LookupConfig, world: World) -> None:
     """Refuse look-ups that generators and critics of configurations do not have in a world's pictures."""
-    if lookups.groups:
-        raise ValueError(
-            f"{key}.groups belongs to path models; those of configurations look along the links "
-            "of a planar arm, by points_per_link"
-        )
     if lookups.points_per_link:
         try:
             world.levers(lookups.points_per_link, lookups.side_m)
@@ -361,8 +349,7 @@ def _world(data: DatasetConfig, folder: Path | None) -> World:
         return default_world()
 
 
-PathModel = Literal["flow", "wgan", "wgan_guided"]
-UNGUIDED: tuple[PathModel, ...] = ("flow", "wgan")
+PathModel = Literal["wgan", "wgan_guided"]
 
 
 class PathTrainConfig(JobConfig):
@@ -378,14 +365,10 @@ class PathTrainConfig(JobConfig):
     )
     data: PathDatasetConfig = PathDatasetConfig()
     points: int = Field(64, ge=2, description="of each path")
-    models: tuple[PathModel, ...] = UNGUIDED
+    models: tuple[PathModel, ...] = ("wgan",)
     guides: AbsolutePath | None = Field(
         None, description="absolute: folder of a cluster-train job whose local critics guide"
     )
-    sweep: int = Field(
-        16, ge=1, description="samples from start to goal before the next begin at the start again"
-    )
-    flow: FlowConfig = FlowConfig()
     wgan: PathGanConfig = PathGanConfig()
     wgan_guided: PathGanConfig = PathGanConfig(guide_weight=0.1)
     resources: ResourceConfig = ResourceConfig(log_every_steps=50, checkpoint_every_steps=500)
@@ -409,7 +392,6 @@ class PathTrainConfig(JobConfig):
             raise ValueError("wgan_guided needs guides: the folder of a job with local critics")
         return self
 
-    def points_of(self, name: PathModel) -> FlowConfig | PathGanConfig:
-        """Sizes and look-ups of a model that gives points."""
-        found: FlowConfig | PathGanConfig = getattr(self, name)
-        return found
+    def points_of(self, name: PathModel) -> PathGanConfig:
+        """Settings of a model."""
+        return self.wgan if name == "wgan" else self.wgan_guided

@@ -115,10 +115,8 @@ def made_or_found(folder: Path, world: World, config: HeadConfig) -> Bundle:
         "generator": uniform_graph(world.space),
         **head_graphs(config, world, file),
     }
-    # All of its samples are uniform: there is nothing to mix.
-    fitted = config.model_copy(update={"uniform_share": 0.0})
     draft = folder.with_name(folder.name + "-draft")
-    return Bundle.load(write_bundle(folder, with_choices(draft, fitted, spec, graphs), graphs))
+    return Bundle.load(write_bundle(folder, with_choices(draft, config, spec, graphs), graphs))
 
 
 if __name__ == "__main__":

@@ -119,7 +119,7 @@ class Bundle:
                 # A second and 40 MiB, which a server does without.
                 from cspace.bundle.graph_check import check_graphs  # noqa: PLC0415
 
-                check_graphs(BundleSpec.from_json(files.contents[SPEC_FILE]), files.contents)
+                check_graphs(files.contents)
             bundle = cls(Path(folder), files, run_limit_s)
             case = GoldenCase.from_npz(files.contents[GOLDEN_FILE])
             if check if replay is None else replay:
@@ -269,7 +269,9 @@ class Bundle:
         require_inside(samples, self.spec.world.space)
         shortfall = request.n - len(samples)
         times = encode_ms, generate_ms
-        return SampleSet(samples, confidence, shortfall, found.acceptance, *times, unseen, found.ways)
+        return SampleSet(
+            samples, confidence, shortfall, found.acceptance, *times, unseen, found.ways, found.proposals
+        )
 
     def plan(
         self,

@@ -81,6 +81,16 @@ class Belief:
     occupied: NDArray[np.float32]
 
 
+@dataclass(frozen=True, slots=True)
+class ProposalCounts:
+    """How many configurations were proposed, and how many of them are in the answer, by their kind."""
+
+    generator: int = 0
+    generator_kept: int = 0
+    uniform: int = 0
+    uniform_kept: int = 0
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Sampled:
     """What a sampler gives.
@@ -91,17 +101,19 @@ class Sampled:
             no columns where the head was not asked.
         acceptance: share of the proposals that reached the confidence asked for.
         ways: int64 (n',), see :class:`SampleSet`.
+        proposals: see :class:`SampleSet`.
     """
 
     samples: NDArray[np.float32]
     scores: NDArray[np.float32]
     acceptance: float = 1.0
     ways: NDArray[np.int64] | None = None
+    proposals: ProposalCounts | None = None
 
     def only(self, kept: NDArray[np.bool_]) -> "Sampled":
         """The samples of which ``kept`` (n',) is true."""
         ways = None if self.ways is None else self.ways[kept]
-        return Sampled(self.samples[kept], self.scores[kept], self.acceptance, ways)
+        return Sampled(self.samples[kept], self.scores[kept], self.acceptance, ways, self.proposals)
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +131,7 @@ class SampleSet:
             told.
         ways: int64 (n',), the path that each sample lies along, 0 for the one with the lowest cost; None for
             samples that do not lie along paths.
+        proposals: by kind; None for samples along paths.
     """
 
     samples: NDArray[np.float32]
@@ -129,6 +142,7 @@ class SampleSet:
     generate_ms: float
     unseen: NDArray[np.float32] | None = None
     ways: NDArray[np.int64] | None = None
+    proposals: ProposalCounts | None = None
 
 
 def require_inside(samples: NDArray[np.float32], space: JointSpace) -> None:

@@ -10,22 +10,21 @@ What is random comes from one generator in one fixed order, which decides what a
 
 The latents of the first value of the epsilon schedule come first, then those of the second, and so on; each
 value gets ceil(share / K) of them, and the last one's surplus samples are left out. Of the proposals of a
-request that filters the description's ``uniform_share`` is uniform over the joint space instead of generated,
-by a generator of its own: ``SeedSequence(seed, spawn_key=(turn, 1))``, first u uniform in [0, 1) for every
-sample, uniform where u < share, then d angles for each of these. With a share of 1 there is no u, and nothing
-of 2 and 3.
+request that filters, a quarter (:data:`UNIFORM_SHARE`) is uniform over the joint space, for coverage, by a
+generator of its own: ``SeedSequence(seed, spawn_key=(turn, 1))``, first u uniform in [0, 1) for every sample,
+uniform where u < share, then d angles for each of these. Path models have no uniform proposals.
 """
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cspace.bundle.runtime import CHUNK_ROWS, PATH_CHUNK_ROWS, Graph, chunked
-from cspace.bundle.samples import FittedQuery, Picture, Sampled
+from cspace.bundle.samples import FittedQuery, Picture, ProposalCounts, Sampled
 from cspace.bundle.spec import MAP, PICTURE, BundleSpec, RandomInput
 from cspace.errors import BundleError, BundleIntegrityError
 from cspace.plan import Seen, search_paths
@@ -35,6 +34,8 @@ from cspace.space import JointSpace
 from cspace.world import CheckCancelled, Known
 
 CONFIDENCE, UNSEEN = "confidence", "unseen"
+# Of the proposals that the validity head filters; the others are the generator's.
+UNIFORM_SHARE = 0.25
 # A head that reads arrays of space at hundreds of spheres a configuration is quickest while what it computes
 # in between fits into a core's own cache: by 64 rows it takes 0.85 of the time that it takes by 512.
 CACHED_ROWS = 64
@@ -150,14 +151,11 @@ class Proposals:
     uniform: NDArray[np.bool_]
     angles: NDArray[np.float32]
 
-    def mixed_with(self, learned: NDArray[np.float32] | None) -> NDArray[np.float32]:
-        """All samples (m, d) in their order, from (m - u, d) generated ones; None for none."""
-        if learned is None and len(self.angles) == len(self.uniform):
-            return self.angles
+    def mixed_with(self, learned: NDArray[np.float32]) -> NDArray[np.float32]:
+        """All samples (m, d) in their order, from (m - u, d) generated ones."""
         mixed = np.empty((len(self.uniform), self.angles.shape[1]), dtype=np.float32)
         mixed[self.uniform] = self.angles
-        if learned is not None:
-            mixed[~self.uniform] = learned
+        mixed[~self.uniform] = learned
         return mixed
 
 
@@ -165,20 +163,14 @@ def propose(spec: BundleSpec, counts: Sequence[int], seed: int, turn: int) -> Pr
     """The uniform samples of one turn of a request that filters.
 
     Args:
-        spec: the share and the joint space.
+        spec: the joint space and the kind of model.
         counts: samples for each value of the schedule.
         seed: unsigned 64 bit.
         turn: 0 for the first.
     """
     total, space = sum(counts), spec.world.space
-    if spec.uniform_share == 0.0:
-        nothing = np.empty((0, spec.dim), dtype=np.float32)
-        return Proposals(list(counts), np.zeros(total, dtype=np.bool_), nothing)
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(turn, 1))))
-    if spec.uniform_share == 1.0:
-        angles = space.to_float32(space.sample_uniform(rng, total))
-        return Proposals([0] * len(counts), np.ones(total, dtype=np.bool_), angles)
-    uniform = rng.random(total) < spec.uniform_share
+    uniform = rng.random(total) < (0.0 if spec.kind == "path" else UNIFORM_SHARE)
     angles = space.to_float32(space.sample_uniform(rng, int(uniform.sum())))
     by_value = np.split(uniform, np.cumsum(counts)[:-1])
     return Proposals([len(part) - int(part.sum()) for part in by_value], uniform, angles)
@@ -307,8 +299,9 @@ def _within(wanted: Sequence[int], left: int) -> list[int]:
     return cut
 
 
-# Samples about a path are close to contact where it matters, and a further turn costs a further search.
-PATHS_PASS = 0.75
+# Share of a first turn's proposals that is likely to pass. Samples about a path are close to contact where it
+# matters; of a generator's samples nearly all pass, and of uniform ones about every second.
+PATHS_PASS, PROPOSALS_PASS = 0.75, 0.85
 
 
 class GeneratorSampler:
@@ -357,22 +350,36 @@ class GeneratorSampler:
             keeps = _keeps(space, picture, check_cancelled or (lambda: None))
             samples = space.to_float32(_inside(generate, wanted, keeps, check_cancelled))
             scored = head is not None and report_confidence
-            return Sampled(samples, _scores(head if scored else None, picture, samples, check_cancelled))
+            return Sampled(
+                samples,
+                _scores(head if scored else None, picture, samples, check_cancelled),
+                proposals=ProposalCounts(generator=request.n, generator_kept=len(samples)),
+            )
+
+        counted = np.zeros(2, dtype=np.int64)
 
         def proposed(counts: Sequence[int], turn: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
             proposals = propose(spec, counts, request.seed, turn)
-            learned = generate(proposals.learned, turn) if any(proposals.learned) else None
-            rows = proposals.mixed_with(learned)
+            rows = proposals.mixed_with(generate(proposals.learned, turn))
             samples, inside = space.to_float32(rows), space.keeps_pose(rows)
-            # What lies outside reaches no confidence, and is not scored.
-            scores = np.full((len(rows), 1 + head.reports_unseen), -1.0, dtype=np.float32)
+            # What lies outside reaches no confidence, and is not scored. The last column tells uniform ones.
+            scores = np.full((len(rows), 2 + head.reports_unseen), -1.0, dtype=np.float32)
             if inside.any():
-                scores[inside] = head.scores(picture, samples[inside], check_cancelled)
+                scores[inside, :-1] = head.scores(picture, samples[inside], check_cancelled)
+            scores[:, -1] = proposals.uniform
+            counted[:] += np.bincount(proposals.uniform, minlength=2)
             return samples, scores
 
-        return rejection_sample(
-            proposed, wanted, request.min_confidence, expected_share(spec), check_cancelled
+        passes = PATHS_PASS if spec.kind == "path" else PROPOSALS_PASS
+        found = rejection_sample(proposed, wanted, request.min_confidence, passes, check_cancelled)
+        kept = int(found.scores[:, -1].sum())
+        proposals = ProposalCounts(
+            generator=int(counted[0]),
+            generator_kept=len(found.samples) - kept,
+            uniform=int(counted[1]),
+            uniform_kept=kept,
         )
+        return replace(found, scores=found.scores[:, :-1], proposals=proposals)
 
     def _generate(
         self,
@@ -446,16 +453,6 @@ def _keeps(
     if known is None:
         return space.keeps_pose
     return lambda rows: space.keeps_pose(rows) & known.free(rows, stop)
-
-
-def expected_share(spec: BundleSpec) -> float:
-    """Share of a first turn's proposals that is likely to pass."""
-    if spec.kind == "path":
-        return PATHS_PASS
-    if spec.passing_share is not None:
-        return spec.passing_share
-    # Of a free-space generator's samples nearly all pass, of uniform ones about every second.
-    return 1.0 - spec.uniform_share / 2.0
 
 
 # On the best path most configurations are likely enough to be free, about it fewer.

@@ -16,7 +16,7 @@ from cspace.strict_json import Share, adapter_of, json_text, parse_json, read_ob
 from cspace.view_file import MAX_PICTURES
 from cspace.worlds import WorldField
 
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 WAYS = "ways"
 ENDPOINTS = ("start", "goal")
 PICTURE, MAP = "image", "map"
@@ -111,10 +111,6 @@ class BundleSpec:
         random_inputs: what the generator takes beside the latent, in the order in which it is drawn.
         standardisation: of the angles inside the graph, for information; the graph's output is in rad.
         confidence_threshold: the validity head's threshold that training recommends, None without one.
-        uniform_share: of what the validity head is shown when a request filters: uniform over the joint space
-            instead of generated, 0 to 1; 0 for path models.
-        passing_share: of what such a request draws first, that is expected to reach the threshold, above 0 to
-            1; None where nobody measured it.
         novelty_quantiles: for each score of the novelty graph its rising quantiles over known pictures; None
             without one.
         plan_calibration: (a, b) for one picture, for two and so on, the last for more: a path of cost D is
@@ -135,8 +131,6 @@ class BundleSpec:
     random_inputs: Annotated[tuple[RandomInput, ...], Field(max_length=16)] = ()
     standardisation: Standardisation | None = None
     confidence_threshold: Share | None = None
-    uniform_share: Share = 0.0
-    passing_share: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
     novelty_quantiles: _Quantiles | None = None
     plan_calibration: _Calibrations | None = None
     provenance: Provenance = field(default_factory=Provenance)
@@ -152,7 +146,6 @@ class BundleSpec:
             > MAX_PER_LATENT,
             f"random_inputs: different names, at most {MAX_PER_LATENT} numbers": len(set(names)) != len(names)
             or noise_size > MAX_PER_LATENT,
-            "uniform_share: 0 for a path model": self.uniform_share > 0.0 and self.kind == "path",
             "novelty_quantiles: rising rows": any(np.any(np.diff(row) < 0.0) for row in rows),
             "standardisation: a number a joint": scale is not None and len(scale.mean) != self.dim,
             f"kind: path for {WAYS}": self.model_kind == WAYS and self.kind != "path",

@@ -23,7 +23,6 @@ SMALL = (
     *(
         "validity.grid={width: 4, middle: 4, deep: 4}",
         "validity.threshold=0.05",
-        "validity.uniform_share=0.2",
         "validity.plan_problems=7",
     ),
     *("gate.cells=4", "gate.points=64", "local.hidden=16", "local.critic_hidden=16", "local.batch_size=32"),

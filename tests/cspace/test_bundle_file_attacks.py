@@ -219,7 +219,7 @@ DESCRIPTIONS: dict[str, Callable[[dict[str, Any]], str]] = {
         '"latent_dim": 4', '"latent_dim": 1' + "0" * 5000
     ),
     "a number of 10^400 elsewhere": lambda values: json.dumps(values).replace(
-        '"uniform_share": 0.0', '"uniform_share": 1' + "0" * 400
+        '"samples_per_latent": 1', '"samples_per_latent": 1' + "0" * 400
     ),
     "quantiles without an end": lambda values: json.dumps(
         values | {"novelty_quantiles": [list(range(100_000))]}

@@ -7,14 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import onnx
-import psutil
 import pytest
 
 from cspace.bundle import Bundle
 from cspace.bundle.graph_check import OPERATORS, check_graph
 from cspace.bundle.runtime import Graph
 from cspace.errors import BundleIntegrityError
-from tests.bundles import LATENT, PIXELS
+from tests.bundles import LATENT
 from tests.cspace import hostile_graphs as hostile
 from tests.cspace.hostile_graphs import field
 from tests.cspace.test_bundle_integrity import resign
@@ -27,11 +26,8 @@ OUTSIDE = [
 ]
 
 
-SHAPES = {"image": (1, 3, PIXELS, PIXELS)}
-
-
 def opened(model: bytes) -> Graph:
-    check_graph("encoder.onnx", model, SHAPES)
+    check_graph("encoder.onnx", model)
     return Graph("encoder.onnx", model, {"image"}, {"mu", "sigma"})
 
 
@@ -45,7 +41,6 @@ def never_opened(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_an_honest_graph_of_the_same_making_is_opened() -> None:
     assert opened(hostile.plain()) is not None
-    assert check_graph("encoder.onnx", hostile.plain(), SHAPES) == {"mu": (1, LATENT), "sigma": (1, LATENT)}
 
 
 @pytest.mark.parametrize("build", OUTSIDE, ids=lambda build: build.__name__)
@@ -61,31 +56,11 @@ def test_weights_outside_are_found_wherever_they_stand_and_in_any_order(
 
 
 REFUSED: dict[str, tuple[Callable[[], bytes], str]] = {
-    "a loop": (lambda: hostile.endless(turns=2), "operator :Loop"),
+    "a loop": (lambda: hostile.endless(turns=2), "operators Loop"),
     "an operator of another domain": (hostile.of_another_domain, "com.microsoft"),
     "training": (hostile.trained, "training"),
-    "a convolution in no group": (hostile.no_group, "group"),
-    "fewer weights than told": (lambda: hostile.wrong_size(LATENT + 1), "shape"),
-    "more weights than can be": (lambda: hostile.wrong_size(2**40), "elements"),
-    "a negative size": (lambda: hostile.wrong_size(-1), "elements"),
-    "a division by -1": (lambda: hostile.dividing("Div"), "constant above 0"),
-    "a division by a computed -1": (lambda: hostile.dividing("Div", "computed"), "constant above 0"),
-    **{
-        f"an absurd {name}": (lambda name=name: hostile.huge(name), f"elements.* by {name}")  # type: ignore[misc]
-        for name in ("ConstantOfShape", "Range", "Tile")
-    },
-    **{
-        f"{name} of a size that follows from the picture": (
-            lambda name=name: hostile.of_the_picture(name),  # type: ignore[misc]
-            f"{name} with a size that depends on data",
-        )
-        for name in hostile.SIZED
-    },
-    "a computed range": (lambda: hostile.huge("Range", "all"), "Range with a size that depends on data"),
-    "a vector that inference would write out": (lambda: hostile.long_vector(2**40), "elements.* by Expand"),
-    "many nodes of a size with many steps": (lambda: hostile.computed_sizes(200, 200), "more work for sizes"),
-    "many tensors that live together": (lambda: hostile.many_at_once(64), "MiB of memory"),
-    "many constants that are made of few": (lambda: hostile.many_at_once(64, "begin"), "MiB of memory"),
+    "fewer weights than told": (lambda: hostile.wrong_size(LATENT + 1), "cannot be opened"),
+    "a negative size": (lambda: hostile.wrong_size(-1), "cannot be opened"),
 }
 
 
@@ -100,9 +75,7 @@ WIRE = {
     "nothing": b"",
     "a torn field": hostile.plain()[:-3],
     "an endless number": b"\x08" + b"\xff" * 11,
-    "a group": hostile.plain() + b"\x0b\x0c",
     "field number 0": hostile.plain() + b"\x02\x00",
-    "an unknown field": hostile.plain() + field(99, b"x"),
     "a length beyond the end": hostile.plain() + b"\x32\xff\xff\xff\xff\x0f",
     "a graph as a number": field(7, 1),
 }
@@ -126,21 +99,6 @@ def test_a_text_in_the_place_of_the_other_formats_name_does_not_choose_the_forma
         opened(b"\x08\x0a\x12\x08ORTMORTM")
 
 
-def test_a_size_that_depends_on_data_is_bounded_by_what_it_is_taken_from() -> None:
-    found = check_graph("encoder.onnx", hostile.chosen_rows(), SHAPES)
-    assert found["sigma"] == (1, LATENT)
-
-
-def test_a_vector_takes_no_memory_for_each_of_its_elements() -> None:
-    before = psutil.Process().memory_info().rss
-    assert check_graph("encoder.onnx", hostile.long_vector(2**22), SHAPES)["mu"] == (1, LATENT)
-    assert psutil.Process().memory_info().rss - before < 20 * 2**20
-
-
-def test_a_size_may_be_computed_in_steps() -> None:
-    assert check_graph("encoder.onnx", hostile.computed_sizes(20, 20), SHAPES)["mu"] == (1, LATENT)
-
-
 def test_a_refusal_names_the_file_and_no_folder(folder: Path) -> None:
     made = onnx.load_from_string((folder / "encoder.onnx").read_bytes())
     made.graph.node[2].op_type = "Gemm"
@@ -158,4 +116,4 @@ def test_a_node_with_fewer_inputs_than_its_operator_takes_is_no_surprise() -> No
         node = hostile.node(operator, ["weights"] * count, ["number"])
         # Whether it can be computed is for onnxruntime to say.
         with contextlib.suppress(BundleIntegrityError):
-            check_graph("encoder.onnx", hostile.model(hostile.graph([node])), SHAPES)
+            check_graph("encoder.onnx", hostile.model(hostile.graph([node])))

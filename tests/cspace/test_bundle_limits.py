@@ -33,7 +33,7 @@ def robot(request: pytest.FixtureRequest) -> PlanarArm:
 
 
 def test_no_answer_holds_a_configuration_outside_the_limits(tmp_path: Path, robot: PlanarArm) -> None:
-    spec = replace(tiny_spec(robot), uniform_share=0.4)
+    spec = tiny_spec(robot)
     graphs = tiny_graphs(spec, validity=True, scale=3.0)
     bundle = Bundle.load(write_bundle(tmp_path / "bundle", spec, graphs))
     for least in (0.0, 0.1):

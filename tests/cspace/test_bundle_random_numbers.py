@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -39,7 +37,7 @@ def test_surplus_samples_of_a_shares_last_latent_are_left_out() -> None:
 
 
 def test_uniform_proposals_lie_among_the_others_in_their_order() -> None:
-    spec = replace(tiny_spec(), uniform_share=0.25)
+    spec = tiny_spec()
     proposals = propose(spec, (300, 100), 7, 0)
     assert proposals.uniform[:300].sum() == 300 - proposals.learned[0]
     assert proposals.uniform[300:].sum() == 100 - proposals.learned[1]
@@ -49,13 +47,3 @@ def test_uniform_proposals_lie_among_the_others_in_their_order() -> None:
     np.testing.assert_array_equal(mixed[:, 0] == 9.0, ~proposals.uniform)
     assert np.abs(mixed[proposals.uniform]).max() < np.pi
     assert not np.array_equal(propose(spec, (300, 100), 7, 1).uniform, proposals.uniform)
-
-
-def test_of_uniform_proposals_alone_nothing_else_is_drawn() -> None:
-    spec = replace(tiny_spec(), uniform_share=1.0)
-    proposals = propose(spec, (30, 10), 7, 1)
-    assert (proposals.learned, proposals.uniform.all()) == ([0, 0], True)
-    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(7, spawn_key=(1, 1))))
-    space = spec.world.space
-    expected = space.to_float32(space.sample_uniform(rng, 40))
-    np.testing.assert_array_equal(proposals.mixed_with(None), expected)

@@ -11,7 +11,9 @@ import pytest
 
 from cspace.bundle import Bundle, write_bundle
 from cspace.bundle.golden import scene
+from cspace.bundle.samples import ProposalCounts
 from cspace.errors import InputError
+from cspace.query import SampleQuery
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from tests.bundles import picture, tiny_graphs, tiny_spec, write_tiny_bundle
 
@@ -143,23 +145,23 @@ def test_without_a_confidence_the_bundles_own_threshold_holds(tmp_path: Path) ->
     assert everything.acceptance == 1.0
 
 
-@pytest.mark.parametrize("share", [0.5, 1.0])
-def test_a_uniform_share_is_shown_to_the_head_where_a_request_filters(tmp_path: Path, share: float) -> None:
-    base = replace(tiny_spec(), confidence_threshold=0.4)
-    spec = replace(base, uniform_share=share, passing_share=0.6)
-    graphs = tiny_graphs(spec, validity=True)
-    with_share = Bundle.load(write_bundle(tmp_path / "share", spec, graphs))
-    without = Bundle.load(write_bundle(tmp_path / "none", base, graphs))
-    plain = [bundle.sample(picture(), 50, 3, min_confidence=0.0) for bundle in (with_share, without)]
-    assert plain[0].samples.tobytes() == plain[1].samples.tobytes()
-    for n in (1, 2, 400):
-        found = with_share.sample(picture(), n, 3, epsilon_sigma=(0.0, 0.5))
-        assert found.samples.shape == (n, 2)
-        assert found.confidence is not None
-        assert found.confidence.min() >= np.float32(0.4)
-        np.testing.assert_array_equal(found.confidence, with_share.score(picture(), found.samples))
-        again = with_share.sample(picture(), n, 3, epsilon_sigma=(0.0, 0.5))
-        assert found.samples.tobytes() == again.samples.tobytes()
+def test_a_filtered_request_is_served_by_the_generator_with_a_quarter_of_uniform_proposals(
+    tmp_path: Path,
+) -> None:
+    spec = replace(tiny_spec(), confidence_threshold=0.4)
+    bundle = Bundle.load(write_bundle(tmp_path / "bundle", spec, tiny_graphs(spec, validity=True)))
+    query = SampleQuery(400, 3, (0.0, 0.5))
+    found = bundle.answer(picture(), query)
+    counts = found.proposals
+    assert counts is not None
+    assert counts.generator_kept + counts.uniform_kept == len(found.samples) == 400
+    assert 0.2 < counts.uniform / (counts.uniform + counts.generator) < 0.3
+    assert 0 < counts.uniform_kept <= counts.uniform
+    assert 0 < counts.generator_kept <= counts.generator
+    np.testing.assert_array_equal(found.confidence, bundle.score(picture(), found.samples))
+    assert bundle.answer(picture(), query).samples.tobytes() == found.samples.tobytes()
+    unfiltered = bundle.answer(picture(), replace(query, min_confidence=0.0)).proposals
+    assert unfiltered == ProposalCounts(generator=400, generator_kept=400)
 
 
 def test_a_confidence_that_none_reaches_gives_an_empty_answer(scored: Bundle) -> None:

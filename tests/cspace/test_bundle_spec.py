@@ -46,9 +46,9 @@ def test_the_json_has_exactly_the_fields_of_the_schema() -> None:
     assert set(values) == {
         "schema_version", "kind", "world", "joint_space", "image", "latent_dim", "model_kind",
         "samples_per_latent", "random_inputs", "standardisation", "conditions", "confidence_threshold",
-        "uniform_share", "passing_share", "novelty_quantiles", "plan_calibration", "provenance",
+        "novelty_quantiles", "plan_calibration", "provenance",
     }  # fmt: skip
-    assert values["schema_version"] == 5
+    assert values["schema_version"] == 6
     assert values["joint_space"] == {"kind": "torus", "dim": 3, "unit": "rad"}
     assert values["image"] == {"pixels": 32, "channels": "RGB", "range": [-1, 1]}
     assert values["conditions"] == ["start", "goal"]
@@ -57,9 +57,9 @@ def test_the_json_has_exactly_the_fields_of_the_schema() -> None:
 WORLD = full_spec().world.to_dict()
 NOISE = {"name": "u", "distribution": "normal", "shape": [2], "low": None, "high": None}
 CHANGES: list[dict[str, Any]] = [
-    {"schema_version": 6},
+    {"schema_version": 5},
     {"schema_version": 4},
-    {"schema_version": 5.0},
+    {"schema_version": 6.0},
     {"plan_calibration": [[0.0, 0.0]]},
     {"plan_calibration": [[0.0, 1.0], [0.0, -1.0]]},
     {"plan_calibration": [[1e9, 1.0]]},
@@ -89,26 +89,12 @@ CHANGES: list[dict[str, Any]] = [
     {"standardisation": {"mean": [0, 0, 0], "std": [1, 0, 1]}},
     {"conditions": []},
     {"confidence_threshold": 1.5},
-    {"uniform_share": -0.1},
-    {"uniform_share": 0.1},
-    {"passing_share": 0.0},
-    {"passing_share": 1.1},
     {"novelty_quantiles": []},
     {"novelty_quantiles": [[0.0]]},
     {"novelty_quantiles": [[0.0, 1.0], [1.0, 0.5]]},
     {"provenance": {"by": "somebody"}},
     {"surprise": 1},
 ]
-
-
-def test_only_models_of_configurations_have_uniform_proposals() -> None:
-    spec = dataclasses.replace(tiny_spec(), uniform_share=0.25)
-    assert BundleSpec.from_json(spec.to_json()) == spec
-    alone = dataclasses.replace(spec, uniform_share=1.0, passing_share=0.5)
-    assert BundleSpec.from_json(alone.to_json()) == alone
-    for change in ({"uniform_share": 1.1}, {"kind": "path"}):
-        with pytest.raises(BundleIntegrityError, match="uniform"):
-            dataclasses.replace(spec, **change)
 
 
 @pytest.mark.parametrize("change", CHANGES, ids=lambda change: str(change)[:60])

@@ -1,5 +1,6 @@
 """A bundle of others runs in a worker first, which is ended when it takes too long or too much."""
 
+import os
 import subprocess
 import sys
 import time
@@ -9,6 +10,7 @@ from pathlib import Path
 import psutil
 import pytest
 
+from cspace import bounded
 from cspace.bundle import Bundle, verification
 from cspace.bundle.files import read_files
 from cspace.bundle.runtime import container_bytes
@@ -40,7 +42,7 @@ def test_a_sound_bundle_is_opened_after_its_verification_in_a_worker_that_knows_
         seen.update(options["env"])  # type: ignore[call-overload]
         return real(command, **options)  # type: ignore[call-overload, no-any-return]
 
-    monkeypatch.setattr(verification.subprocess, "Popen", note)
+    monkeypatch.setattr(bounded.subprocess, "Popen", note)
     assert load_verified(folder).digest == read_files(folder).digest
     assert seen
     assert "secret" not in seen.values()
@@ -60,7 +62,7 @@ def test_errors_of_the_worker_are_those_of_loading(folder: Path) -> None:
 def test_a_bundle_that_computes_for_minutes_is_refused_in_time(tmp_path: Path) -> None:
     slow = write_slow_bundle(tmp_path / "slow")
     began_s = time.monotonic()
-    with pytest.raises(BundleError, match="takes too long"):
+    with pytest.raises(BundleError, match="no end within 1 s"):
         verify(slow, limit_s=1.0)
     assert time.monotonic() - began_s < 20.0
 
@@ -68,7 +70,7 @@ def test_a_bundle_that_computes_for_minutes_is_refused_in_time(tmp_path: Path) -
 def test_a_bundle_that_takes_memory_takes_none_of_this_process(tmp_path: Path) -> None:
     hungry = write_hungry_bundle(tmp_path / "hungry")
     before = psutil.Process().memory_info().rss
-    with pytest.raises(BundleError, match="MiB of memory"):
+    with pytest.raises(BundleError, match=r"MiB of memory|Available memory of"):
         verify(hungry)
     assert psutil.Process().memory_info().rss - before < 20 * 2**20
 
@@ -84,12 +86,13 @@ verify(Path(sys.argv[1]), limit_s=600.0)
 
 def test_a_worker_ends_with_its_parent(tmp_path: Path) -> None:
     slow = write_slow_bundle(tmp_path / "slow")
-    done = subprocess.run([sys.executable, "-c", PARENT, str(slow)], cwd=ROOT, check=False)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "clients/python/src")])}
+    done = subprocess.run(
+        [sys.executable, "-c", PARENT, str(slow)], cwd=tmp_path, env=environment, check=False
+    )
     assert done.returncode == 7
     until_s = time.monotonic() + 10.0
-    while any(
-        str(slow) in " ".join(process.info["cmdline"] or ()) for process in psutil.process_iter(["cmdline"])
-    ):
+    while any(process.info["cwd"] == str(tmp_path) for process in psutil.process_iter(["cwd"])):
         assert time.monotonic() < until_s, "the worker lives on"
         time.sleep(0.05)
 
@@ -107,7 +110,7 @@ def test_a_worker_that_does_not_start_says_nothing_of_the_bundle(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sys, "executable", "/bin/false")
-    with pytest.raises(ServiceError, match="cannot be verified"):
+    with pytest.raises(ServiceError, match="the bundle cannot be read"):
         verify(folder)
 
 
@@ -124,7 +127,7 @@ def test_a_folder_of_others_is_opened_by_its_path_after_the_worker_alone(
     folder: Path, monkeypatch: pytest.MonkeyPatch, open_folder: Callable[[Path], object]
 ) -> None:
     monkeypatch.setattr(sys, "executable", "/bin/false")
-    with pytest.raises(CspaceError, match="cannot be verified"):
+    with pytest.raises(CspaceError, match="the bundle cannot be read"):
         open_folder(folder)
 
 

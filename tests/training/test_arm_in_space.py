@@ -28,7 +28,7 @@ SMALL = (
         "validity.configurations_per_picture=8",
     ),
     *("validity.hidden=8", "validity.grid={width: 4, middle: 4, deep: 4}"),
-    *("validity.threshold=0.05", "validity.uniform_share=0.2", "validity.promise={scenarios: 30}"),
+    *("validity.threshold=0.05", "validity.promise={scenarios: 30}"),
     "validity.plan_problems=7",
     *("gate.cells=4", "gate.points=64", "gate.steps=4"),
     *("local.hidden=16", "local.critic_hidden=16", "local.batch_size=32", "local.steps=4"),

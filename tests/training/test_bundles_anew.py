@@ -12,7 +12,7 @@ from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.benchmark import LIMITS_RAD
 from cspace.worlds.spatial.world import shipped
 from tests.bundles import picture, tiny_graphs, tiny_spec, write_tiny_bundle
-from training import limits, plan_confidence, proposals
+from training import limits, plan_confidence
 from training.motionbench.__main__ import main as motionbench
 
 WIDE = PlanarArm(joint_limits_rad=((-3.0, 3.0), (-3.0, 3.0)))
@@ -89,30 +89,4 @@ def test_what_no_plan_can_be_judged_by_is_refused(source, headless, tmp_path, ca
     assert "6 or more" in capsys.readouterr().err
     assert plan_confidence.main([str(headless), str(tmp_path / "none")]) == 1
     assert "no validity head" in capsys.readouterr().err
-    assert not (tmp_path / "none").exists()
-
-
-@pytest.mark.slow
-def test_proposals_are_mixed_again(source, tmp_path, capsys):
-    command = [str(source), str(tmp_path / "new")]
-    assert proposals.main(command) == 0
-    before, after = both(source, tmp_path / "new")
-    spec = after.spec
-    assert before.spec.passing_share is None
-    assert 0.0 < spec.passing_share <= 1.0
-    output = capsys.readouterr().out
-    assert f"uniform_share {spec.uniform_share}, threshold {spec.confidence_threshold}" in output
-    assert spec.provenance.metrics["proposals/head_us"] > 0.0
-    assert spec.provenance.config["proposals_fitted_again"]["source_digest"] == before.digest
-    assert proposals.main(command) == 1
-    assert "exists" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_bundles_that_mix_no_proposals_are_refused(headless, tmp_path, capsys):
-    assert proposals.main([str(headless), str(tmp_path / "none")]) == 1
-    assert "no validity head" in capsys.readouterr().err
-    paths = write_tiny_bundle(tmp_path / "paths", kind="path", validity=True)
-    assert proposals.main([str(paths), str(tmp_path / "none")]) == 1
-    assert "free configurations" in capsys.readouterr().err
     assert not (tmp_path / "none").exists()

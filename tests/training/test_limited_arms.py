@@ -27,7 +27,7 @@ def trained(request, server, tmp_path_factory):
     """The arm, its bundle, and the folder of its data sets."""
     robot, settings = ARMS[request.param]
     folder = tmp_path_factory.mktemp(request.param)
-    overrides = (limits_of(robot), "validity.uniform_share=0.4", "validity.threshold=0.05", *settings)
+    overrides = (limits_of(robot), "validity.threshold=0.05", *settings)
     result = submit(server, folder, "--preset", "smoke", *chosen(overrides))
     return robot, bundle_of(server, result["model"], result["version"], folder / "bundle"), folder
 
@@ -56,7 +56,6 @@ def outside(robot, samples):
 def test_no_served_sample_lies_outside(trained, least):
     robot, bundle, _ = trained
     assert bundle.spec.joint_space == robot.space.to_dict()
-    assert bundle.spec.uniform_share == 0.4
     for seed, image in enumerate(pictures(robot)):
         found = bundle.sample(image, SAMPLES, seed, min_confidence=least, epsilon_sigma=(0.0, 1.0))
         assert len(found.samples) > SAMPLES / 10

@@ -12,7 +12,6 @@ from cspace.files import discard
 from cspace.space import Standardisation
 from cspace.world import World
 from training.clusters.calibration import (
-    CANDIDATES,
     choose_bounded,
     choose_threshold,
     collision_bound,
@@ -21,7 +20,6 @@ from training.clusters.calibration import (
     planned,
     validation_scores,
 )
-from training.clusters.proposals import Choice, choose_proposals, proposal_costs, proposal_pools
 from training.config import HeadConfig, TrainConfig
 from training.jobs.environment import provenance
 from training.jobs.job import TAG_START
@@ -107,7 +105,6 @@ def make_bundle(folder: Path, config: TrainConfig, dataset: Dataset, parts: Trai
         samples_per_latent=gan.means,
         random_inputs=random_inputs(gan, dim, gated=parts.gate is not None),
         confidence_threshold=(config.validity.threshold or FALLBACK_THRESHOLD) if has_head else None,
-        uniform_share=(config.validity.uniform_share or 0.0) if has_head else 0.0,
         novelty_quantiles=known,
         standardisation=scale if gan.generator == "means" else None,
         provenance=provenance(
@@ -151,7 +148,7 @@ def with_choices(
     folder: Path, config: HeadConfig, spec: BundleSpec, graphs: Mapping[str, bytes]
 ) -> BundleSpec:
     """By the rules of ``threshold`` and ``promise``, from a draft of the bundle that is deleted again."""
-    chosen = config.threshold is not None and config.uniform_share is not None and config.promise is None
+    chosen = config.threshold is not None and config.promise is None
     if chosen and not config.plan_problems:
         return spec
     # What an attempt left that was killed here.
@@ -169,36 +166,18 @@ def with_choices(
 
 
 def _with_threshold(draft: Bundle, config: HeadConfig, spec: BundleSpec) -> BundleSpec:
-    threshold, share, bound = config.threshold, config.uniform_share, config.promise
+    threshold, bound = config.threshold, config.promise
     scenarios = THRESHOLD_SCENARIOS if bound is None else bound.scenarios
-    learned, uniform = validation_scores(draft, spec.world, scenarios)
-    fixed = threshold is not None or bound is not None
+    proposed, uniform = validation_scores(draft, spec.world, scenarios)
     if threshold is None and bound is not None:
-        threshold = choose_bounded(learned, bound.at_most)
+        threshold = choose_bounded(proposed, bound.at_most)
     elif threshold is None:
-        threshold = choose_threshold(learned, config.target_precision)
+        threshold = choose_threshold(proposed, config.target_precision)
     if bound is not None:
-        kinds = {"samples": learned, "uniform": uniform}
+        kinds = {"samples": proposed, "uniform": uniform}
         metrics = [collision_bound(scenes, threshold).metrics(kind) for kind, scenes in kinds.items()]
         spec = replace(spec, provenance=replace(spec.provenance, metrics=metrics[0] | metrics[1]))
-    if share is not None:
-        return replace(spec, confidence_threshold=threshold, uniform_share=share)
-    return fit_proposals(draft, threshold, config.target_acceptance, fixed=fixed).stated_in(spec)
-
-
-def fit_proposals(draft: Bundle, threshold: float, target_acceptance: float, *, fixed: bool) -> Choice:
-    """The mixture of a bundle's proposals, by :mod:`training.clusters.proposals`.
-
-    Args:
-        draft: the bundle.
-        threshold: at which the generator's samples are right.
-        target_acceptance: mean share of all proposals that is to pass.
-        fixed: whether a mixture has to be as right at the same threshold.
-    """
-    rising = [] if fixed else [one for one in CANDIDATES if one > threshold]
-    pools = proposal_pools(draft, draft.spec.world, THRESHOLD_SCENARIOS)
-    costs = proposal_costs(draft)
-    return choose_proposals(pools, costs, [threshold, *rising], target_acceptance)
+    return replace(spec, confidence_threshold=threshold)
 
 
 def generator_config(config: TrainConfig) -> GanConfig:

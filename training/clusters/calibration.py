@@ -15,6 +15,7 @@ from cspace.bundle import Bundle, BundleSpec, graphs_of, write_bundle
 from cspace.bundle.files import GOLDEN_FILE, VALIDITY_FILE
 from cspace.bundle.golden import GoldenCase
 from cspace.bundle.load import quantiles_of
+from cspace.bundle.sampling import UNIFORM_SHARE
 from cspace.dataset import Dataset
 from cspace.errors import BundleError
 from cspace.planning.calibration import fit_calibration
@@ -115,7 +116,7 @@ class Scored:
 
 
 def choose_threshold(
-    learned: Sequence[Scored], target_precision: float, candidates: Sequence[float] = CANDIDATES
+    proposed: Sequence[Scored], target_precision: float, candidates: Sequence[float] = CANDIDATES
 ) -> float:
     """The lowest candidate at which the samples that pass are as precise as wanted.
 
@@ -123,7 +124,7 @@ def choose_threshold(
     fail one scenario in ten; the percentile may miss as much again as the mean.
 
     Args:
-        learned: the generator's samples, by scenario.
+        proposed: configurations, by scenario.
         target_precision: of the mean, 0 to 1.
         candidates: rising thresholds.
 
@@ -131,7 +132,7 @@ def choose_threshold(
         The threshold; the highest candidate where none is enough.
     """
     for threshold in candidates:
-        passing = np.array([rows.passing(threshold) for rows in learned])
+        passing = np.array([rows.passing(threshold) for rows in proposed])
         if not passing[:, 0].all():
             break
         if _precise(passing, target_precision):
@@ -148,17 +149,22 @@ def _precise(passing: NDArray[np.float64], target: float) -> bool:
 def validation_scores(
     bundle: Bundle, world: World, scenarios: int, samples: int = 1000
 ) -> tuple[list[Scored], list[Scored]]:
-    """A bundle's samples and uniform ones in validation scenarios, as its head scores them."""
+    """A bundle's proposals and uniform ones in validation scenarios, as its head scores them.
+
+    The proposals are those of a request that filters: the generator's, and uniform ones in their share.
+    """
     stage = Stage(world, Split.VALIDATION, 0)
-    learned: list[Scored] = []
+    proposed: list[Scored] = []
     uniform: list[Scored] = []
     for scene in (Scene(stage, index) for index in range(scenarios)):
         picture = bundle.prepare(scene.image)
         generated = bundle.sample(picture, samples, scene.sampler_seed(STREAM), min_confidence=0.0).samples
         anywhere = scene.space.to_float32(scene.space.sample_uniform(scene.rng(STREAM), samples))
-        for group, rows in ((learned, generated), (uniform, anywhere)):
+        few = round(UNIFORM_SHARE * samples)
+        mixed = np.concatenate([generated[few:], anywhere[:few]])
+        for group, rows in ((proposed, mixed), (uniform, anywhere)):
             group.append(Scored(bundle.score(picture, rows), scene.checker.valid_batch(rows)))
-    return learned, uniform
+    return proposed, uniform
 
 
 FINE = (*CANDIDATES, 0.96, 0.97, 0.98, 0.99)

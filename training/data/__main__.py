@@ -5,16 +5,19 @@ Exit codes: 0 done; 1 the data or the disk is bad; 2 the command is wrong.
 
 import argparse
 import logging
+import math
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
+from cspace import bounded
 from cspace.dataset import Dataset, open_dataset
-from cspace.errors import ConfigError, CspaceError, ScenarioError, StorageError
+from cspace.errors import ConfigError, CspaceError, DatasetError, ScenarioError, StorageError
 from cspace.strict_json import refused
 from cspace.worlds import add_world_options, described_world
 from services.command_errors import report_error
@@ -25,20 +28,43 @@ from training.data.outcomes import import_outcomes
 from training.data.own import import_folder
 from training.data.recordings import add_recording_options
 
+# Pictures of an import are arrays in memory, 1 MB each.
+IMPORT = bounded.Limits(memory_bytes=2**30, cpu_s=600, wall_s=600.0, file_bytes=2**31)
 _PARTS = ("robot", "robot_name", "camera", "scenes")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Parse, call, print; returns the exit code."""
-    options = parser().parse_args(arguments)
-    logging.basicConfig(level=logging.WARNING, format="%(message)s")
-    logging.getLogger("training").setLevel(logging.INFO)
+    given = sys.argv[1:] if arguments is None else list(arguments)
+    options = parser().parse_args(given)
     try:
-        made = options.run(options)
+        print(_import_bounded(options, given) if options.is_foreign else run(given))
     except CspaceError as error:
         return report_error(error, ConfigError, ScenarioError)
-    print(describe(made) if isinstance(made, Dataset) else made)
     return 0
+
+
+def run(arguments: Sequence[str]) -> str:
+    """Do what a command says; what it made, in lines."""
+    logging.basicConfig(level=logging.WARNING, format="%(message)s")
+    logging.getLogger("training").setLevel(logging.INFO)
+    options = parser().parse_args(arguments)
+    made = options.run(options)
+    return describe(made) if isinstance(made, Dataset) else str(made)
+
+
+def _import_bounded(options: argparse.Namespace, arguments: Sequence[str]) -> str:
+    """The same for files of others, in a worker that the kernel bounds."""
+    limit_s = getattr(options, "time_limit_s", IMPORT.wall_s)
+    text: str = bounded.call(
+        run,
+        list(arguments),
+        limits=replace(IMPORT, cpu_s=max(1, math.ceil(limit_s)), wall_s=limit_s),
+        what=str(options.source),
+        error=DatasetError,
+        remedy="cut the recording or leave topics out (ros2 bag convert), or raise --time-limit",
+    )
+    return text
 
 
 def describe(dataset: Dataset) -> str:
@@ -54,6 +80,7 @@ def parser() -> argparse.ArgumentParser:
         description="Make, import, merge and verify data-set folders.",
         epilog="Exit codes: 0 done, 1 the data or the disk is bad, 2 the command is wrong.",
     )
+    result.set_defaults(is_foreign=False)
     commands = result.add_subparsers(required=True, metavar="COMMAND")
     _add_generated(
         commands.add_parser("generate", help="random scenarios, by Ray tasks; goes on where it stopped"),
@@ -128,7 +155,7 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("folder", type=Path, help="where the data set goes")
     add_world_options(parser, sensor=True)
-    parser.set_defaults(run=_import)
+    parser.set_defaults(run=_import, is_foreign=True)
 
 
 def _add_outcomes(parser: argparse.ArgumentParser) -> None:

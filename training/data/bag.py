@@ -1,11 +1,10 @@
-"""Recordings of ROS 2, read without ROS and within limits: messages, series by stamp, and the tf tree.
+"""Recordings of ROS 2, read without ROS: messages, series by stamp, and the tf tree.
 
 Only messages of five standard types are read, by built-in definitions; those of a recording are ignored. All
 stamps are those of the messages' headers.
 """
 
 import math
-import time
 from array import array
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -14,12 +13,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import apsw
 import numpy as np
-from backports import zstd
-from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
 from numpy.typing import NDArray
-from rosbags.rosbag2 import Reader, storage_mcap
+from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from cspace.errors import CspaceError, DatasetError, ImageError
@@ -35,22 +31,19 @@ TRANSFORMS = "tf2_msgs/msg/TFMessage"
 _DEPTH = {"16UC1": "u2", "32FC1": "f4"}
 # In front of the PNG of a compressed depth image.
 _HEADER_BYTES = 12
-MAX_MESSAGE_BYTES, MAX_CHUNK_BYTES, MAX_MESSAGES = 32 * 2**20, 64 * 2**20, 2_000_000
 _QUATERNION_TOLERANCE, _FAR_M = 1e-2, 1e6
 
 
 class Bag:
-    """Recordings that are open, read message by message within limits."""
+    """Recordings that are open, read message by message."""
 
-    def __init__(self, readers: Sequence[Reader], name: str, time_limit_s: float, until: float) -> None:
+    def __init__(self, readers: Sequence[Reader], name: str) -> None:
         self.name = name
         found: list[tuple[Reader, Any]] = [(reader, reader.connections) for reader in readers]
         # A damaged .db3 file has topics without a name.
         self._readers = [
             (reader, [one for one in ones if isinstance(one.topic, str)]) for reader, ones in found
         ]
-        self._until = until
-        self._limit_s, self._count = time_limit_s, 0
         self._types = get_typestore(Stores.LATEST)
         self.topics = {one.topic: one.msgtype for _, connections in self._readers for one in connections}
 
@@ -68,7 +61,7 @@ class Bag:
         """Messages of topics with their topics, in the order in which they were recorded in each file.
 
         Raises:
-            DatasetError: the recording cannot be read, or a limit is reached.
+            DatasetError: the recording cannot be read.
         """
         for reader, connections in self._readers:
             wanted = [
@@ -85,39 +78,18 @@ class Bag:
                 if item is None:
                     return
                 connection, _, data = item
-                self._check(len(data))
                 message = self._types.deserialize_cdr(data, connection.msgtype)
             yield connection.topic, message
 
-    def _check(self, size: int) -> None:
-        self._count += 1
-        if size > MAX_MESSAGE_BYTES or self._count > MAX_MESSAGES:
-            raise DatasetError(
-                f"{self.name} is too large",
-                expected=f"messages of at most {MAX_MESSAGE_BYTES} bytes, at most {MAX_MESSAGES} of them",
-                got=f"{size} bytes in message {self._count}",
-                remedy="cut the recording, or leave topics out: ros2 bag convert",
-            )
-        if time.monotonic() > self._until:
-            raise DatasetError(
-                f"{self.name} takes too long",
-                expected=f"at most {self._limit_s:g} s",
-                got=f"{self._count} messages by then",
-                remedy="raise --time-limit",
-            )
-
 
 @contextmanager
-def opened(source: Path, time_limit_s: float) -> Iterator[Bag]:
+def opened(source: Path) -> Iterator[Bag]:
     """The messages of a ``.mcap`` or ``.db3`` file, or of those in a folder.
 
     Raises:
         DatasetError: there is none, one lies elsewhere, or it cannot be read.
     """
-    until = time.monotonic() + time_limit_s
     with ExitStack() as stack:
-        stack.enter_context(_bounded_chunks(until))
-        stack.enter_context(_bounded_tables(until))
         readers = []
         for path in _files(source):
             with _read_errors(source.name):
@@ -125,7 +97,7 @@ def opened(source: Path, time_limit_s: float) -> Iterator[Bag]:
         with _read_errors(source.name):
             # By time: the names of the parts of a long recording end in _9, _10, ...
             readers.sort(key=lambda reader: reader.start_time)
-        yield Bag(readers, source.name, time_limit_s, until)
+        yield Bag(readers, source.name)
 
 
 def _files(source: Path) -> list[Path]:
@@ -155,7 +127,7 @@ def _files(source: Path) -> list[Path]:
 def _read_errors(name: str) -> Iterator[None]:
     try:
         yield
-    except CspaceError:
+    except (CspaceError, MemoryError):
         raise
     except Exception as error:
         # All, for there is no list of what the readers raise for bytes from outside.
@@ -164,48 +136,6 @@ def _read_errors(name: str) -> Iterator[None]:
             expected="a complete recording of ROS 2",
             got=f"{type(error).__name__}: {error}"[:200],
         ) from error
-
-
-@contextmanager
-def _bounded_chunks(until: float) -> Iterator[None]:
-    """Compressed chunks are no larger than they say; rosbags decompresses first and compares then.
-
-    Chunks without a message that is asked for take time too, and a file may name one many times.
-    """
-    table = storage_mcap.DECOMPRESSORS
-    before = dict(table)
-
-    def bounded(decompressor: Any) -> Any:
-        def decompress(data: bytes, size: int) -> Any:
-            if size > MAX_CHUNK_BYTES:
-                raise ValueError(f"a chunk of {size} bytes, more than {MAX_CHUNK_BYTES}")
-            if time.monotonic() > until:
-                raise ValueError("the time is over")
-            return decompressor().decompress(data, max_length=size + 1)
-
-        return decompress
-
-    table.update(zstd=bounded(zstd.ZstdDecompressor), lz4=bounded(LZ4FrameDecompressor))
-    try:
-        yield
-    finally:
-        table.update(before)
-
-
-@contextmanager
-def _bounded_tables(until: float) -> Iterator[None]:
-    """Tables hold what they seem to: no views, which may be endless, and no long values that are computed."""
-
-    def bound(connection: apsw.Connection) -> None:
-        connection.config(apsw.SQLITE_DBCONFIG_ENABLE_VIEW, 0)
-        connection.limit(apsw.SQLITE_LIMIT_LENGTH, MAX_MESSAGE_BYTES)
-        connection.set_progress_handler(lambda: time.monotonic() > until, 10_000)
-
-    apsw.connection_hooks.append(bound)
-    try:
-        yield
-    finally:
-        apsw.connection_hooks.remove(bound)
 
 
 class Series:

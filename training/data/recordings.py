@@ -142,7 +142,7 @@ def import_recording(
 
     Raises:
         DatasetError: the recording cannot be read, lacks a topic or a transform, holds no complete picture,
-            is beyond a limit, or takes too long.
+            or is no file of its kind.
         StorageError: the folder exists or cannot be written.
     """
     if folder.exists():
@@ -151,7 +151,7 @@ def import_recording(
     digest = None
     with replacing(folder, "the import") as beside:
         (beside / "views").mkdir(parents=True)
-        with opened(source, settings.time_limit_s) as bag:
+        with opened(source) as bag:
             taking = _Taking(bag, settings, world)
             views = taking.views(beside / "views")
         if not views:
@@ -374,7 +374,7 @@ def add_recording_options(parser: argparse.ArgumentParser) -> None:
         told = f"{words}; default {default:g} s"
         parser.add_argument(f"--{name}", dest=key, type=finite, default=default, metavar="S", help=told)
     parser.add_argument("--most", type=int, default=usual.most, help="pictures; default %(default)s")
-    parser.set_defaults(run=_run)
+    parser.set_defaults(run=_run, is_foreign=True)
 
 
 def _run(options: argparse.Namespace) -> Imported:

@@ -71,24 +71,6 @@ def frame_rows(points: Tensor, links: Tensor, count: int, places: float = 1.0) -
     return rows.reshape(len(points), -1)
 
 
-class ArmPoints(nn.Module):
-    """Configurations (n, d) rad to the spheres' centres (n, 3, S) m and those of their groups (n, 3, G)."""
-
-    rows: Tensor
-
-    def __init__(self, arm: GridArm) -> None:
-        super().__init__()
-        self.frames, self.spheres = ArmFrames(arm), len(arm.links)
-        points = torch.cat([buffer(arm.spheres_m[:, :3]), buffer(arm.group_spheres_m[:, :3])])
-        links = torch.cat([buffer(arm.links, torch.long), buffer(arm.group_links, torch.long)])
-        self.register_buffer("rows", frame_rows(points, links, len(arm.axes) + 1), persistent=False)
-
-    def forward(self, configurations: Tensor) -> tuple[Tensor, Tensor]:
-        """Spheres and groups."""
-        points = (self.rows @ self.frames(configurations)).permute(2, 0, 1)
-        return points[:, :, : self.spheres], points[:, :, self.spheres :]
-
-
 class SelfGap(nn.Module):
     """Whether an arm touches itself, exactly, by its spheres.
 

@@ -1,6 +1,6 @@
-"""Pixel-aligned look-ups: what a picture, or an array of space, shows where the arm would be."""
+"""Pixel-aligned look-ups: what a picture shows where a planar arm would be."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
@@ -8,102 +8,7 @@ from torch.nn import functional
 
 from cspace.errors import ConfigError
 from cspace.world import World
-from training.models.joints import Points
-from training.models.kinematics import ArmPoints, buffer
 from training.models.settings import LookupConfig
-
-# Margins to the surface seen that are told apart: about contact, and on the whole.
-_NEAR_M, _FAR_M = 0.03, 0.1
-_VALUES = 4
-_HALF = 0.5 / 255.0
-
-
-class SpaceLookups(nn.Module):
-    """Reads arrays of space at the centres of an arm's groups of spheres.
-
-    Of each group: its margin to the surface seen on two scales, the share of the voxels about its centre that
-    no camera saw free, and how far behind a surface these are; all trilinear, so that they have a derivative.
-
-    Args:
-        world: robot and sensor.
-        groups: of all spheres; those that do not move are left out.
-
-    Shapes: pictures (p, 2, X, Y, Z) in [0, 1], configurations (p, c, d) rad to (p, c, values).
-
-    Raises:
-        ConfigError: pictures of the world are no arrays of space.
-    """
-
-    radii: Tensor
-    low: Tensor
-
-    def __init__(self, world: World, groups: int) -> None:
-        super().__init__()
-        arm = world.grid_arm(groups)
-        x, y, z, _ = world.sensor.picture_shape
-        self.counts, self.voxel_m, self.scale_m = (x, y, z), arm.voxel_m, 255.0 * arm.distance_step_m
-        self.unknown = min(arm.no_reading, arm.out_of_view) / 255.0 - _HALF
-        self.groups = len(arm.group_links)
-        self.values = _VALUES * self.groups
-        self.points = ArmPoints(replace(arm, spheres_m=arm.spheres_m[:0], links=arm.links[:0]))
-        self.register_buffer("radii", buffer(arm.group_spheres_m[:, 3:]), persistent=False)
-        self.register_buffer("low", buffer(arm.low_m)[:, None], persistent=False)
-
-    def forward(self, pictures: Tensor, configurations: Tensor) -> Tensor:
-        """What each picture says at each of its configurations; beyond the grid, what its edge says."""
-        scenes, count, dim = configurations.shape
-        places = self.places(configurations.reshape(-1, dim)).reshape(scenes, count, 3, self.groups)
-        points = Points(places.transpose(1, 2).reshape(scenes, 3, -1), self.counts, 2)
-        table = pictures.reshape(-1, 1)
-        near, known = points.interpolate(table), points.interpolate(table, 1, self._known)
-        return self.features(torch.cat([near, known], dim=-1).reshape(scenes, count, self.groups, -1))
-
-    def places(self, configurations: Tensor) -> Tensor:
-        """Centres of the groups, (n, d) rad to (n, 3, G) in voxels from the grid's lowest corner."""
-        _, centres = self.points(configurations)
-        places: Tensor = (centres - self.low) / self.voxel_m
-        return places
-
-    def read(self, codes: Tensor) -> Tensor:
-        """Stored voxels (..., 2) uint8 to (..., 3): what :meth:`features` takes of them."""
-        shares = codes.to(self.radii.dtype) / 255.0
-        return torch.cat([shares[..., :1], self._known(shares[..., 1:])], dim=-1)
-
-    def features(self, read: Tensor) -> Tensor:
-        """(..., G, 3): distance as a share of the farthest, unseen, depth; to (..., values)."""
-        margins = read[..., :1] * self.scale_m - self.radii
-        scales = [margins / _FAR_M, torch.tanh(margins / _NEAR_M)]
-        return torch.cat([*scales, read[..., 1:]], dim=-1).flatten(-2)
-
-    def _known(self, codes: Tensor) -> Tensor:
-        """Codes (..., 1) in [0, 1] to whether not seen free, and the depth behind a surface, (..., 2)."""
-        unseen = (codes > _HALF).to(codes.dtype)
-        return torch.cat([unseen, torch.where(codes < self.unknown, codes, torch.zeros_like(codes))], dim=-1)
-
-
-class SpaceReader(nn.Module):
-    """The look-ups of :class:`SpaceLookups` for configurations that each have a picture of their own.
-
-    It reads stored bytes where they lie, in memory or on disk, so that no batch of pictures is ever made.
-
-    Args:
-        lookups: where the arm reads.
-        images: (S, X, Y, Z, 2) uint8, all pictures.
-
-    Shapes: ids (b,) and configurations (b, d) rad to (b, values).
-    """
-
-    voxels: Tensor
-
-    def __init__(self, lookups: SpaceLookups, images: Tensor) -> None:
-        super().__init__()
-        self.lookups, self.values = lookups, lookups.values
-        self.register_buffer("voxels", images.reshape(-1, images.shape[-1]), persistent=False)
-
-    def forward(self, ids: Tensor, configurations: Tensor) -> Tensor:
-        """What the picture of each id says at its configuration."""
-        points = Points(self.lookups.places(configurations), self.lookups.counts, scenes=ids)
-        return self.lookups.features(points.interpolate(self.voxels, transform=self.lookups.read))
 
 
 class ArmLookups(nn.Module):
@@ -244,49 +149,41 @@ class Scenes:
 
     Args:
         world: robot and sensor.
-        images: (S, P, P, 3) uint8, or (S, X, Y, Z, 2) of arrays of space.
+        images: (S, P, P, 3) uint8.
     """
 
     world: World
     images: Tensor
 
 
-Lookups = ArmLookups | SpaceLookups
-Reader = PictureReader | SpaceReader
-
-
-def make_lookups(config: LookupConfig, world: World) -> Lookups | None:
+def make_lookups(config: LookupConfig, world: World) -> ArmLookups | None:
     """The look-ups that a configuration names for pictures such as a world's; None for none."""
-    if world.sensor.extent_m is None:
-        return SpaceLookups(world, config.groups) if config.groups else None
     if config.points_per_link == 0:
         return None
     return ArmLookups(world, config.points_per_link, config.side_m)
 
 
-def make_reader(config: LookupConfig, scenes: Scenes | None) -> Reader | None:
+def make_reader(config: LookupConfig, scenes: Scenes | None) -> PictureReader | None:
     """The reader that a configuration names; None for no look-ups.
 
     Raises:
         ConfigError: look-ups without pictures.
     """
-    if not config.wanted:
+    if config.points_per_link == 0:
         return None
     if scenes is None:
         raise ConfigError(
             "look-ups need the pictures", expected="pictures, or points_per_link=0", got="no pictures"
         )
     lookups = make_lookups(config, scenes.world)
-    if isinstance(lookups, SpaceLookups):
-        return SpaceReader(lookups, scenes.images)
     return None if lookups is None else PictureReader(lookups, scenes.images)
 
 
-def read(reader: Reader | None, ids: Tensor, configurations: Tensor) -> Tensor | None:
+def read(reader: PictureReader | None, ids: Tensor, configurations: Tensor) -> Tensor | None:
     """What a reader finds at configurations (b, d) in the pictures of the ids (b,); None for no look-ups."""
     return None if reader is None else reader(ids, configurations)
 
 
-def values_read(found: Reader | Lookups | None) -> int:
+def values_read(found: PictureReader | ArmLookups | None) -> int:
     """How many values look-ups give for one configuration; 0 for none."""
     return 0 if found is None else found.values

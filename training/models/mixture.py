@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from training.models.cells import CellPoints
-from training.models.lookups import Lookups
+from training.models.lookups import ArmLookups
 from training.models.modules import TrialModule
 from training.models.networks import TorusGenerator, generator_inputs, mlp
 from training.models.settings import GateConfig
@@ -124,7 +124,7 @@ class GatedSampler(nn.Module):
     points: Tensor
     spacing: Tensor
 
-    def __init__(self, gate: Gate, cells: CellPoints, experts: Experts, lookups: Lookups | None) -> None:
+    def __init__(self, gate: Gate, cells: CellPoints, experts: Experts, lookups: ArmLookups | None) -> None:
         super().__init__()
         self.gate, self.experts, self.lookups = gate, experts, lookups
         self.noise_dim = experts.noise_dim
@@ -159,7 +159,7 @@ class LookupSampler(nn.Module):
     Shapes: latent (m, L), base (m, d) rad, noise (m, n), image (1, 3, P, P) to (m, 1, d) rad.
     """
 
-    def __init__(self, generator: TorusGenerator, lookups: Lookups) -> None:
+    def __init__(self, generator: TorusGenerator, lookups: ArmLookups) -> None:
         super().__init__()
         self.generator, self.lookups, self.noise_dim = generator, lookups, generator.noise_dim
 
@@ -169,7 +169,7 @@ class LookupSampler(nn.Module):
         return samples
 
 
-def look(lookups: Lookups | None, image: Tensor | None, base: Tensor) -> Tensor | None:
+def look(lookups: ArmLookups | None, image: Tensor | None, base: Tensor) -> Tensor | None:
     """What one picture (1, ...) shows at (m, d) configurations, (m, values); None without look-ups."""
     if lookups is None or image is None:
         return None

@@ -1,6 +1,5 @@
-"""Path models: conditions, networks, training data, and Lightning modules of flow matching and WGAN-GP."""
+"""The path model: condition, networks, training data and WGAN-GP (Algorithm 3)."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -16,104 +15,37 @@ from cspace.space import JointSpace
 from training.models import losses
 from training.models.data import Held
 from training.models.joints import Joints
-from training.models.lookups import Reader, Scenes, make_reader, read, values_read
-from training.models.modules import AdversarialModule, TrialModule
-from training.models.networks import Critic, Sizes, beside, mlp
-from training.models.settings import FlowConfig, PathGanConfig, PointConfig
-
-PLACE_FEATURES = 9
+from training.models.lookups import PictureReader, read
+from training.models.modules import AdversarialModule
+from training.models.networks import Critic, Sizes, mlp
+from training.models.settings import PathGanConfig
 
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """Of each sample.
-
-    Args:
-        latent: (m, L).
-        start: (m, d) rad.
-        goal: (m, d) rad.
-        place: (m, 1), 0 to 1; None for models that are not asked for a place.
-    """
+    """Of each sample: latent (m, L), start and goal (m, d) rad."""
 
     latent: Tensor
     start: Tensor
     goal: Tensor
-    place: Tensor | None
 
     def features(self, joints: Joints) -> Tensor:
         """Side by side, (m, F)."""
-        parts = [self.latent, joints.features(self.start), joints.features(self.goal)]
-        return beside(parts, None if self.place is None else place_features(self.place))
+        return torch.cat([self.latent, joints.features(self.start), joints.features(self.goal)], dim=1)
 
 
-def condition_size(latent_dim: int, joints: Joints, *, place: bool) -> int:
+def condition_size(latent_dim: int, joints: Joints) -> int:
     """F, of :meth:`Condition.features`."""
-    return latent_dim + 2 * joints.features_size + (PLACE_FEATURES if place else 0)
-
-
-def place_features(place: Tensor) -> Tensor:
-    """A place with its cosines and sines of up to four half turns, (m, 1) to (m, 9)."""
-    turns = torch.cat([place * (torch.pi * k) for k in range(1, 5)], dim=1)
-    return torch.cat([place, torch.cos(turns), torch.sin(turns)], dim=1)
-
-
-def swept(place: Tensor, sweep: int) -> Tensor:
-    """Places (m, 1) in [0, 1) in rising sweeps of ``sweep`` rows, each row within its own share of the way.
-
-    A planner draws samples in their order, and a tree that grows from the start can use them best from the
-    start on. All rows together are as evenly spread as before; fewer rows than a sweep are one sweep.
-    """
-    row = torch.arange(place.shape[0], device=place.device)
-    count = torch.clamp(row.max() + 1, max=sweep)
-    return ((row % count).unsqueeze(1).to(place.dtype) + place) / count
-
-
-# Power by which the steps of a flow become shorter towards its end, where the velocity is sharp.
-FINER = 1.5
-
-Look = Callable[[Tensor], Tensor | None]
-
-
-class PathFlow(nn.Module):
-    """Velocity from a uniform draw on the torus to a point of the path, and the way along it.
-
-    Shapes: at (m, d) rad, time (m, 1), features (m, F), seen (m, values) or None to (m, d) rad.
-    """
-
-    def __init__(self, sizes: Sizes, evaluations: int, *, place: bool) -> None:
-        super().__init__()
-        self.joints, self.evaluations, self.noise_dim = Joints(sizes.space), evaluations, sizes.space.dim
-        inputs = condition_size(sizes.latent_dim, self.joints, place=place) + self.joints.features_size
-        self.net = sizes.mlp(inputs + PLACE_FEATURES, sizes.space.dim)
-
-    def velocity(self, at: Tensor, time: Tensor, features: Tensor, seen: Tensor | None) -> Tensor:
-        """Where a point moves, rad in a unit of time."""
-        moved: Tensor = self.net(beside([features, self.joints.features(at), place_features(time)], seen))
-        return moved
-
-    def forward(self, condition: Condition, noise: Tensor, look: Look) -> Tensor:
-        """Points (m, d) rad from noise (m, d) uniform in [-pi, pi), by the midpoint rule."""
-        at, features = self.joints.from_torus(noise), condition.features(self.joints)
-        steps = (self.evaluations + 1) // 2
-        for index in range(steps):
-            begin, end = (1.0 - (1.0 - step / steps) ** FINER for step in (index, index + 1))
-            length, time = end - begin, torch.full_like(at[:, :1], begin)
-            speed = self.velocity(at, time, features, look(at))
-            # An odd number of evaluations leaves one for the last step.
-            if 2 * index + 1 < self.evaluations:
-                halfway = at + speed * (length / 2.0)
-                speed = self.velocity(halfway, time + length / 2.0, features, look(halfway))
-            at = at + speed * length
-        return self.joints.fold(at)
+    return latent_dim + 2 * joints.features_size
 
 
 class PathGenerator(nn.Module):
-    """A code to a point, as an embedding: code (m, k), condition to (m, d) rad; it looks nothing up."""
+    """A code to a point, as an embedding: code (m, k), condition to (m, d) rad."""
 
-    def __init__(self, sizes: Sizes, code_dim: int, *, place: bool) -> None:
+    def __init__(self, sizes: Sizes, code_dim: int) -> None:
         super().__init__()
         self.noise_dim, self.joints = code_dim, Joints(sizes.space)
-        inputs = condition_size(sizes.latent_dim, self.joints, place=place) + code_dim
+        inputs = condition_size(sizes.latent_dim, self.joints) + code_dim
         self.net = mlp(inputs, sizes.hidden, sizes.layers, self.joints.embedded_size)
 
     def embedded(self, condition: Condition, code: Tensor) -> Tensor:
@@ -121,24 +53,23 @@ class PathGenerator(nn.Module):
         values: Tensor = self.net(torch.cat([condition.features(self.joints), code], dim=1))
         return values
 
-    def forward(self, condition: Condition, noise: Tensor, look: Look) -> Tensor:
-        """Points (m, d) rad; it reads no picture."""
-        del look
+    def forward(self, condition: Condition, noise: Tensor) -> Tensor:
+        """Points (m, d) rad."""
         return self.joints.unembed(self.embedded(condition, noise))
 
 
 class PathCritic(nn.Module):
-    """f(point | condition): points (m, d) rad, features (m, F), seen (m, values) or None to (m,)."""
+    """f(point | condition): points (m, d) rad and features (m, F) to (m,)."""
 
-    def __init__(self, sizes: Sizes, *, place: bool) -> None:
+    def __init__(self, sizes: Sizes) -> None:
         super().__init__()
         self.joints = Joints(sizes.space)
-        inputs = condition_size(sizes.latent_dim, self.joints, place=place) + self.joints.pair_features_size
-        self.net = sizes.mlp(inputs, 1)
+        inputs = condition_size(sizes.latent_dim, self.joints) + self.joints.pair_features_size
+        self.net = mlp(inputs, sizes.hidden, sizes.layers, 1)
 
-    def forward(self, points: Tensor, features: Tensor, seen: Tensor | None) -> Tensor:
+    def forward(self, points: Tensor, features: Tensor) -> Tensor:
         """The critic's value."""
-        values: Tensor = self.net(beside([features, self.joints.pair_features(points)], seen)).squeeze(1)
+        values: Tensor = self.net(torch.cat([features, self.joints.pair_features(points)], dim=1)).squeeze(1)
         return values
 
 
@@ -151,7 +82,6 @@ class PathBatch:
 
     Args:
         points: (b, d) rad, one of each path.
-        place: (b, 1) share of the path's length from its start to the point, 0 to 1.
         start: (b, d) rad.
         goal: (b, d) rad.
         ids: (b,) scenario.
@@ -160,7 +90,6 @@ class PathBatch:
     """
 
     points: Tensor
-    place: Tensor
     start: Tensor
     goal: Tensor
     ids: Tensor
@@ -202,8 +131,7 @@ class PathSamples(Held):
         count = paths.shape[1]
         at = torch.randint(count, (size,), generator=rng, device=ids.device)
         points = paths[torch.arange(size, device=ids.device), at]
-        place = (at / (count - 1)).unsqueeze(1)
-        return PathBatch(points, place, paths[:, 0], paths[:, -1], ids, self.mu[ids], self.sigma[ids])
+        return PathBatch(points, paths[:, 0], paths[:, -1], ids, self.mu[ids], self.sigma[ids])
 
 
 def equal_paths(dataset: Dataset, points: int) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
@@ -230,119 +158,57 @@ def equal_paths(dataset: Dataset, points: int) -> tuple[NDArray[np.float32], NDA
     return np.stack(parts).astype(np.float32), owner
 
 
-class PointModule(TrialModule):
-    """What both share: the paths, the latents, the look-ups.
+class PathGanModule(AdversarialModule):
+    """WGAN-GP over points of paths (Algorithm 3: start and goal beside the latent).
 
     Args:
         config: sizes and budget.
         samples: the paths.
-        scenes: their pictures; None where nothing is looked up.
-        seed: of initialisation and of every draw.
-        space: the joint space.
-    """
-
-    samples: PathSamples
-
-    def __init__(
-        self, config: PointConfig, samples: PathSamples, scenes: Scenes | None, seed: int, space: JointSpace
-    ) -> None:
-        super().__init__(seed)
-        self.samples, self.place, self.joints = samples, config.place, Joints(space)
-        self.reader = make_reader(config.lookups, scenes)
-        self.sizes = point_sizes(config, space, samples.mu.shape[1], values_read(self.reader))
-
-    def condition(self, batch: PathBatch) -> Condition:
-        """Of a batch, its latents drawn."""
-        latent = batch.mu + batch.sigma * self.normal(*batch.mu.shape)
-        return Condition(latent, batch.start, batch.goal, batch.place if self.place else None)
-
-    def look(self, batch: PathBatch) -> Look:
-        """What the batch's pictures show at configurations (b, d)."""
-        return lambda configurations: read(self.reader, batch.ids, configurations)
-
-
-class FlowModule(PointModule):
-    """Conditional flow matching along the shortest way round from a uniform draw to a path's point."""
-
-    def __init__(
-        self, config: FlowConfig, samples: PathSamples, scenes: Scenes | None, seed: int, space: JointSpace
-    ) -> None:
-        super().__init__(config, samples, scenes, seed, space)
-        self.config = config
-        self.net = PathFlow(self.sizes, config.evaluations, place=config.place)
-        self.one_cycle(self.parameters(), config.learning_rate, config.steps)
-
-    def training_step(self, step: int, batch_index: int) -> None:
-        """One step of the regression on velocities."""
-        del step, batch_index
-        batch = self.samples.draw(self.config.batch_size, self.rng)
-        base = self.joints.from_torus((2.0 * self.uniform(*batch.points.shape) - 1.0) * torch.pi)
-        time = self.uniform(len(base), 1)
-        at, difference = (
-            self.joints.interpolate(base, batch.points, time),
-            self.joints.difference(base, batch.points),
-        )
-        features = self.condition(batch).features(self.joints)
-        found = self.net.velocity(at, time, features, self.look(batch)(at))
-        loss = (found - difference).square().sum(dim=1).mean()
-        self.descend(loss)
-        self.latest = {"flow_loss": loss.detach()}
-
-
-class PathGanModule(PointModule, AdversarialModule):
-    """WGAN-GP over points of paths (Algorithm 1 with start and goal beside the latent).
-
-    Args:
-        config: sizes and budget.
-        samples: the paths.
-        scenes: their pictures; None where nothing is looked up.
         seed: of initialisation and of every draw.
         space: the joint space.
         guides: frozen local critics of the configuration space, conditioned on the same latents.
         guide_reader: of their look-ups; None without.
     """
 
-    config: PathGanConfig
     samples: PathSamples
+    config: PathGanConfig
 
     def __init__(
         self,
         config: PathGanConfig,
         samples: PathSamples,
-        scenes: Scenes | None,
         seed: int,
         space: JointSpace,
         guides: list[Critic] | None = None,
-        guide_reader: Reader | None = None,
+        guide_reader: PictureReader | None = None,
     ) -> None:
-        super().__init__(config, samples, scenes, seed, space)
-        self.config = config
-        self.net = PathGenerator(self.sizes, config.noise_dim, place=config.place)
-        critic = replace(self.sizes, hidden=config.critic_hidden, layers=config.critic_layers)
-        self.critic = PathCritic(critic, place=config.place)
+        super().__init__(seed)
+        self.config, self.samples, self.joints = config, samples, Joints(space)
+        sizes = point_sizes(config, space, samples.mu.shape[1])
+        self.net = PathGenerator(sizes, config.noise_dim)
+        self.critic = PathCritic(replace(sizes, hidden=config.critic_hidden, layers=config.critic_layers))
         self.guides = nn.ModuleList(guides or []).requires_grad_(requires_grad=False)
         self.guide_reader = guide_reader
         self.set_optimisers(self.critic, self.net.parameters(), config.learning_rate)
 
     def _generate(self, batch: PathBatch) -> Tensor:
-        condition = self.condition(batch)
+        latent = batch.mu + batch.sigma * self.normal(*batch.mu.shape)
         noise = self.normal(len(batch.ids), self.net.noise_dim)
-        points: Tensor = self.net(condition, noise, self.look(batch))
+        points: Tensor = self.net(Condition(latent, batch.start, batch.goal), noise)
         return points
 
     def _known(self, batch: PathBatch) -> Tensor:
         """What the critic knows of the points: the latent's mean, not the draw that the generator got."""
-        place = batch.place if self.place else None
-        return Condition(batch.mu, batch.start, batch.goal, place).features(self.joints)
+        return Condition(batch.mu, batch.start, batch.goal).features(self.joints)
 
     def critic_step_loss(self, batch: PathBatch) -> Tensor:
         """f(fake) - f(real) with the penalty (Algorithm 1, line 7)."""
         with torch.no_grad():
             fake = self._generate(batch)
-        features, look = self._known(batch), self.look(batch)
+        features = self._known(batch)
 
         def value(points: Tensor) -> Tensor:
-            values: Tensor = self.critic(points, features, look(points))
+            values: Tensor = self.critic(points, features)
             return values
 
         wasserstein = losses.critic_loss(value(batch.points), value(fake))
@@ -355,7 +221,7 @@ class PathGanModule(PointModule, AdversarialModule):
     def generator_step_loss(self, batch: PathBatch) -> Tensor:
         """-f(fake), with the guides' mean where they have a weight (line 11; eq. multiDirector)."""
         fake = self._generate(batch)
-        values = self.critic(fake, self._known(batch), self.look(batch)(fake))
+        values = self.critic(fake, self._known(batch))
         guides = list(self.guides) if self.config.guide_weight > 0.0 else []
         guided = [guide(fake, batch.mu, read(self.guide_reader, batch.ids, fake)) for guide in guides]
         loss = losses.guided_generator_loss(values, guided, self.config.guide_weight)
@@ -363,6 +229,6 @@ class PathGanModule(PointModule, AdversarialModule):
         return loss
 
 
-def point_sizes(config: PointConfig, space: JointSpace, latent_dim: int, looked_up: int) -> Sizes:
-    """Sizes of the network that settings name; ``looked_up`` is what its look-ups read of a picture."""
-    return Sizes(space, latent_dim, config.hidden, config.layers, looked_up)
+def point_sizes(config: PathGanConfig, space: JointSpace, latent_dim: int) -> Sizes:
+    """Sizes of the networks that settings name."""
+    return Sizes(space, latent_dim, config.hidden, config.layers, 0)

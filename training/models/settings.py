@@ -34,21 +34,10 @@ class GateConfig(Section):
 
 
 class LookupConfig(Section):
-    """Where a network reads the picture: along the links and beside them, or at an arm's spheres in space."""
+    """Where a network reads a picture of a plane: along the links and beside them."""
 
-    points_per_link: int = Field(0, ge=0, description="in pictures of a plane; 0 for no look-ups")
+    points_per_link: int = Field(0, ge=0, description="0 for no look-ups")
     side_m: float = Field(0.0, ge=0, description="distance of the rows beside each link; 0 for none")
-    groups: int = Field(
-        0,
-        ge=0,
-        exclude_if=lambda count: count == 0,
-        description="of the arm's spheres, in arrays of space; 0 for no look-ups",
-    )
-
-    @property
-    def wanted(self) -> bool:
-        """Whether there are look-ups in pictures of some kind."""
-        return self.points_per_link > 0 or self.groups > 0
 
     @model_validator(mode="after")
     def _one_point_is_no_row(self) -> "LookupConfig":
@@ -156,34 +145,11 @@ class ValidityConfig(Section):
     learning_rate: float = Field(4e-3, gt=0)
 
 
-class PointConfig(Section):
-    """What all models have that give one point a row of random numbers."""
+class PathGanConfig(Section):
+    """A WGAN-GP whose condition is latent, start and goal (MultiWGAN-GP paper, section 4)."""
 
     hidden: int = Field(256, ge=1)
     layers: int = Field(3, ge=1)
-    place: bool = Field(default=False, description="whether a sample is requested at a place along the path")
-    lookups: LookupConfig = LookupConfig()
-    jitter_rad: float = Field(0.0, ge=0, description="standard deviation that is added to the samples")
-    batch_size: int = Field(512, ge=2)
-    steps: int = Field(4000, ge=1)
-    learning_rate: float = Field(2e-3, gt=0)
-
-
-class FlowConfig(PointConfig):
-    """Flow matching on the torus (Lipman et al. 2023; Chen and Lipman 2024)."""
-
-    place: bool = False
-    lookups: LookupConfig = LookupConfig(points_per_link=8, side_m=0.1, groups=32)
-    jitter_rad: float = Field(0.05, ge=0)
-    hidden: int = Field(384, ge=1)
-    batch_size: int = Field(1024, ge=2)
-    steps: int = Field(10_000, ge=1)
-    evaluations: int = Field(8, ge=1, description="of the velocity for each sample")
-
-
-class PathGanConfig(PointConfig):
-    """A WGAN-GP whose condition is latent, start and goal (MultiWGAN-GP paper, section 4)."""
-
     noise_dim: int = Field(2, ge=1)
     critic_hidden: int = Field(256, ge=1)
     critic_layers: int = Field(3, ge=2)
@@ -193,9 +159,10 @@ class PathGanConfig(PointConfig):
     critic_learning_rate: float = Field(2e-3, gt=0)
     betas: tuple[float, float] = (0.0, 0.9)
     guide_weight: float = Field(0.0, ge=0, description="of the configuration space's local critics")
+    batch_size: int = Field(512, ge=2)
     steps: int = Field(1500, ge=1)
     learning_rate: float = Field(1e-3, gt=0)
 
 
 # The section of a job's configuration that a trial is trained by.
-TrialSettings = VaeConfig | GateConfig | GanConfig | ValidityConfig | PointConfig
+TrialSettings = VaeConfig | GateConfig | GanConfig | ValidityConfig | PathGanConfig

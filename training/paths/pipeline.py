@@ -7,6 +7,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from cspace.bundle import Bundle
 from cspace.dataset import Dataset, open_dataset
 from services.names import ALIAS_CHALLENGER, TAG_MODEL, recorded_name
@@ -82,7 +84,7 @@ def run_job(job: Job[PathTrainConfig]) -> PathTrainResult:
         run.dataset(dataset.folder.name, dataset.digest, str(dataset.folder), "training")
         job.add_tags(world_tag(source.spec.world, named))
         arrays = path_arrays(source, dataset, config.points)
-        outcomes = _train(job, arrays, guides)
+        outcomes = _train(job, dataset, arrays, guides)
         histories = {outcome.name: read_progress(outcome.checkpoint).history for outcome in outcomes}
         run.figure(path_curves(histories), "path-losses")
         run.flush()
@@ -107,7 +109,9 @@ def _data(config: PathTrainConfig, folder: Path) -> Dataset:
     return generate(config.data, folder / "datasets" / f"paths-{config.data.folder_name}")
 
 
-def _train(job: Job[PathTrainConfig], arrays: PathArrays, guides: Guides | None) -> list[TrialOutcome]:
+def _train(
+    job: Job[PathTrainConfig], dataset: Dataset, arrays: PathArrays, guides: Guides | None
+) -> list[TrialOutcome]:
     config = job.config
     trials = [TrialRequest.of(job, "models", name) for name in config.models]
     _LOG.info("path models: %s on %d paths", ", ".join(config.models), len(arrays.ids))
@@ -115,6 +119,7 @@ def _train(job: Job[PathTrainConfig], arrays: PathArrays, guides: Guides | None)
         "train": config,
         "arrays": arrays,
         "guides": guides,
+        "images": None if guides is None else np.asarray(dataset.images),
         "tracking_uri": job.environment.tracking_uri,
     }
     return run_trials(path_trial, trials, shared, config.resources)

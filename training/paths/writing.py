@@ -115,7 +115,6 @@ def write_path_bundle(
         standardisation=None,
         # A planner drops what collides by itself, and a passage that the head closes keeps its samples.
         confidence_threshold=0.0 if source.has_validity else None,
-        uniform_share=0.0,
         provenance=provenance(recipe, data_digest=data_digest, seeds=seeds, metrics=metrics or {}),
     )
     return Bundle.load(write_bundle(folder, spec, graphs))

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from cspace import bounded
 from cspace.errors import ConfigError, CspaceError, ScenarioError
 from cspace.files import replacing
 from services.command_errors import finite, report_error
@@ -18,22 +19,42 @@ from training.robots.chain import Limits
 from training.robots.covering import Allowances
 from training.robots.importing import Request, import_robot
 
+# An import takes minutes for a large arm.
+IMPORT = bounded.Limits(memory_bytes=2**30, cpu_s=1200, wall_s=1800.0, file_bytes=2**26)
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Parse, call, print; returns the exit code."""
-    options = parser().parse_args(arguments)
-    values, picture = (options.out.with_suffix(end) for end in (".report.json", ".report.png"))
+    """Parse, call in a worker that the kernel bounds, print; returns the exit code."""
+    given = sys.argv[1:] if arguments is None else list(arguments)
+    options = parser().parse_args(given)
     try:
-        imported = import_robot(_request(options), lambda name: print(f"covering {name}", flush=True))
-        _write(options.out, "the robot", imported.arm.to_dict())
-        _write(values, "the report", imported.to_dict())
-        with replacing(picture, "the report's picture") as beside:
-            imported.draw(beside)
+        lines: list[str] = bounded.call(
+            run,
+            given,
+            limits=IMPORT,
+            what=str(options.urdf),
+            error=ScenarioError,
+            remedy="leave out meshes or links that the arm does not need, or simplify the meshes",
+        )
     except CspaceError as error:
         return report_error(error, ConfigError, ScenarioError)
-    print("\n".join(imported.lines()))
-    print(f"written to {options.out}; the report is in {values.name} and {picture.name}")
+    print("\n".join(lines))
     return 0
+
+
+def run(arguments: Sequence[str]) -> list[str]:
+    """Import and write; what is to be said of the robot, in lines."""
+    options = parser().parse_args(arguments)
+    values, picture = (options.out.with_suffix(end) for end in (".report.json", ".report.png"))
+    imported = import_robot(_request(options), lambda name: print(f"covering {name}", flush=True))
+    _write(options.out, "the robot", imported.arm.to_dict())
+    _write(values, "the report", imported.to_dict())
+    with replacing(picture, "the report's picture") as beside:
+        imported.draw(beside)
+    return [
+        *imported.lines(),
+        f"written to {options.out}; the report is in {values.name} and {picture.name}",
+    ]
 
 
 def parser() -> argparse.ArgumentParser:

@@ -1,10 +1,6 @@
 """Descriptions of robots: safe XML, xacro expanded, URDF read by yourdfpy with each element's line, SRDF."""
 
-import json
 import re
-import signal
-import subprocess
-import sys
 from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import dataclass
@@ -15,12 +11,14 @@ from typing import Any
 from lxml import etree
 from yourdfpy import URDF
 
+from cspace import bounded
 from cspace.errors import ScenarioError
 from cspace.files import read_bounded
-from training.robots import packages as packages_script
+from training.robots.packages import expand
 
 MAX_BYTES = 16_000_000
 MAX_LINKS = 1000
+XACRO = bounded.Limits(cpu_s=10, wall_s=30.0)
 _REMEDY = "give the path of a URDF, xacro or SRDF file"
 _NUMBER = re.compile(r"[-+]?((\d+\.?\d*|\.\d+)(e[-+]?\d+)?|inf(inity)?|nan)", re.ASCII | re.IGNORECASE)
 # How many numbers attributes hold; a mesh's scale may be one for all axes.
@@ -124,26 +122,17 @@ def read_xml(data: bytes, name: str, root: str = "robot") -> Any:
 
 def _expanded(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, str]) -> bytes:
     folders = {name: str(folder.resolve()) for name, folder in packages.items()}
-    request = json.dumps({"file": str(path.resolve()), "packages": folders, "arguments": dict(arguments)})
-    command = [sys.executable, "-I", str(packages_script.__file__)]
-    try:
-        done = subprocess.run(
-            command, input=request.encode(), capture_output=True, env={}, timeout=60.0, check=False
-        )
-        if done.returncode == 0:
-            return done.stdout
-        late = done.returncode == -signal.SIGXCPU
-        none = "no end within this time" if late else f"code {done.returncode}"
-        got = " ".join(done.stderr.decode(errors="replace").split()) or none
-    except subprocess.TimeoutExpired:
-        got = "no end within 60 s"
-    raise ScenarioError(
-        f"xacro cannot expand {path.name}",
-        expected="a file that takes 5 s and 400 MB at most, and files of its packages alone",
-        got=got[:400],
-        remedy="give arguments by --xacro NAME=VALUE and folders of packages by --package NAME=FOLDER, "
-        "or import what xacro makes of a larger file elsewhere",
+    text: str = bounded.call(
+        expand,
+        str(path.resolve()),
+        folders,
+        dict(arguments),
+        limits=XACRO,
+        what=path.name,
+        error=ScenarioError,
+        remedy="import what xacro makes of a larger file elsewhere",
     )
+    return text.encode()
 
 
 def _elements(robot: Any, kind: str, lines: dict[str, int]) -> dict[str, Any]:
@@ -174,6 +163,8 @@ def _elements(robot: Any, kind: str, lines: dict[str, int]) -> dict[str, Any]:
         alone.append(deepcopy(element))
         try:
             read = URDF.load(BytesIO(etree.tostring(alone)), build_scene_graph=False, load_meshes=False)
+        except MemoryError:
+            raise
         except Exception as error:  # yourdfpy raises whatever its parts do
             raise ScenarioError(
                 f"{where} cannot be read",

@@ -164,6 +164,8 @@ def load_mesh(path: Path, scale: Floats, where: str) -> Any:
             mesh.update_faces(mesh.nondegenerate_faces())
             # Corners of no triangle lie anywhere.
             mesh.remove_unreferenced_vertices()
+    except MemoryError:
+        raise
     except Exception as error:  # readers of strangers' bytes raise whatever they meet
         raise ScenarioError(
             f"a mesh of {where} cannot be read", expected=", ".join(_FORMATS), got=f"{path}: {error!r}"[:300]

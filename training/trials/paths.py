@@ -18,26 +18,22 @@ from services.progress import Progress
 from training.config import PathModel, PathTrainConfig, TrainConfig
 from training.jobs.environment import RECORD as JOB_RECORD
 from training.models.checkpoint import seeded_initialisation, trained
-from training.models.lookups import Scenes, make_lookups, make_reader, values_read
-from training.models.modules import Metrics, TrialModule
+from training.models.lookups import Scenes, make_reader
+from training.models.modules import Metrics
 from training.models.networks import Critic
 from training.models.paths import (
-    FlowModule,
-    PathFlow,
     PathGanModule,
     PathGenerator,
     PathSamples,
     equal_paths,
     point_sizes,
 )
-from training.models.settings import FlowConfig, LookupConfig
+from training.models.settings import LookupConfig
 from training.trials.fit import fit_tracked
 from training.trials.launch import TrialFolder, TrialRequest
 from training.trials.trainables import load_critic
 
 _LOG = logging.getLogger("training")
-# Pictures of more bytes stay on disk: those of space are a megabyte each.
-HELD_BYTES = 2**28
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,8 +46,6 @@ class PathArrays:
         ids: (T,) int64 scenario of each.
         mu: (S, L) float32.
         sigma: (S, L) float32.
-        images: (S, ...) uint8, or the data set's folder, from which every node reads them where they are
-            too large to be sent about.
     """
 
     world: World
@@ -59,19 +53,10 @@ class PathArrays:
     ids: NDArray[np.int64]
     mu: NDArray[np.float32]
     sigma: NDArray[np.float32]
-    images: NDArray[np.uint8] | Path
 
     def samples(self) -> PathSamples:
         """Tensors for the modules; copied, for the shared arrays are read-only."""
         return PathSamples(*(torch.tensor(part) for part in (self.paths, self.ids, self.mu, self.sigma)))
-
-    def scenes(self) -> Scenes:
-        """The pictures for look-ups, copied, or mapped from the disk."""
-        if isinstance(self.images, Path):
-            # Mapped as its own, for torch warns of what cannot be written.
-            mapped = np.load(self.images / "images.npy", mmap_mode="c")
-            return Scenes(self.world, torch.from_numpy(mapped))
-        return Scenes(self.world, torch.tensor(self.images))
 
 
 def require_world(bundle: Bundle, world: World) -> None:
@@ -109,8 +94,7 @@ def path_arrays(bundle: Bundle, dataset: Dataset, points: int) -> PathArrays:
             latents.append(bundle.encode(image))
             progress.advance()
     mu, sigma = (np.stack([getattr(one, name) for one in latents]) for name in ("mu", "sigma"))
-    held = dataset.folder.absolute() if images.nbytes > HELD_BYTES else np.asarray(images)
-    return PathArrays(dataset.world, paths, ids, mu, sigma, held)
+    return PathArrays(dataset.world, paths, ids, mu, sigma)
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,12 +167,13 @@ def path_trial(
     train: PathTrainConfig,
     arrays: PathArrays,
     guides: Guides | None,
+    images: NDArray[np.uint8] | None,
     tracking_uri: str,
 ) -> Metrics | None:
     """Train the path model that the trial is named after."""
     name = cast("PathModel", trial.name)
     with seeded_initialisation(trial.seed):
-        module = make_path_module(name, train, arrays, trial.seed, guides)
+        module = make_path_module(name, train, arrays, trial.seed, guides, images)
     return fit_tracked(trial, module, train.points_of(name), train.resources, tracking_uri)
 
 
@@ -198,7 +183,8 @@ def make_path_module(
     arrays: PathArrays,
     seed: int,
     guides: Guides | None = None,
-) -> TrialModule:
+    images: NDArray[np.uint8] | None = None,
+) -> PathGanModule:
     """A path model with its data, ready to be trained.
 
     Args:
@@ -207,33 +193,25 @@ def make_path_module(
         arrays: the data.
         seed: of every draw.
         guides: local critics, for the guided model.
+        images: (S, P, P, 3) uint8, where these read pictures.
 
     Raises:
         JobError: there are no guides for a guided model.
     """
     samples, space, config = arrays.samples(), arrays.world.space, train.points_of(name)
-    scenes = arrays.scenes() if config.lookups.wanted else None
-    if isinstance(config, FlowConfig):
-        return FlowModule(config, samples, scenes, seed, space)
     if config.guide_weight == 0.0:
-        return PathGanModule(config, samples, scenes, seed, space)
+        return PathGanModule(config, samples, seed, space)
     if guides is None:
         raise JobError("a guided model needs local critics", expected="guides", got="none")
-    reader = make_reader(guides.lookups, arrays.scenes())
-    return PathGanModule(config, samples, scenes, seed, space, guides.critics(), reader)
+    scenes = None if images is None else Scenes(arrays.world, torch.tensor(images))
+    reader = make_reader(guides.lookups, scenes)
+    return PathGanModule(config, samples, seed, space, guides.critics(), reader)
 
 
 def load_points(
     name: PathModel, train: PathTrainConfig, arrays: PathArrays, checkpoint: Path
-) -> PathFlow | PathGenerator:
-    """The flow or generator of a trial's checkpoint."""
+) -> PathGenerator:
+    """The generator of a trial's checkpoint."""
     config = train.points_of(name)
-    looked_up = values_read(make_lookups(config.lookups, arrays.world))
-    sizes = point_sizes(config, arrays.world.space, arrays.mu.shape[1], looked_up)
-
-    def fresh() -> PathFlow | PathGenerator:
-        if isinstance(config, FlowConfig):
-            return PathFlow(sizes, config.evaluations, place=config.place)
-        return PathGenerator(sizes, config.noise_dim, place=config.place)
-
-    return trained(fresh, checkpoint, "net")
+    sizes = point_sizes(config, arrays.world.space, arrays.mu.shape[1])
+    return trained(lambda: PathGenerator(sizes, config.noise_dim), checkpoint, "net")

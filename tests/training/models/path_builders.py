@@ -25,10 +25,9 @@ def straight_paths(count: int = 40, seed: int = 0) -> np.ndarray:
 
 def arrays(count: int = 40, scenarios: int = 4) -> PathArrays:
     """Straight paths in scenarios without an obstacle."""
-    images = np.full((scenarios, 48, 48, 3), 255, np.uint8)
     zeros = np.zeros((scenarios, LATENT), np.float32)
     ids = np.arange(count) % scenarios
-    return PathArrays(PlanarWorld(TWO_LINK, Camera()), straight_paths(count), ids, zeros, zeros, images)
+    return PathArrays(PlanarWorld(TWO_LINK, Camera()), straight_paths(count), ids, zeros, zeros)
 
 
 def samples(count: int = 40) -> PathSamples:

@@ -17,7 +17,7 @@ from tests.bundles import write_tiny_bundle
 from tests.fakes.registry import FakeRegistry
 from tests.space_bundle import WORLD, write_space_bundle
 from tests.training.clusters.test_pipeline import bundle_of, submit
-from training.config import UNGUIDED, PathTrainConfig
+from training.config import PathTrainConfig
 from training.paths.writing import source_bundle
 from training.trials.paths import find_guides
 
@@ -43,7 +43,7 @@ def result(server, data_folder):
 
 @runs_jobs
 def test_every_model_is_a_version_of_its_own_that_draws_between_start_and_goal(result, server, tmp_path):
-    assert set(result["versions"]) == {"ways", *UNGUIDED}
+    assert set(result["versions"]) == {"ways", "wgan"}
     assert len(set(result["versions"].values())) == len(result["versions"])
     registry = MlflowRegistry(server)
     for name, number in result["versions"].items():
@@ -59,7 +59,7 @@ def test_every_model_is_a_version_of_its_own_that_draws_between_start_and_goal(r
             assert bundle.spec.provenance.data_digest == result["data_digest"]
             assert bundle.spec.provenance.metrics["training_s"] > 0
     challenger = registry.by_alias(PATH_MODEL_NAME, ALIAS_CHALLENGER)
-    assert challenger.number == result["versions"]["flow"]
+    assert challenger.number == result["versions"]["wgan"]
 
 
 @runs_jobs
@@ -69,11 +69,10 @@ def test_the_models_can_be_compared_in_the_tracking_server(result, server):
     runs = client.search_runs([experiment], f"tags.mlflow.parentRunId = '{result['run_id']}'")
     names = {run.data.tags["trial"]: set(run.data.metrics) for run in runs}
     assert {run.info.status for run in runs} == {"FINISHED"}
-    assert set(names) == {"ways", *UNGUIDED}
-    assert "flow_loss" in names["flow"]
+    assert set(names) == {"ways", "wgan"}
     assert {"wasserstein_estimate", "generator_loss"} <= names["wgan"]
     parent = client.get_run(result["run_id"])
-    assert parent.data.params["sweep"] == "16"
+    assert parent.data.params["points"] == "64"
     pictures = {Path(entry.path).stem for entry in client.list_artifacts(result["run_id"], "figures")}
     assert pictures == {"path-losses"}
 
@@ -127,7 +126,7 @@ def test_a_source_is_a_folder_or_a_registered_version(tmp_path):
     ("override", "message"),
     [
         ("models=[]", "models"),
-        ("models=[flow, flow]", "models"),
+        ("models=[wgan, wgan]", "models"),
         ("models=[wgan_guided]", "guides"),
         ("models=[unknown]", "models"),
     ],
@@ -138,7 +137,7 @@ def test_a_configuration_that_cannot_be_is_refused(override, message):
 
 
 def test_every_preset_is_a_configuration():
-    for preset in ("paths", "smoke", "paper", "panda"):
+    for preset in ("paths", "smoke", "paper"):
         assert PathTrainConfig.load(preset).preset == preset
 
 
@@ -146,9 +145,9 @@ def test_every_preset_is_a_configuration():
 def test_an_arm_in_space_takes_the_same_job(server, data_folder, tmp_path):
     source = write_space_bundle(tmp_path / "source")
     settings = ("data.robot=panda", "data.scenario_count=2", "data.shard_size=1", "data.narrow_share=0")
-    names = {"flow", "wgan"}
+    names = {"wgan"}
     models = f"models=[{', '.join(sorted(names))}]"
-    made = train(server, data_folder, f"source={source}", *settings, "flow.evaluations=2", models)
+    made = train(server, data_folder, f"source={source}", *settings, models)
     assert set(made["versions"]) >= names
     assert made["model"] == "panda-path-sampler"
     start, goal = WORLD.space.sample_uniform(np.random.default_rng(0), 2)

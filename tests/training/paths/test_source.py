@@ -14,7 +14,7 @@ def made(start, source_digest):
     """The bundle of a path model, as far as it tells what it saw with."""
     values = json.loads((PRETRAINED_FOLDER / "bundle.json").read_text())
     values["provenance"]["config"]["source_digest"] = source_digest
-    folder = start / "bundles" / "flow"
+    folder = start / "bundles" / "wgan"
     folder.mkdir(parents=True)
     (folder / "bundle.json").write_text(json.dumps(values))
 

@@ -1,4 +1,5 @@
 import json
+import resource
 from math import pi, sqrt
 from pathlib import Path
 
@@ -124,3 +125,24 @@ def test_the_same_description_gives_the_same_robot(tmp_path: Path) -> None:
     first, second = (import_robot(request).arm for _ in range(2))
     assert first == second
     assert first.sphere_count > 4
+
+
+@pytest.mark.slow
+def test_one_mesh_that_is_named_two_hundred_times_ends_within_the_limit_of_memory(tmp_path, capfd):
+    triangles = np.zeros(200_000, dtype=[("n", "<f4", 3), ("c", "<f4", (3, 3)), ("a", "<u2")])
+    rng = np.random.default_rng(0)
+    triangles["c"] = rng.uniform(-0.1, 0.1, (200_000, 1, 3)) + rng.uniform(-0.002, 0.002, (200_000, 3, 3))
+    (tmp_path / "m.stl").write_bytes(bytes(80) + np.uint32(200_000).tobytes() + triangles.tobytes())
+    shape = '<collision><geometry><mesh filename="m.stl"/></geometry></collision>'
+    text = (
+        f'<robot name="r"><link name="a"/><link name="b">{shape * 200}</link><joint name="j" type="revolute">'
+        '<parent link="a"/><child link="b"/><axis xyz="0 0 1"/>'
+        '<limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>'
+    )
+    (tmp_path / "r.urdf").write_text(text)
+    assert main(["import", str(tmp_path / "r.urdf"), "--out", str(tmp_path / "r.json")]) == 2
+    said = capfd.readouterr().err
+    assert "1024 MiB" in said or "want of memory" in said
+    assert "simplify the meshes" in said
+    # KiB, with the libraries of the worker.
+    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss < 1.8 * 2**20

@@ -158,21 +158,28 @@ def test_xacro_files_are_expanded_with_arguments_and_packages(tmp_path: Path) ->
     assert found.arm.parts[1].spheres_m == ((0.0, 0.0, 0.0, 0.05),)
 
 
+GLOBALS = "[c for c in ().__class__.__base__.__subclasses__()][0].__init__.__globals__"
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('<xacro:include filename="{outside}/secret.xacro"/>', "outside of the .*secret.xacro"),
-        ('<xacro:include filename="link.xacro"/>', "outside of the .*secret.xacro"),
-        (
-            "<link name=\"${{xacro.load_yaml('{outside}/secret.yaml')['a']}}\"/>",
-            "outside of the .*secret.yaml",
-        ),
+        ('<xacro:include filename="{outside}/secret.xacro"/>', "no file of .*secret.xacro"),
+        ('<xacro:include filename="link.xacro"/>', "no file of .*link.xacro"),
+        ("<link name=\"${{xacro.load_yaml('{outside}/secret.yaml')['a']}}\"/>", "no file of .*secret.yaml"),
         ('<link name="$(env HOME)"/>', "HOME"),
-        ("<link name=\"${{''.__class__}}\"/>", "__class__"),
+        ("<link name=\"${{''.__class__}}\"/>", "__class__ is not allowed"),
+        (f'<link name="${{{{(lambda: {GLOBALS})()}}}}"/>', "Lambda is not allowed"),
+        (f'<link name="${{{{{GLOBALS}}}}}"/>', "is not allowed"),
+        ('<link name="$(eval lambda: 1)"/>', "Lambda is not allowed"),
+        ("<link name=\"$(eval ''.__class__)\"/>", "not allowed|double underscore"),
+        ('<link name="${{python.vars(python.type(1))}}"/>', "has no attribute|type|vars"),
+        ("<link name=\"${{'a'.format(1)}}\"/>", "format is not allowed"),
+        ('<link name="${{str.mro()}}"/>', "mro is not allowed"),
         ('<xacro:macro name="m"><xacro:m/></xacro:macro><xacro:m/>', "recursion"),
-        ('<xacro:include filename="pipe.xacro"/>', "outside of the .*pipe.xacro"),
-        ("<link name=\"${{'a' * 20000000}}\"/>", "it has 20000... characters"),
-        ('<link name="${{9**9**9}}"/>', "no end within"),
+        ('<xacro:include filename="pipe.xacro"/>', "no file of .*pipe.xacro"),
+        ("<link name=\"${{'a' * 20000000}}\"/>", "20000... when it is expanded|characters; got 20000"),
+        ('<link name="${{9**9**9}}"/>', "no end within 10 s of a core"),
     ],
 )
 @pytest.mark.slow
@@ -185,5 +192,5 @@ def test_xacro_reads_nothing_outside_its_packages_and_ends(tmp_path: Path, text:
     (folder / "link.xacro").symlink_to(outside / "secret.xacro")
     os.mkfifo(folder / "pipe.xacro")
     path = described(folder, XACRO + text.format(outside=outside) + "</robot>", "made.xacro")
-    with pytest.raises(ScenarioError, match=rf"xacro cannot expand made\.xacro.*{message}"):
+    with pytest.raises(ScenarioError, match=rf"made\.xacro.*({message})"):
         import_robot(Request(path))

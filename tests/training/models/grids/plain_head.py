@@ -1,13 +1,85 @@
 """What a head says, computed straight on: what is quicker is held to it."""
 
+from collections.abc import Callable
+
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn import functional
 
 from cspace.world import GridArm
 from training.models.grid_head import GridHead
-from training.models.joints import Points
-from training.models.kinematics import ArmPoints, buffer
+from training.models.kinematics import ArmFrames, buffer, frame_rows
+
+
+class ArmPoints(nn.Module):
+    """Configurations (n, d) rad to the spheres' centres (n, 3, S) m and those of their groups (n, 3, G)."""
+
+    rows: Tensor
+
+    def __init__(self, arm: GridArm) -> None:
+        super().__init__()
+        self.frames, self.spheres = ArmFrames(arm), len(arm.links)
+        points = torch.cat([buffer(arm.spheres_m[:, :3]), buffer(arm.group_spheres_m[:, :3])])
+        links = torch.cat([buffer(arm.links, torch.long), buffer(arm.group_links, torch.long)])
+        self.register_buffer("rows", frame_rows(points, links, len(arm.axes) + 1), persistent=False)
+
+    def forward(self, configurations: Tensor) -> tuple[Tensor, Tensor]:
+        """Spheres and groups."""
+        points = (self.rows @ self.frames(configurations)).permute(2, 0, 1)
+        return points[:, :, : self.spheres], points[:, :, self.spheres :]
+
+
+class Points:
+    """Points of several scenes in one grid.
+
+    Args:
+        places: (p, 3, n) in voxels from the lowest corner.
+        counts: X, Y, Z of the grid.
+        channels: that lie one behind the other in each scene's part of a table, as a picture (p, C, X, Y, Z)
+            that is only reshaped has them.
+        scenes: (p,) their numbers in the table; None for all in their order.
+    """
+
+    def __init__(
+        self,
+        places: Tensor,
+        counts: tuple[int, int, int],
+        channels: int = 1,
+        scenes: Tensor | None = None,
+    ) -> None:
+        self.places, self.counts = places, counts
+        self.voxels = counts[0] * counts[1] * counts[2]
+        numbers = torch.arange(places.shape[0], device=places.device) if scenes is None else scenes
+        self.rows = numbers[:, None] * (channels * self.voxels)
+
+    def interpolate(
+        self, table: Tensor, channel: int = 0, transform: Callable[[Tensor], Tensor] | None = None
+    ) -> Tensor:
+        """Trilinear between voxels, (p, n, C), of a table (p X Y Z, C) or of one of its channels.
+
+        Args:
+            table: rows of all voxels.
+            channel: which, where several lie one behind the other.
+            transform: what becomes of rows (p, n, C) before they are mixed; None for themselves.
+        """
+        firsts, shares = [], []
+        for axis in range(3):
+            middle = (self.places[:, axis] - 0.5).clamp(0.0, self.counts[axis] - 1.001)
+            first = middle.long()
+            firsts.append(first)
+            shares.append((middle - first).unsqueeze(-1))
+        start = (firsts[0] * self.counts[1] + firsts[1]) * self.counts[2] + firsts[2] + self.rows
+        start = start + channel * self.voxels if channel else start
+        steps = (self.counts[1] * self.counts[2], self.counts[2], 1)
+
+        def along(axis: int, at: Tensor) -> Tensor:
+            if axis == 3:
+                rows = functional.embedding(at, table)
+                return rows if transform is None else transform(rows)
+            low = along(axis + 1, at)
+            return low + shares[axis] * (along(axis + 1, at + steps[axis]) - low)
+
+        return along(0, start)
 
 
 def plain_answers(head: GridHead, arm: GridArm, picture: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:

@@ -15,7 +15,7 @@ from cspace.worlds.spatial.checks import CollisionChecker
 from cspace.worlds.spatial.obstacles import Obstacles
 from cspace.worlds.spatial.visibility import lookup
 from cspace.worlds.spatial.world import shipped, usual
-from tests.training.models.grids.plain_head import plain_answers
+from tests.training.models.grids.plain_head import ArmPoints, plain_answers
 from training.models.checkpoint import seeded_initialisation
 from training.models.grid_head import GridHead
 from training.models.grid_training import (
@@ -27,7 +27,7 @@ from training.models.grid_training import (
     head_losses,
     map_graph,
 )
-from training.models.kinematics import ArmFrames, ArmPoints, SelfGap
+from training.models.kinematics import ArmFrames, SelfGap
 from training.models.settings import GridConfig, ValidityConfig
 
 WORLD = examples()["panda"]
