@@ -8,9 +8,9 @@ from pathlib import Path
 from cspace.errors import ConfigError, JobError, ScenarioError
 from cspace.world import World
 from cspace.worlds import named_world, robot_digest
-from services.local.quickstart import EVALUATE, Tour, plan_and_draw, run_shown, timed, wait_served
-from services.local.settings import Settings, service_environment
-from services.local.stack import SERVICES, Report, addresses, up
+from services.local.quickstart import EVALUATE, Tour, addresses, plan_and_draw, run_shown, timed, wait_served
+from services.local.settings import Settings
+from services.local.stack import SERVICES, Report, up
 from services.local.state import make_state
 from services.names import label, model_name
 
@@ -20,13 +20,9 @@ def import_arm(settings: Settings, urdf: Path, options: Sequence[str], say: Repo
     make_state(settings)
     file = settings.home / "arms" / f"{urdf.name.partition('.')[0]}.json"
     command = [sys.executable, "-m", "training.robots", "import", str(urdf), *options, "--out", str(file)]
-    if run_shown(command, timed(say), service_environment(settings))[0] != 0:
-        raise ConfigError(
-            f"{urdf} was not imported",
-            expected="a description and options that the import takes",
-            got="the error above",
-            remedy="see docs/arm-in-space.md for what it does with each part of a description",
-        )
+    if run_shown(settings, command, timed(say))[0] != 0:
+        remedy = "see docs/arm-in-space.md for what it does with each part of a description"
+        raise ConfigError(f"{urdf} was not imported", got="the error above", remedy=remedy)
     return file
 
 
@@ -45,33 +41,28 @@ def tour_of_arm(file: Path) -> Tour:
 
 def serve_untrained(settings: Settings, file: Path, say: Report) -> None:
     """Serve a robot's file by the shipped scene model, without training, and plan a problem with it."""
-    world = named_world(str(file))
-    name, progress = _name(world), timed(say)
+    world, progress = named_world(str(file)), timed(say)
+    name = _name(world)
     progress("starting the services")
     up(settings, SERVICES, progress)
     folder = settings.home / "arms" / f"{name}-untrained-{robot_digest(world)[:8]}"
     command = [sys.executable, "-m", "training.untrained", str(file), str(folder), "--register", "champion"]
-    code, lines = run_shown(command, progress, service_environment(settings))
+    code, lines = run_shown(settings, command, progress)
     if code != 0:
         raise JobError("the model was not made", got=f"exit code {code}, the lines above")
     reference = lines[-1].split()[-1]
     progress(f"waiting until the inference API serves {reference}")
-    wait_served(settings.api_url, reference, default=False)
+    wait_served(settings.url("api"), reference, default=False)
     options = ("--robot", str(file), "--whole-plan")
     plan_and_draw(settings, settings.home / "figures" / f"{name}-untrained", progress, ("table",), options)
     model = model_name(world, name)
-    say(f"\n{addresses(settings)}\n\nThe services stay up; `make down` ends them.")
-    say(f"POST /plan, /validity and /sample take model={model}.")
-    say(f"\nLook at it: python -m services.planner.viewer --api {settings.api_url} --model {model}")
+    say(f"\n{addresses(settings)}\n\nPOST /plan, /validity and /sample take model={model}.")
+    say(f"Look at it: python -m services.planner.viewer --api {settings.url('api')} --model {model}")
 
 
 def _name(world: World) -> str:
     name = label(world)
     if name is None:
-        raise ScenarioError(
-            "the robot has no name for a model of its own",
-            expected="one of letters, digits and dashes that no robot of an example has",
-            got=repr(getattr(world.body, "name", "")),
-            remedy="give it one with --name",
-        )
+        remedy = "give it one of letters, digits and dashes, which no example has, with --name"
+        raise ScenarioError("the robot has no name for a model of its own", remedy=remedy)
     return name

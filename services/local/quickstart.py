@@ -1,11 +1,12 @@
 """The main job: services, training, evaluation, promotion, serving, planning, summary."""
 
+import os
 import re
 import shlex
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,9 +16,9 @@ from pydantic import BaseModel, ValidationError
 
 from cspace.errors import JobError, PlanningError, ServiceStartError
 from services.evaluator.tables import aligned
-from services.local.settings import BIN, Settings, service_environment
-from services.local.stack import POLL_S, SERVICES, Report, addresses, up
-from services.names import MODEL_NAME
+from services.local.settings import BIN, Settings, shell_values
+from services.local.stack import POLL_S, SERVICES, Report, up
+from services.names import MLFLOW_TRAINING, MODEL_NAME
 from services.results import PREFIX
 
 EVALUATE = "python -m services.evaluator --model {model} --without-shipped"
@@ -79,7 +80,7 @@ def quickstart(settings: Settings, tour: Tour, say: Report) -> None:
     progress(f"waiting until the inference API serves {training.reference}")
     # The API's default is one robot's; a model of another one is asked for by its name.
     usual = training.model == MODEL_NAME
-    wait_served(settings.api_url, training.reference, default=evaluation.promoted and usual)
+    wait_served(settings.url("api"), training.reference, default=evaluation.promoted and usual)
     folder = settings.home / "figures" / f"{training.model}-{training.version}"
     options = () if usual else ("--robot", tour.robot, "--model", training.reference)
     pictures = plan_and_draw(settings, folder, progress, tour.families, options)
@@ -88,12 +89,12 @@ def quickstart(settings: Settings, tour: Tour, say: Report) -> None:
         ("version", training.reference),
         ("verdict", "champion now" if evaluation.promoted else "not promoted, the champion stays"),
         *(("", reason) for reason in evaluation.reasons),
-        ("runs", f"{training.run_id} (training), {evaluation.run_id} (evaluation)"),
+        ("runs", f"{settings.url('mlflow')}/#/experiments/1/runs?{MLFLOW_TRAINING}"),
         *(("picture", str(path)) for path in pictures),
     ]
     say(f"\n{aligned(rows)}\n\n{addresses(settings)}\n\nThe services stay up; `make down` ends them.")
-    viewer = f"python -m services.planner.viewer --api {settings.api_url} --model {training.model}"
-    say(f"\nLook at what was trained: {f'{settings.api_url}/' if usual else viewer}")
+    viewer = f"python -m services.planner.viewer --api {settings.url('api')} --model {training.model}"
+    say(f"\nLook at what was trained: {settings.url('api') if usual else viewer}")
 
 
 def timed(say: Report) -> Report:
@@ -104,15 +105,11 @@ def timed(say: Report) -> Report:
 
 def run_job(settings: Settings, entrypoint: str, show: Report) -> JobResult:
     """Run a job with ``ray job submit`` in the head's own folder, and show its lines."""
-    environment = service_environment(settings) | {"RAY_ADDRESS": settings.ray_url}
     command = [str(BIN / "ray"), "job", "submit", "--log-color=false", "--", *shlex.split(entrypoint)]
-    code, lines = run_shown(command, show, environment)
+    code, lines = run_shown(settings, command, show)
     if code != 0:
-        raise JobError(
-            f"the job `{entrypoint}` failed",
-            got="the lines above",
-            remedy="`ray job logs ID` prints all of them",
-        )
+        remedy = "`ray job logs ID` prints all of them"
+        raise JobError(f"the job `{entrypoint}` failed", got="the lines above", remedy=remedy)
     return last_result(lines)
 
 
@@ -122,9 +119,7 @@ def last_result(lines: Sequence[str]) -> JobResult:
     try:
         return JobResult.model_validate_json(results[-1])
     except (IndexError, ValidationError) as error:
-        raise JobError(
-            "the job left no result", expected=f"a line `{PREFIX}{{...}}`", got=str(error)
-        ) from error
+        raise JobError("the job left no result", expected=f"{PREFIX}{{...}}", got=str(error)) from error
 
 
 def wait_served(url: str, reference: str, *, default: bool, limit_s: float = SERVED_LIMIT_S) -> None:
@@ -138,11 +133,8 @@ def wait_served(url: str, reference: str, *, default: bool, limit_s: float = SER
         if reference in seen and (seen[reference] or not default):
             return
         if time.monotonic() > until:
-            raise ServiceStartError(
-                f"the inference API does not serve {reference}{' by default' if default else ''}",
-                got=f"{sorted(seen)} after {limit_s:.0f} s",
-                remedy="see its log, api.log in the logs folder",
-            )
+            what = f"the inference API does not serve {reference}{' by default' if default else ''}"
+            raise ServiceStartError(what, got=str(sorted(seen)), remedy="see api.log in the logs folder")
         time.sleep(POLL_S)
 
 
@@ -155,19 +147,19 @@ def plan_and_draw(
     for family, picture in zip(families, pictures, strict=True):
         picture.unlink(missing_ok=True)
         # A process of its own: OMPL seeds its generator once a process.
-        command = [sys.executable, "-m", "services.planner", "--api", settings.api_url, *options]
+        command = [sys.executable, "-m", "services.planner", "--api", settings.url("api"), *options]
         command += ["--family", family, "--seed", str(PLANNING_SEED), "--plot", str(picture)]
-        code, _ = run_shown(command, show, service_environment(settings))
+        code, _ = run_shown(settings, command, show)
         # A crash ends with the same code, but draws nothing.
         if code not in (0, NOT_SOLVED) or not picture.is_file():
             raise PlanningError(f"planning failed on the family {family}", got=f"exit code {code}, see above")
     return pictures
 
 
-def run_shown(command: Sequence[str], show: Report, environment: Mapping[str, str]) -> tuple[int, list[str]]:
+def run_shown(settings: Settings, command: Sequence[str], show: Report) -> tuple[int, list[str]]:
     """Run a command and show its lines, but not those for programs; its exit code and all lines."""
     show(f"$ {shlex.join(command)}")
-    lines = []
+    lines, environment = [], os.environ | shell_values(settings)
     with subprocess.Popen(
         command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     ) as process:
@@ -176,3 +168,15 @@ def run_shown(command: Sequence[str], show: Report, environment: Mapping[str, st
             if lines[-1] and not lines[-1].startswith(PREFIX):
                 show(f"  {lines[-1]}")
     return process.returncode, lines
+
+
+def addresses(settings: Settings) -> str:
+    """Where to look, and how to set a shell up for jobs of one's own."""
+    rows = [
+        ("workbench", f"{settings.url('api')}/"),
+        ("API", f"{settings.url('api')}/docs"),
+        ("MLflow", settings.url("mlflow")),
+        ("Ray dashboard", f"{settings.url('ray')}  (asks for the token: `ray get-auth-token` prints it)"),
+        ("a shell for `ray job submit`", 'eval "$(.venv/bin/python -m services.local env)"'),
+    ]
+    return aligned(rows)

@@ -9,7 +9,6 @@ import time
 import xmlrpc.client
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from string import Template
 from typing import Any
@@ -21,30 +20,22 @@ from supervisor.xmlrpc import SupervisorTransport
 
 from cspace.errors import PortTakenError, ServiceError, ServiceStartError
 from cspace.files import holding
-from services.local.settings import BIN, HOST, ROOT, Settings, service_environment
+from services.evaluator.tables import aligned
+from services.local.settings import BIN, HOST, ROOT, Settings, proxy_exceptions, shell_values
 from services.local.state import make_state
-from services.names import EXPERIMENT, MLFLOW_TRAINING
+from services.outcomes import FOLDER as OUTCOMES
 
 SERVICES = ("mlflow", "ray", "api")
+HEALTH = {"mlflow": "/health", "ray": "/api/gcs_healthz", "api": "/health/ready", "viewer": "/"}
 # supervisord and all that it starts have the state folder in this variable of their environment.
 STACK = "CSPACE_STACK"
-HEALTH = {"mlflow": "/health", "ray": "/api/gcs_healthz", "api": "/health/ready", "viewer": "/"}
+# What a user's shell says about other clusters and servers would lead jobs astray; his token is his.
+FOREIGN, OWN = ("RAY_", "MLFLOW_", "PYTHONHOME"), ("RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH")
 POLL_S = 0.2
-START_LIMIT_S, STOP_LIMIT_S, KILL_LIMIT_S, SUPERVISORD_LIMIT_S = 180.0, 90.0, 10.0, 20.0
+START_LIMIT_S, STOP_LIMIT_S, KILL_LIMIT_S = 180.0, 90.0, 10.0
 LOG_LINES = 25
 
 Report = Callable[[str], None]
-
-
-@dataclass(frozen=True)
-class Status:
-    """A service as supervisord describes it, and whether it answers."""
-
-    name: str
-    state: str
-    description: str
-    healthy: bool
-    url: str
 
 
 def up(settings: Settings, names: Sequence[str], report: Report) -> None:
@@ -78,50 +69,52 @@ def up(settings: Settings, names: Sequence[str], report: Report) -> None:
         for name in names:
             _wait_healthy(settings, server, name)
             state = f"ready after {time.monotonic() - began:.1f} s" if name in absent else "runs already"
-            report(f"{name}: {state}, {url_of(settings, name)}")
+            report(f"{name}: {state}, {settings.url(name)}")
 
 
 def down(settings: Settings, report: Report) -> bool:
-    """End supervisord and all that it started; whether anything ran. What that interrupts is told first."""
+    """End supervisord and all that it started; whether anything ran."""
     if not (settings.home / "run").is_dir():
         return False
     with _lock(settings):
         server, found = connect(settings), leftovers(settings)
         if server is not None:
             running = [info["name"] for info in server.getAllProcessInfo() if _runs(info)]
-            if "ray" in running:
-                _report_jobs(settings, report)
             supervisord = psutil.Process(server.getPID())
             server.shutdown()
             psutil.wait_procs([supervisord], timeout=STOP_LIMIT_S)
-            report(f"ended: {', '.join(reversed(running)) or 'supervisord'}")
+            report(f"ended: {', '.join(running) or 'supervisord'}")
         # What a killed supervisord left behind, and what left the process group of its service.
-        end_processes({*found, *leftovers(settings)})
+        left = end_processes({*found, *leftovers(settings)})
+        if left:
+            report(f"ended what was left behind: {left} processes")
     return bool(found)
 
 
-def status(settings: Settings) -> list[Status]:
-    """The services, and the viewer if it was started."""
+def status(settings: Settings) -> tuple[str, bool]:
+    """A table of the services, and of the viewer once it was started; whether all is healthy."""
     server = connect(settings)
-    if server is None:
-        return [Status(name, "STOPPED", "", healthy=False, url=url_of(settings, name)) for name in SERVICES]
-    infos = {info["name"]: info for info in server.getAllProcessInfo()}
-    shown = [name for name in HEALTH if name in SERVICES or infos[name]["start"]]
-    return [
-        Status(
-            name,
-            infos[name]["statename"],
-            infos[name]["description"],
-            healthy=_runs(infos[name]) and healthy(settings, name),
-            url=url_of(settings, name),
-        )
-        for name in shown
-    ]
+    infos = {} if server is None else {info["name"]: info for info in server.getAllProcessInfo()}
+    shown = [name for name in HEALTH if name in SERVICES or (name in infos and infos[name]["start"])]
+    answers = {name: name in infos and _runs(infos[name]) and healthy(settings, name) for name in shown}
+    rows = [("service", "state", "", "health", "address")]
+    for name in shown:
+        state, description = (infos[name][key] if infos else "" for key in ("statename", "description"))
+        health = "healthy" if answers[name] else "not healthy"
+        url = viewer_page(settings) if name == "viewer" else settings.url(name)
+        rows.append((name, state or "not running", description, health, url))
+    return aligned(rows), all(answers.values())
+
+
+class _Transport(SupervisorTransport):  # type: ignore[misc]
+    def __del__(self) -> None:
+        """Close the connection, which supervisor's own class leaves open."""
+        self.close()
 
 
 def connect(settings: Settings) -> Any:
     """Supervisord's XML-RPC interface, or None where it does not answer."""
-    transport = SupervisorTransport(serverurl=f"unix://{_socket(settings)}")
+    transport = _Transport(serverurl=f"unix://{settings.socket}")
     # The transport knows the socket; the proxy wants an address nevertheless.
     server = xmlrpc.client.ServerProxy("http://127.0.0.1", transport=transport).supervisor
     try:
@@ -144,22 +137,26 @@ def leftovers(settings: Settings) -> set[psutil.Process]:
     return {process for process in found if process.pid != os.getpid() and _is_alive(process)}
 
 
-def end_processes(processes: Iterable[psutil.Process]) -> None:
-    """End processes, and kill those that do not end; psutil checks their start times first."""
+def end_processes(processes: Iterable[psutil.Process]) -> int:
+    """End those that still run; how many ran. psutil compares start times before it sends a signal."""
     alive = [process for process in processes if _is_alive(process)]
+    count = len(alive)
     for send in (psutil.Process.terminate, psutil.Process.kill):
         for process in alive:
             with suppress(psutil.Error):
                 send(process)
         _, alive = psutil.wait_procs(alive, timeout=KILL_LIMIT_S)
+    return count
 
 
 def healthy(settings: Settings, name: str) -> bool:
-    """Whether a service answers. The viewer may refuse whoever comes without its token."""
+    """Whether a service answers."""
     with suppress(httpx.HTTPError):
-        url = f"http://{HOST}:{getattr(settings, f'{name}_port')}{HEALTH[name]}"
-        code = httpx.get(url, timeout=5.0, trust_env=False).status_code
-        return code == httpx.codes.OK or (name == "viewer" and code < 500 and viewer_page(settings) != "")
+        code = httpx.get(settings.url(name) + HEALTH[name], timeout=5.0, trust_env=False).status_code
+        if name == "viewer":
+            # It prints its address once it listens, and may refuse whoever comes without its token.
+            return code < 500 and viewer_page(settings) != ""
+        return code == httpx.codes.OK
     return False
 
 
@@ -171,42 +168,9 @@ def viewer_page(settings: Settings) -> str:
     return ""
 
 
-def url_of(settings: Settings, name: str) -> str:
-    """Where a service is for people."""
-    page = viewer_page(settings) if name == "viewer" else ""
-    return page or f"http://{HOST}:{getattr(settings, f'{name}_port')}"
-
-
 def log_file(settings: Settings, name: str) -> Path:
     """The log of a service, or of supervisord."""
     return settings.home / "logs" / f"{name}.log"
-
-
-def addresses(settings: Settings) -> str:
-    """Where to look, and how to set a shell up for jobs of one's own."""
-    return "\n".join(
-        [
-            f"MLflow UI       {experiment_address(settings.mlflow_url)}",
-            f"Ray dashboard   {settings.ray_url}  (asks for the token: `ray get-auth-token` prints it)",
-            f"API             {settings.api_url}/docs",
-            f"workbench       {settings.api_url}/",
-            "",
-            "This line sets a shell up for `ray job submit training/cluster_train.py`:",
-            '  eval "$(.venv/bin/python -m services.local env)"',
-        ]
-    )
-
-
-def experiment_address(mlflow_url: str) -> str:
-    """The page of the project's runs in MLflow, or its home as long as nothing was trained.
-
-    From its list of experiments MLflow leads to pages for language models, whatever an experiment's kind.
-    """
-    url = f"{mlflow_url}/api/2.0/mlflow/experiments/get-by-name"
-    answer = httpx.get(url, params={"experiment_name": EXPERIMENT}, timeout=5.0, trust_env=False)
-    if answer.is_error:
-        return mlflow_url
-    return f"{mlflow_url}/#/experiments/{answer.json()['experiment']['experiment_id']}/runs?{MLFLOW_TRAINING}"
 
 
 def free_ports(count: int) -> list[int]:
@@ -218,28 +182,13 @@ def free_ports(count: int) -> list[int]:
     return ports
 
 
-def _socket(settings: Settings) -> Path:
-    return settings.temp_folder / "supervisor.sock"
-
-
-def _lock(settings: Settings) -> AbstractContextManager[None]:
-    busy = "another command is starting or ending these services"
-    return holding(
-        settings.home / "run" / "lock", ServiceError(busy, remedy="wait for it, and run yours again")
-    )
-
-
-def _identifier(settings: Settings) -> str:
-    ports = " ".join(f"{name}={port}" for name, port in settings.ports.items())
-    return f"{ROOT} {ports}"
-
-
 def _start_supervisord(settings: Settings) -> Any:
-    environment = service_environment(settings) | {STACK: str(settings.home)}
+    kept = {name: value for name, value in os.environ.items() if name in OWN or not name.startswith(FOREIGN)}
+    path = os.pathsep.join([str(BIN), os.environ.get("PATH") or os.defpath])
+    environment = kept | proxy_exceptions() | {"PATH": path, STACK: str(settings.home)}
     # Made once in a user's home folder, if it is not there.
-    subprocess.run(
-        [BIN / "ray", "get-auth-token", "--generate"], env=environment, capture_output=True, check=False
-    )
+    command = [str(BIN / "ray"), "get-auth-token", "--generate"]
+    subprocess.run(command, env=environment, capture_output=True, check=False)
     shutil.rmtree(settings.temp_folder, ignore_errors=True)
     try:
         # A folder that somebody else has made cannot be deleted, and is not used.
@@ -248,52 +197,43 @@ def _start_supervisord(settings: Settings) -> Any:
         raise ServiceStartError("there is no folder for sockets", got=str(error)) from error
     config = settings.home / "run" / "supervisord.conf"
     config.write_text(_configuration(settings), encoding="utf-8")
-    done = subprocess.run(
-        [BIN / "supervisord", "-c", config],
-        env=environment,
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    until, server = time.monotonic() + SUPERVISORD_LIMIT_S, connect(settings)
-    while server is None and done.returncode == 0 and time.monotonic() < until:
-        time.sleep(POLL_S)
-        server = connect(settings)
+    command = [str(BIN / "supervisord"), "-c", str(config)]
+    done = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True, check=False)
+    # It goes into the background once it listens.
+    server = connect(settings)
     if server is None:
         log = log_file(settings, "supervisord")
-        raise ServiceStartError(
-            "supervisord did not start", got=done.stderr.strip()[-500:], remedy=f"see {log}"
-        )
+        raise ServiceStartError("supervisord did not start", got=done.stderr[-500:], remedy=f"see {log}")
     return server
 
 
 def _configuration(settings: Settings) -> str:
-    client, agent = free_ports(2)
-    values = settings.model_dump() | {
-        "bin": BIN,
-        "identifier": _identifier(settings),
-        "ray_agent_port": agent,
-        "ray_client_port": client,
-        "root": ROOT,
-        "socket": _socket(settings),
-        "temp_folder": settings.temp_folder,
-    }
+    values = settings.model_dump() | {"bin": BIN, "identifier": _identifier(settings), "root": ROOT}
+    values |= {"socket": settings.socket, "temp_folder": settings.temp_folder}
+    # Empty switches them off; another folder would be that of another state folder.
+    off = os.environ.get(OUTCOMES) == ""
+    values["outcomes"] = "" if off else shell_values(settings)[OUTCOMES]
+    values["ray_client_port"], values["ray_agent_port"] = free_ports(2)
     template = Template(Path(__file__).with_name("supervisord.conf").read_text(encoding="utf-8"))
     # supervisord expands %(name)s in values.
     return template.substitute({name: str(value).replace("%", "%%") for name, value in values.items()})
 
 
+def _identifier(settings: Settings) -> str:
+    return " ".join([str(ROOT), *(settings.url(name) for name in HEALTH)])
+
+
+def _lock(settings: Settings) -> AbstractContextManager[None]:
+    busy = "another command is starting or ending these services"
+    return holding(settings.home / "run" / "lock", ServiceError(busy, remedy="run this again after it"))
+
+
 def _require_free(settings: Settings, name: str) -> None:
-    port = getattr(settings, f"{name}_port")
+    port, setting = getattr(settings, f"{name}_port"), f"CSPACE_{name.upper()}_PORT"
     with socket.socket() as client:
-        client.settimeout(1.0)
-        if client.connect_ex((HOST, port)) != 0:
-            return
-    raise PortTakenError(
-        f"port {port} of {name} is taken",
-        remedy=f"end its program (`ss -ltnp` lists them), or set CSPACE_{name.upper()}_PORT to another port",
-    )
+        if client.connect_ex((HOST, port)) == 0:
+            remedy = f"end its program (`ss -ltnp` lists it), or set {setting} to another port"
+            raise PortTakenError(f"port {port} of {name} is taken", remedy=remedy)
 
 
 def _wait_healthy(settings: Settings, server: Any, name: str) -> None:
@@ -313,20 +253,6 @@ def _wait_healthy(settings: Settings, server: Any, name: str) -> None:
         last = log.read_text(encoding="utf-8", errors="replace").splitlines()[-LOG_LINES:]
         remedy = "\n".join([f"the end of its log {log}:", *last, "then `make down` and start again"])
         raise ServiceStartError(f"{name} {failure}", remedy=remedy)
-
-
-def _report_jobs(settings: Settings, report: Report) -> None:
-    # Imported here: Ray takes a second.
-    from ray.job_submission import JobSubmissionClient  # noqa: PLC0415
-
-    with suppress(RuntimeError, OSError):  # a head that does not answer has no jobs to lose
-        jobs = [
-            job for job in JobSubmissionClient(settings.ray_url).list_jobs() if not job.status.is_terminal()
-        ]
-        if jobs:
-            report("these jobs end with Ray; a training job goes on when it is submitted again:")
-        for job in jobs:
-            report(f"  {job.submission_id}: {job.entrypoint}")
 
 
 def _runs(info: dict[str, Any]) -> bool:

@@ -1,13 +1,13 @@
 """The state folder: made for this user alone, marked as the project's, measured and deleted."""
 
 import shutil
+from contextlib import suppress
 from pathlib import Path
 
 from cspace.errors import ConfigError, StorageError
 from services.local.settings import Settings
 
-MARKER = ".cspace-sampler.json"
-IGNORE = ".gitignore"
+MARKER, IGNORE = ".cspace-sampler.json", ".gitignore"
 FOLDERS = ("mlflow", "data", "logs", "run", "figures", "models", "arms")
 
 
@@ -16,11 +16,10 @@ def make_state(settings: Settings) -> None:
     home = settings.home
     try:
         home.mkdir(mode=0o700, parents=True, exist_ok=True)
-        if not (home / MARKER).exists():
-            _require_empty(home)
-            (home / MARKER).write_text('{"made_by": "cspace-sampler"}', encoding="utf-8")
-            # Git and `ray job submit --working-dir` leave the folder out.
-            (home / IGNORE).write_text("*\n", encoding="utf-8")
+        _require_own(home)
+        (home / MARKER).write_text('{"made_by": "cspace-sampler"}', encoding="utf-8")
+        # Git and `ray job submit --working-dir` leave the folder out.
+        (home / IGNORE).write_text("*\n", encoding="utf-8")
         for name in FOLDERS:
             (home / name).mkdir(exist_ok=True)
     except OSError as error:
@@ -28,14 +27,13 @@ def make_state(settings: Settings) -> None:
         raise ConfigError("the state folder cannot be made", got=str(error), remedy=remedy) from error
 
 
-def state_parts(settings: Settings) -> dict[Path, int]:
-    """What :func:`drop_state` would delete, with its size in bytes."""
+def state_parts(settings: Settings) -> list[Path]:
+    """What :func:`drop_state` would delete."""
     if not settings.home.is_dir():
-        return {}
-    if not (settings.home / MARKER).exists():
-        _require_empty(settings.home)
+        return []
+    _require_own(settings.home)
     parts = [*(settings.home / name for name in FOLDERS), settings.temp_folder]
-    return {part: size_bytes(part) for part in parts if part.is_dir()}
+    return [part for part in parts if part.is_dir()]
 
 
 def drop_state(settings: Settings) -> None:
@@ -46,26 +44,24 @@ def drop_state(settings: Settings) -> None:
         # The mark goes last, so that what was interrupted can be repeated.
         for name in (IGNORE, MARKER):
             (settings.home / name).unlink(missing_ok=True)
-        if settings.home.is_dir() and not any(settings.home.iterdir()):
+        if not any(settings.home.iterdir()):
             settings.home.rmdir()
     except OSError as error:
         raise StorageError("the state folder cannot be deleted", got=str(error)) from error
 
 
-def size_bytes(folder: Path) -> int:
-    """Sum over the files below a folder; links are not followed."""
+def size_text(folder: Path) -> str:
+    """The size of the files below a folder; links are not followed."""
     total = 0
     for path in folder.rglob("*"):
-        try:
+        with suppress(OSError):  # deleted in between
             total += path.lstat().st_size if not path.is_dir() else 0
-        except OSError:  # deleted in between
-            continue
-    return total
+    return f"{total / 1e6:.1f} MB"
 
 
-def _require_empty(home: Path) -> None:
+def _require_own(home: Path) -> None:
     found = sorted(path.name for path in home.iterdir())
-    if found:
+    if found and MARKER not in found:
         raise ConfigError(
             f"{home} is not a state folder of this project",
             expected="a new or an empty folder",
