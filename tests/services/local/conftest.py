@@ -1,5 +1,6 @@
 """A state folder and ports of its own, and stubs in place of the programs of the environment."""
 
+import shutil
 import stat
 import sys
 from collections.abc import Callable, Iterator
@@ -73,3 +74,4 @@ def programs(settings: Settings, write_stub: WriteStub, tmp_path: Path) -> Itera
     (tmp_path / "bin" / "supervisord").symlink_to(BIN / "supervisord")
     yield
     down(settings, ignore)
+    shutil.rmtree(settings.temp_folder, ignore_errors=True)

@@ -1,6 +1,7 @@
 """Up, down and status with a real supervisord: stubs in place of the services."""
 
 import socket
+import subprocess
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -10,8 +11,9 @@ import pytest
 
 from cspace.errors import PortTakenError, ServiceError, ServiceStartError
 from cspace.files import holding
-from services.local.settings import Settings
+from services.local.settings import BIN, Settings
 from services.local.stack import SERVICES, connect, down, leftovers, status, up
+from services.local.state import drop_state
 from tests.services.local.conftest import WriteStub, ignore, settings_in
 
 pytestmark = pytest.mark.usefixtures("programs")
@@ -38,6 +40,10 @@ def test_up_starts_services_and_down_ends_them_with_all_that_they_started(settin
     table, healthy = status(settings)
     assert healthy
     assert [line.split()[0] for line in table.splitlines()[1:]] == list(SERVICES)
+    # What users may run themselves.
+    supervisorctl = [BIN / "supervisorctl", "-c", settings.home / "run" / "supervisord.conf", "tail", "api"]
+    tail = subprocess.run(supervisorctl, capture_output=True, text=True, check=True)
+    assert settings.url("api") in tail.stdout
     # supervisord, and each stub with the process that has left its group.
     processes = leftovers(settings)
     assert len(processes) == 7
@@ -88,6 +94,7 @@ def test_two_state_folders_do_not_disturb_each_other(settings: Settings, tmp_pat
         assert leftovers(settings).isdisjoint(leftovers(other))
     finally:
         down(other, ignore)
+        drop_state(other)
     assert not leftovers(other)
     assert status(settings)[1]
 
