@@ -13,9 +13,17 @@ from services.command_errors import confirmed
 from services.evaluator.tables import aligned
 from services.local.own_arm import import_arm, serve_untrained, tour_of_arm
 from services.local.quickstart import TOURS, addresses, quickstart
-from services.local.settings import BIN, Settings, proxy_exceptions, read_settings, shell_values
+from services.local.settings import (
+    BIN,
+    HOST,
+    Settings,
+    drop_state,
+    read_settings,
+    shell_values,
+    size_text,
+    state_parts,
+)
 from services.local.stack import SERVICES, down, leftovers, status, up, viewer_page
-from services.local.state import drop_state, size_text, state_parts
 
 # Of a desktop, or what somebody set for the purpose; browsers of a terminal would take it over.
 SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
@@ -32,7 +40,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Parse, run one command, print; returns the exit code."""
     options = make_parser().parse_args(arguments)
     # Loopback is behind no proxy, and Ray's clients take the token from where Ray keeps it.
-    os.environ.update(proxy_exceptions() | {"RAY_AUTH_MODE": "token"})
+    for name in ("NO_PROXY", "no_proxy"):
+        os.environ[name] = ",".join(filter(None, [os.environ.get(name), HOST, "localhost"]))
+    os.environ["RAY_AUTH_MODE"] = "token"
     try:
         return options.run(read_settings(), options) or 0
     except CspaceError as error:

@@ -9,9 +9,8 @@ from cspace.errors import ConfigError, JobError, ScenarioError
 from cspace.world import World
 from cspace.worlds import named_world, robot_digest
 from services.local.quickstart import EVALUATE, Tour, addresses, plan_and_draw, run_shown, timed, wait_served
-from services.local.settings import Settings
+from services.local.settings import Settings, make_state
 from services.local.stack import SERVICES, Report, up
-from services.local.state import make_state
 from services.names import label, model_name
 
 

@@ -21,8 +21,7 @@ from supervisor.xmlrpc import SupervisorTransport
 from cspace.errors import PortTakenError, ServiceError, ServiceStartError
 from cspace.files import holding
 from services.evaluator.tables import aligned
-from services.local.settings import BIN, HOST, ROOT, Settings, proxy_exceptions, shell_values
-from services.local.state import make_state
+from services.local.settings import BIN, HOST, ROOT, Settings, make_state, shell_values
 from services.outcomes import FOLDER as OUTCOMES
 
 SERVICES = ("mlflow", "ray", "api")
@@ -185,7 +184,7 @@ def free_ports(count: int) -> list[int]:
 def _start_supervisord(settings: Settings) -> Any:
     kept = {name: value for name, value in os.environ.items() if name in OWN or not name.startswith(FOREIGN)}
     path = os.pathsep.join([str(BIN), os.environ.get("PATH") or os.defpath])
-    environment = kept | proxy_exceptions() | {"PATH": path, STACK: str(settings.home)}
+    environment = kept | {"PATH": path, STACK: str(settings.home)}
     # Made once in a user's home folder, if it is not there.
     command = [str(BIN / "ray"), "get-auth-token", "--generate"]
     subprocess.run(command, env=environment, capture_output=True, check=False)

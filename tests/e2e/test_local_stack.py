@@ -113,8 +113,8 @@ def test_a_killed_ray_head_is_replaced_with_all_that_it_started(stack: LocalStac
     left = head.children(recursive=True)
     assert left
     head.kill()
-    wait_for(lambda: stack.run("status").returncode == 0)
-    assert [process for process in [head, *left] if runs(process)] == []
+    wait_for(lambda: stack.pids()["ray"] not in {0, first["ray"]} and stack.run("status").returncode == 0)
+    wait_for(lambda: not any(runs(process) for process in [head, *left]))
     assert {**stack.pids(), "ray": first["ray"]} == first
 
 

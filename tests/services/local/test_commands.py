@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from services.local.__main__ import main
-from services.local.settings import BIN, Settings
-from services.local.state import make_state
+from services.local.settings import BIN, Settings, make_state
 
 pytestmark = pytest.mark.usefixtures("settings")
 COMMANDS = ("up", "down", "status", "demo", "quickstart", "arm", "clean-state", "env")

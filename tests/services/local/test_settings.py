@@ -5,8 +5,16 @@ from pathlib import Path
 import pytest
 
 from cspace.errors import ConfigError
-from services.local.settings import ROOT, Settings, read_settings
-from services.local.state import FOLDERS, IGNORE, MARKER, drop_state, make_state
+from services.local.settings import (
+    FOLDERS,
+    IGNORE,
+    MARKER,
+    ROOT,
+    Settings,
+    drop_state,
+    make_state,
+    read_settings,
+)
 
 
 @pytest.fixture(autouse=True)

@@ -11,9 +11,8 @@ import pytest
 
 from cspace.errors import PortTakenError, ServiceError, ServiceStartError
 from cspace.files import holding
-from services.local.settings import BIN, Settings
+from services.local.settings import BIN, Settings, drop_state
 from services.local.stack import SERVICES, connect, down, leftovers, status, up
-from services.local.state import drop_state
 from tests.services.local.conftest import WriteStub, ignore, settings_in
 
 pytestmark = pytest.mark.usefixtures("programs")
