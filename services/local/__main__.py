@@ -6,6 +6,7 @@ import shlex
 import sys
 import webbrowser
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 from cspace.errors import ConfigError, CspaceError, PortTakenError, ServiceError
@@ -28,6 +29,7 @@ from services.local.stack import SERVICES, down, leftovers, status, up, viewer_p
 # Of a desktop, or what somebody set for the purpose; browsers of a terminal would take it over.
 SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
 FAILED, NOT_HEALTHY = 1, 4
+_say = partial(print, flush=True)
 EXIT_CODES = (
     "Exit codes: 0 done, 1 failed, 2 wrong usage or setting, 3 a port is taken, 4 not all is healthy."
 )
@@ -51,11 +53,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         sys.stderr.write("\ninterrupted; what was started goes on: `make status`, `make down`\n")
         return 130
-
-
-def _say(line: str) -> None:
-    sys.stdout.write(f"{line}\n")
-    sys.stdout.flush()
 
 
 def _up(settings: Settings, _: argparse.Namespace) -> None:

@@ -75,12 +75,8 @@ def read_settings() -> Settings:
         return Settings()
     except ValidationError as error:
         first = error.errors()[0]
-        raise ConfigError(
-            f"the setting CSPACE_{str(first['loc'][0]).upper()} is wrong",
-            expected=first["msg"],
-            got=repr(first["input"]),
-            remedy="change it in the environment, or unset it for its default",
-        ) from error
+        what = f"the setting CSPACE_{str(first['loc'][0]).upper()} is wrong"
+        raise ConfigError(what, expected=first["msg"], got=repr(first["input"])) from error
 
 
 def shell_values(settings: Settings) -> dict[str, str]:
@@ -149,9 +145,5 @@ def size_text(folder: Path) -> str:
 def _require_own(home: Path) -> None:
     found = sorted(path.name for path in home.iterdir())
     if found and MARKER not in found:
-        raise ConfigError(
-            f"{home} is not a state folder of this project",
-            expected="a new or an empty folder",
-            got=", ".join(found[:5]),
-            remedy="set CSPACE_HOME to a folder of its own",
-        )
+        what, got = f"{home} is not a state folder of this project", ", ".join(found[:5])
+        raise ConfigError(what, expected="a new or an empty folder", got=got, remedy="set CSPACE_HOME to one")

@@ -56,7 +56,11 @@ def up(settings: Settings, names: Sequence[str], report: Report) -> None:
                 got=server.getIdentification(),
                 remedy="`make down` first, or set CSPACE_HOME and the ports to others for this checkout",
             )
-        absent = [name for name in names if server is None or not _runs(server.getProcessInfo(name))]
+        absent = [
+            name
+            for name in names
+            if server is None or server.getProcessInfo(name)["state"] not in RUNNING_STATES
+        ]
         for name in absent:
             _require_free(settings, name)
         server = server or _start_supervisord(settings)
@@ -78,7 +82,7 @@ def down(settings: Settings, report: Report) -> bool:
     with _lock(settings):
         server, found = connect(settings), leftovers(settings)
         if server is not None:
-            running = [info["name"] for info in server.getAllProcessInfo() if _runs(info)]
+            running = [info["name"] for info in server.getAllProcessInfo() if info["state"] in RUNNING_STATES]
             supervisord = psutil.Process(server.getPID())
             server.shutdown()
             psutil.wait_procs([supervisord], timeout=STOP_LIMIT_S)
@@ -95,7 +99,8 @@ def status(settings: Settings) -> tuple[str, bool]:
     server = connect(settings)
     infos = {} if server is None else {info["name"]: info for info in server.getAllProcessInfo()}
     shown = [name for name in HEALTH if name in SERVICES or (name in infos and infos[name]["start"])]
-    answers = {name: name in infos and _runs(infos[name]) and healthy(settings, name) for name in shown}
+    running = {name for name, info in infos.items() if info["state"] in RUNNING_STATES}
+    answers = {name: name in running and healthy(settings, name) for name in shown}
     rows = [("service", "state", "", "health", "address")]
     for name in shown:
         state, description = (infos[name][key] if infos else "" for key in ("statename", "description"))
@@ -239,7 +244,7 @@ def _wait_healthy(settings: Settings, server: Any, name: str) -> None:
     pid, until, failure = server.getProcessInfo(name)["pid"], time.monotonic() + START_LIMIT_S, ""
     while not failure and not healthy(settings, name):
         info = server.getProcessInfo(name)
-        if info["pid"] != pid or not _runs(info):
+        if info["pid"] != pid or info["state"] not in RUNNING_STATES:
             failure = "ended while it was starting"
         elif time.monotonic() > until:
             failure = f"did not answer within {START_LIMIT_S:.0f} s"
@@ -252,10 +257,6 @@ def _wait_healthy(settings: Settings, server: Any, name: str) -> None:
         last = log.read_text(encoding="utf-8", errors="replace").splitlines()[-LOG_LINES:]
         remedy = "\n".join([f"the end of its log {log}:", *last, "then `make down` and start again"])
         raise ServiceStartError(f"{name} {failure}", remedy=remedy)
-
-
-def _runs(info: dict[str, Any]) -> bool:
-    return info["state"] in RUNNING_STATES
 
 
 def _is_alive(process: psutil.Process) -> bool:
