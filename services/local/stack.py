@@ -1,464 +1,265 @@
-"""The services of this machine together: MLflow, Ray head and API; up, down and status."""
+"""The services of this machine under one supervisord: up, down and status."""
 
-import json
+import http.client
 import os
 import shutil
-import sys
+import socket
+import subprocess
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+import xmlrpc.client
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
+from string import Template
+from typing import Any
 
-from cspace.errors import ServiceError, ServiceStartError
+import httpx
+import psutil
+from supervisor.states import RUNNING_STATES
+from supervisor.xmlrpc import SupervisorTransport
+
+from cspace.errors import PortTakenError, ServiceError, ServiceStartError
+from cspace.files import holding
 from services.evaluator.tables import aligned
-from services.local.processes import (
-    Record,
-    Service,
-    answer_of,
-    answers,
-    drop_record,
-    exclusive,
-    family,
-    free_ports,
-    is_alive,
-    problem_at,
-    read_record,
-    require_free,
-    start_detached,
-    stop,
-    with_children,
-    write_record,
-)
-from services.local.settings import (
-    API_PORT,
-    HOME,
-    HOST,
-    MLFLOW_PORT,
-    RAY_PORT,
-    SHELL_SPECIAL,
-    VIEWER_PORT,
-    Settings,
-    binaries,
-    ensure_token,
-    service_environment,
-    shell_lines,
-    size_bytes,
-    size_text,
-    temp_folder,
-    token_headers,
-)
-from services.names import EXPERIMENT, MLFLOW_TRAINING
+from services.local.settings import BIN, HOST, ROOT, Settings, make_state, shell_values
+from services.outcomes import FOLDER as OUTCOMES
 
-_UNDER_WAY = {"PENDING", "RUNNING"}
-
-
-def jobs_under_way(url: str, headers: Mapping[str, str]) -> tuple[str, ...]:
-    """Submitted jobs that have not ended, in lines; none where there is none or the head does not answer.
-
-    Args:
-        url: of the jobs API.
-        headers: with the token.
-    """
-    try:
-        listed = json.loads(answer_of(f"{url}/api/jobs/", headers) or "[]")
-        found = [job for job in listed if job["submission_id"] and job["status"] in _UNDER_WAY]
-        lines = [
-            f"  {job['submission_id']}, since {_moment(job['start_time'])}: {job['entrypoint']}"
-            for job in found
-        ]
-    except (ValueError, LookupError, TypeError):
-        return ()
-    if not lines:
-        return ()
-    return ("these jobs end with Ray; a training job goes on when it is submitted again:", *lines)
-
-
-def _moment(start_ms: float | None) -> str:
-    return time.strftime("%Y-%m-%d %H:%M:%S", time.localtime((start_ms or 0) / 1000))
-
-
-OBJECT_STORE_BYTES = 500_000_000
-
-
-def ray_head(settings: Settings) -> Service:
-    """``ray start --head --block``: jobs run in the project's root with the services' environment."""
-    environment = service_environment(settings)
-    return Service(
-        name="ray",
-        title="Ray",
-        address=settings.ray_url,
-        port=settings.ray_port,
-        setting=RAY_PORT,
-        command=lambda: _command(settings),
-        environment=environment,
-        folder=settings.root,
-        ready=lambda: answers(f"{settings.ray_url}/api/jobs/", token_headers(environment)),
-        start_limit_s=180.0,
-        stop_grace_s=20.0,
-        prepare=lambda: _prepare(settings, environment),
-        interrupts=lambda: jobs_under_way(settings.ray_url, token_headers(environment)),
-    )
-
-
-def _command(settings: Settings) -> tuple[str, ...]:
-    client, agent = free_ports(2)
-    return (
-        str(binaries() / "ray"),
-        "start",
-        "--head",
-        "--block",
-        f"--node-ip-address={HOST}",
-        # Ports that nobody needs to know are free ones, so that another Ray on this machine is no hindrance.
-        "--port=0",
-        "--min-worker-port=0",
-        "--max-worker-port=0",
-        f"--ray-client-server-port={client}",
-        f"--dashboard-agent-listen-port={agent}",
-        "--include-dashboard=true",
-        f"--dashboard-host={HOST}",
-        f"--dashboard-port={settings.ray_port}",
-        f"--num-cpus={settings.ray_cpus}",
-        f"--object-store-memory={OBJECT_STORE_BYTES}",
-        f"--temp-dir={temp_folder(settings)}",
-        "--disable-usage-stats",
-        "--log-color=false",
-    )
-
-
-def _prepare(settings: Settings, environment: dict[str, str]) -> None:
-    for used in (settings.root, binaries()):
-        if SHELL_SPECIAL.search(str(used)):
-            raise ServiceStartError(
-                f"Ray cannot run below the folder '{used}'",
-                expected="a path without spaces and characters of the shell",
-                remedy="move the project, delete its .venv, and run make there",
-            )
-    folder = temp_folder(settings)
-    folder.mkdir(mode=0o700, exist_ok=True)
-    if folder.is_symlink() or folder.stat().st_uid != os.getuid():
-        raise ServiceStartError(
-            f"{folder} belongs to somebody else", remedy="set TMPDIR to a folder of yours with a short path"
-        )
-    # The last session's logs may still be wanted.
-    sessions = [path for path in folder.glob("session_*") if path.is_dir() and not path.is_symlink()]
-    for path in sorted(sessions)[:-1]:
-        shutil.rmtree(path, ignore_errors=True)
-    ensure_token(environment)
-
-
-def mlflow_server(settings: Settings) -> Service:
-    """MLflow on loopback. Its guard against DNS rebinding lets local names through by default."""
-    folder = settings.home / "mlflow"
-    # The job runner is for features that are not used here and costs eight processes.
-    environment = service_environment(settings) | {"MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false"}
-    del environment["MLFLOW_TRACKING_URI"]
-    return Service(
-        name="mlflow",
-        title="MLflow",
-        address=settings.mlflow_url,
-        port=settings.mlflow_port,
-        setting=MLFLOW_PORT,
-        command=lambda: (
-            str(binaries() / "mlflow"),
-            "server",
-            f"--host={HOST}",
-            f"--port={settings.mlflow_port}",
-            "--workers=1",
-            f"--backend-store-uri=sqlite:///{folder / 'mlflow.db'}",
-            f"--artifacts-destination={folder / 'artifacts'}",
-            "--serve-artifacts",
-            # The API asks for the champion every other second, and the log would never end.
-            "--uvicorn-opts=--no-access-log",
-        ),
-        environment=environment,
-        folder=folder,
-        ready=lambda: answers(f"{settings.mlflow_url}/health"),
-        start_limit_s=180.0,
-        stop_grace_s=10.0,
-    )
-
-
-def api_server(settings: Settings) -> Service:
-    """``python -m inference_api``; it answers before the registry does and looks for champions by itself.
-
-    On a machine of one's own its page tells the truth of scenes, and links to MLflow.
-    """
-    return Service(
-        name="api",
-        title="inference API",
-        address=settings.api_url,
-        port=settings.api_port,
-        setting=API_PORT,
-        command=lambda: (
-            sys.executable,
-            "-m",
-            "inference_api",
-            f"--host={HOST}",
-            f"--port={settings.api_port}",
-        ),
-        environment={
-            **service_environment(settings),
-            "CSPACE_API_WORKBENCH": "1",
-            "CSPACE_API_MLFLOW_PAGES": settings.mlflow_url,
-        },
-        folder=settings.root,
-        # Without any model it is not ready either, and stays so until one is trained.
-        ready=lambda: (
-            answers(f"{settings.api_url}/health/live")
-            and not problem_at(f"{settings.api_url}/health/ready").endswith(":starting")
-        ),
-        start_limit_s=120.0,
-        stop_grace_s=12.0,
-    )
-
-
-def viewer(settings: Settings) -> Service:
-    """``python -m services.planner.viewer``: the arm among obstacles in 3D, on what the API answers."""
-    return Service(
-        name="viewer",
-        title="viewer",
-        address=settings.viewer_url,
-        port=settings.viewer_port,
-        setting=VIEWER_PORT,
-        command=lambda: (
-            sys.executable,
-            "-m",
-            "services.planner.viewer",
-            f"--api={settings.api_url}",
-            f"--port={settings.viewer_port}",
-        ),
-        environment=service_environment(settings),
-        folder=settings.root,
-        ready=lambda: answers(settings.viewer_url),
-        start_limit_s=120.0,
-        stop_grace_s=5.0,
-    )
-
-
-Report = Callable[[str], None]
+SERVICES = ("mlflow", "ray", "api")
+HEALTH = {"mlflow": "/health", "ray": "/api/gcs_healthz", "api": "/health/ready", "viewer": "/"}
+# supervisord and all that it starts have the state folder in this variable of their environment.
+STACK = "CSPACE_STACK"
+# What a user's shell says about other clusters and servers would lead jobs astray; his token is his.
+FOREIGN, OWN = ("RAY_", "MLFLOW_", "PYTHONHOME"), ("RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH")
 POLL_S = 0.2
+START_LIMIT_S, STOP_LIMIT_S, KILL_LIMIT_S = 180.0, 90.0, 10.0
 LOG_LINES = 25
 
-
-@dataclass(frozen=True, slots=True)
-class ServiceStatus:
-    """One service as it is now; ``pid`` and ``since`` (Unix time in s) are None where it does not run."""
-
-    title: str
-    address: str
-    pid: int | None
-    since: float | None
-    healthy: bool
-
-    @property
-    def running(self) -> bool:
-        """Whether its process runs."""
-        return self.pid is not None
+Report = Callable[[str], None]
 
 
-def services(settings: Settings) -> tuple[Service, ...]:
-    """All services in the order in which they are started; they end in the reverse."""
-    return (mlflow_server(settings), ray_head(settings), api_server(settings))
+def up(settings: Settings, names: Sequence[str], report: Report) -> None:
+    """Start what does not run, and wait until all is healthy.
 
-
-def started_here(settings: Settings) -> tuple[Service, ...]:
-    """The services, and the viewer where the demo has started it."""
-    seen = viewer(settings)
-    extra = (seen,) if read_record(settings.run_folder, seen.name) else ()
-    return (*services(settings), *extra)
-
-
-def up(settings: Settings, wanted: Sequence[Service], report: Report) -> None:
-    """Start what does not run, all beside each other, and wait until everything is ready.
-
-    Raises:
-        PortTakenError: a stranger listens on a port; nothing was started.
-        ServiceError: the services belong to another checkout or to other settings.
-        ServiceStartError: one did not come up; it was ended again, the others go on.
+    A port that somebody else has ends it before anything starts. A service that does not come up is stopped
+    again; the others go on.
     """
-    settings.make_folders()
-    with exclusive(settings.run_folder):
-        began = time.monotonic()
-        absent = [service for service in wanted if not _runs(settings, service)]
-        for service in absent:
-            # What a killed service left behind would hold its ports.
-            record = read_record(settings.run_folder, service.name)
-            if record is not None:
-                _end(settings, service, record)
-            require_free(service.port, service.title, service.setting)
-        for service in absent:
-            service.prepare()
-        for service in absent:
-            _start(settings, service)
-            report(f"{service.title}: starting, log {_log(settings, service)}")
-        for service in wanted:
-            record = _wait(settings, service)
-            write_record(settings.run_folder, with_children(record))
-            state = f"ready after {time.monotonic() - began:.1f} s" if service in absent else "runs already"
-            report(f"{service.title}: {state}, {service.address}")
+    make_state(settings)
+    began = time.monotonic()
+    with _lock(settings):
+        server = connect(settings)
+        if server is None:
+            end_processes(leftovers(settings))
+        elif server.getIdentification() != _identifier(settings):
+            raise ServiceError(
+                "the services run from another checkout or on other ports",
+                expected=_identifier(settings),
+                got=server.getIdentification(),
+                remedy="`make down` first, or set CSPACE_HOME and the ports to others for this checkout",
+            )
+        absent = [
+            name
+            for name in names
+            if server is None or server.getProcessInfo(name)["state"] not in RUNNING_STATES
+        ]
+        for name in absent:
+            _require_free(settings, name)
+        server = server or _start_supervisord(settings)
+        for name in absent:
+            if name == "viewer":
+                server.clearProcessLogs(name)  # of addresses that are gone
+            server.startProcess(name, False)  # noqa: FBT003
+            report(f"{name}: starting, log {log_file(settings, name)}")
+        for name in names:
+            _wait_healthy(settings, server, name)
+            state = f"ready after {time.monotonic() - began:.1f} s" if name in absent else "runs already"
+            report(f"{name}: {state}, {settings.url(name)}")
 
 
-def down(settings: Settings, wanted: Sequence[Service], report: Report) -> int:
-    """End what was started here, by process id; how many services ran. What that interrupts is told first.
-
-    Raises:
-        ServiceError: a service belongs to another checkout; nothing was ended.
-    """
-    if not settings.run_folder.is_dir():
-        return 0
-    ended = 0
-    with exclusive(settings.run_folder):
-        found = [(service, read_record(settings.run_folder, service.name)) for service in reversed(wanted)]
-        records = [(service, record) for service, record in found if record is not None]
-        for service, record in records:
-            if Path(record.root).is_dir() and (is_alive(record) or family(record)):
-                _require_own(settings, service, record)
-        for service, record in records:
-            if is_alive(record) and record.address == service.address:
-                for line in service.interrupts():
-                    report(line)
-        for service, record in records:
-            ended += is_alive(record)
-            count = _end(settings, service, record)
-            report(f"{service.title}: ended" if count else f"{service.title}: had ended before")
-    return ended
-
-
-def status(settings: Settings, wanted: Sequence[Service]) -> list[ServiceStatus]:
-    """What each service is doing."""
-    return [_status(service, read_record(settings.run_folder, service.name)) for service in wanted]
-
-
-def require_down(settings: Settings, wanted: Sequence[Service]) -> None:
-    """Raise ServiceError where a service or something that it started still runs."""
-    records = [read_record(settings.run_folder, service.name) for service in wanted]
-    alive = [record.service for record in records if record and (is_alive(record) or family(record))]
-    if alive:
-        raise ServiceError("services still run", got=", ".join(alive), remedy="`make down` first")
-
-
-def _status(service: Service, record: Record | None) -> ServiceStatus:
-    if record is None or not is_alive(record):
-        return ServiceStatus(service.title, service.address, None, None, healthy=False)
-    # A service that was started on another port is asked there.
-    healthy = record.address == service.address and service.ready()
-    return ServiceStatus(service.title, record.address, record.pid, record.create_time, healthy)
-
-
-def _runs(settings: Settings, service: Service) -> bool:
-    record = read_record(settings.run_folder, service.name)
-    if record is None or not is_alive(record):
+def down(settings: Settings, report: Report) -> bool:
+    """End supervisord and all that it started; whether anything ran."""
+    if not (settings.home / "run").is_dir():
         return False
-    _require_own(settings, service, record)
-    if record.address != service.address:
-        raise ServiceError(
-            f"{service.title} runs at another address",
-            expected=service.address,
-            got=record.address,
-            remedy=f"`make down` first, or set {service.setting} to the port that is in use",
-        )
-    return True
+    with _lock(settings):
+        server, found = connect(settings), leftovers(settings)
+        if server is not None:
+            running = [info["name"] for info in server.getAllProcessInfo() if info["state"] in RUNNING_STATES]
+            supervisord = psutil.Process(server.getPID())
+            server.shutdown()
+            psutil.wait_procs([supervisord], timeout=STOP_LIMIT_S)
+            report(f"ended: {', '.join(running) or 'supervisord'}")
+        # What a killed supervisord left behind, and what left the process group of its service.
+        left = end_processes({*found, *leftovers(settings)})
+        if left:
+            report(f"ended what was left behind: {left} processes")
+    return bool(found)
 
 
-def _require_own(settings: Settings, service: Service, record: Record) -> None:
-    if Path(record.root) != settings.root:
-        raise ServiceError(
-            f"{service.title} runs from another checkout",
-            expected=str(settings.root),
-            got=record.root,
-            remedy=f"`make down` there, or set {HOME} and the ports to others for this checkout",
-        )
+def status(settings: Settings) -> tuple[str, bool]:
+    """A table of the services, and of the viewer once it was started; whether all is healthy."""
+    server = connect(settings)
+    infos = {} if server is None else {info["name"]: info for info in server.getAllProcessInfo()}
+    shown = [name for name in HEALTH if name in SERVICES or (name in infos and infos[name]["start"])]
+    running = {name for name, info in infos.items() if info["state"] in RUNNING_STATES}
+    answers = {name: name in running and healthy(settings, name) for name in shown}
+    rows = [("service", "state", "", "health", "address")]
+    for name in shown:
+        state, description = (infos[name][key] if infos else "" for key in ("statename", "description"))
+        health = "healthy" if answers[name] else "not healthy"
+        url = viewer_page(settings) if name == "viewer" else settings.url(name)
+        rows.append((name, state or "not running", description, health, url))
+    return aligned(rows), all(answers.values())
 
 
-def _end(settings: Settings, service: Service, record: Record) -> int:
-    """End a service and forget it; how many processes that were."""
-    count = stop(record, service.stop_grace_s)
-    drop_record(settings.run_folder, service.name)
+class _Transport(SupervisorTransport):  # type: ignore[misc]
+    def __del__(self) -> None:
+        """Close the connection, which supervisor's own class leaves open."""
+        self.close()
+
+
+def connect(settings: Settings) -> Any:
+    """Supervisord's XML-RPC interface, or None where it does not answer."""
+    transport = _Transport(serverurl=f"unix://{settings.socket}")
+    # The transport knows the socket; the proxy wants an address nevertheless.
+    server = xmlrpc.client.ServerProxy("http://127.0.0.1", transport=transport).supervisor
+    try:
+        server.getState()
+    except (OSError, http.client.HTTPException, xmlrpc.client.Error):
+        return None
+    return server
+
+
+def leftovers(settings: Settings) -> set[psutil.Process]:
+    """Supervisord and all that it started, also when supervisord itself was killed.
+
+    Ray's agents write titles over their environment: they are found as children.
+    """
+    found: set[psutil.Process] = set()
+    for process in psutil.process_iter(["environ"]):
+        if (process.info["environ"] or {}).get(STACK) == str(settings.home):
+            with suppress(psutil.Error):  # it may end in between
+                found |= {process, *process.children(recursive=True)}
+    return {process for process in found if process.pid != os.getpid() and _is_alive(process)}
+
+
+def end_processes(processes: Iterable[psutil.Process]) -> int:
+    """End those that still run; how many ran. psutil compares start times before it sends a signal."""
+    alive = [process for process in processes if _is_alive(process)]
+    count = len(alive)
+    for send in (psutil.Process.terminate, psutil.Process.kill):
+        for process in alive:
+            with suppress(psutil.Error):
+                send(process)
+        _, alive = psutil.wait_procs(alive, timeout=KILL_LIMIT_S)
     return count
 
 
-def _start(settings: Settings, service: Service) -> None:
-    record = start_detached(
-        service.name,
-        service.command(),
-        environment=service.environment,
-        folder=service.folder,
-        log=_log(settings, service),
-        root=settings.root,
-        address=service.address,
-    )
-    write_record(settings.run_folder, record)
+def healthy(settings: Settings, name: str) -> bool:
+    """Whether a service answers."""
+    with suppress(httpx.HTTPError):
+        code = httpx.get(settings.url(name) + HEALTH[name], timeout=5.0, trust_env=False).status_code
+        if name == "viewer":
+            # It prints its address once it listens, and may refuse whoever comes without its token.
+            return code < 500 and viewer_page(settings) != ""
+        return code == httpx.codes.OK
+    return False
 
 
-def _wait(settings: Settings, service: Service) -> Record:
-    """Wait until a service is ready; one that ends, or takes too long, is ended."""
-    record = read_record(settings.run_folder, service.name)
-    if record is None:
-        raise ServiceError(f"the record of {service.title} is gone", remedy="`make down`, then `make up`")
-    until, failure = time.monotonic() + service.start_limit_s, None
-    while failure is None and not service.ready():
-        if not is_alive(record):
+def viewer_page(settings: Settings) -> str:
+    """The last address that the viewer printed, with its token; empty before that."""
+    with suppress(OSError):
+        lines = log_file(settings, "viewer").read_text(encoding="utf-8", errors="replace").splitlines()
+        return next((line.strip() for line in reversed(lines) if line.startswith("http://")), "")
+    return ""
+
+
+def log_file(settings: Settings, name: str) -> Path:
+    """The log of a service, or of supervisord."""
+    return settings.home / "logs" / f"{name}.log"
+
+
+def free_ports(count: int) -> list[int]:
+    """Different free loopback ports, chosen by the system."""
+    sockets = [socket.create_server((HOST, 0)) for _ in range(count)]
+    ports = [int(one.getsockname()[1]) for one in sockets]
+    for one in sockets:
+        one.close()
+    return ports
+
+
+def _start_supervisord(settings: Settings) -> Any:
+    kept = {name: value for name, value in os.environ.items() if name in OWN or not name.startswith(FOREIGN)}
+    path = os.pathsep.join([str(BIN), os.environ.get("PATH") or os.defpath])
+    environment = kept | {"PATH": path, STACK: str(settings.home)}
+    # Made once in a user's home folder, if it is not there.
+    command = [str(BIN / "ray"), "get-auth-token", "--generate"]
+    subprocess.run(command, env=environment, capture_output=True, check=False)
+    shutil.rmtree(settings.temp_folder, ignore_errors=True)
+    try:
+        # A folder that somebody else has made cannot be deleted, and is not used.
+        settings.temp_folder.mkdir(mode=0o700)
+    except OSError as error:
+        raise ServiceStartError("there is no folder for sockets", got=str(error)) from error
+    config = settings.home / "run" / "supervisord.conf"
+    config.write_text(_configuration(settings), encoding="utf-8")
+    command = [str(BIN / "supervisord"), "-c", str(config)]
+    done = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True, check=False)
+    # It goes into the background once it listens.
+    server = connect(settings)
+    if server is None:
+        log = log_file(settings, "supervisord")
+        raise ServiceStartError("supervisord did not start", got=done.stderr[-500:], remedy=f"see {log}")
+    return server
+
+
+def _configuration(settings: Settings) -> str:
+    values = settings.model_dump() | {"bin": BIN, "identifier": _identifier(settings), "root": ROOT}
+    values |= {"socket": settings.socket, "temp_folder": settings.temp_folder}
+    # Empty switches them off; another folder would be that of another state folder.
+    off = os.environ.get(OUTCOMES) == ""
+    values["outcomes"] = "" if off else shell_values(settings)[OUTCOMES]
+    values["ray_client_port"], values["ray_agent_port"] = free_ports(2)
+    template = Template(Path(__file__).with_name("supervisord.conf").read_text(encoding="utf-8"))
+    # supervisord expands %(name)s in values.
+    return template.substitute({name: str(value).replace("%", "%%") for name, value in values.items()})
+
+
+def _identifier(settings: Settings) -> str:
+    return " ".join([str(ROOT), *(settings.url(name) for name in HEALTH)])
+
+
+def _lock(settings: Settings) -> AbstractContextManager[None]:
+    busy = "another command is starting or ending these services"
+    return holding(settings.home / "run" / "lock", ServiceError(busy, remedy="run this again after it"))
+
+
+def _require_free(settings: Settings, name: str) -> None:
+    port, setting = getattr(settings, f"{name}_port"), f"CSPACE_{name.upper()}_PORT"
+    with socket.socket() as client:
+        if client.connect_ex((HOST, port)) == 0:
+            remedy = f"end its program (`ss -ltnp` lists it), or set {setting} to another port"
+            raise PortTakenError(f"port {port} of {name} is taken", remedy=remedy)
+
+
+def _wait_healthy(settings: Settings, server: Any, name: str) -> None:
+    pid, until, failure = server.getProcessInfo(name)["pid"], time.monotonic() + START_LIMIT_S, ""
+    while not failure and not healthy(settings, name):
+        info = server.getProcessInfo(name)
+        if info["pid"] != pid or info["state"] not in RUNNING_STATES:
             failure = "ended while it was starting"
         elif time.monotonic() > until:
-            failure = f"did not answer within {service.start_limit_s:.0f} s"
+            failure = f"did not answer within {START_LIMIT_S:.0f} s"
         else:
             time.sleep(POLL_S)
-    if failure is None:
-        return record
-    _end(settings, service, record)
-    log = Path(record.log)
-    last = log.read_text(encoding="utf-8", errors="replace").splitlines()[-LOG_LINES:]
-    raise ServiceStartError(
-        f"{service.title} {failure}",
-        remedy="\n".join([f"the end of its log {log}:", *last, "then `make down` and start again"]),
-    )
+    if failure:
+        with suppress(xmlrpc.client.Fault):  # it has ended already
+            server.stopProcess(name)
+        log = log_file(settings, name)
+        last = log.read_text(encoding="utf-8", errors="replace").splitlines()[-LOG_LINES:]
+        remedy = "\n".join([f"the end of its log {log}:", *last, "then `make down` and start again"])
+        raise ServiceStartError(f"{name} {failure}", remedy=remedy)
 
 
-def _log(settings: Settings, service: Service) -> Path:
-    return settings.logs_folder / f"{service.name}.log"
-
-
-def experiment_address(mlflow_url: str) -> str:
-    """The page of the project's runs in MLflow, or its home as long as nothing was trained.
-
-    From its list of experiments MLflow leads to pages for language models, whatever an experiment's kind.
-    """
-    found = answer_of(f"{mlflow_url}/api/2.0/mlflow/experiments/get-by-name?experiment_name={EXPERIMENT}")
-    if found is None:
-        return mlflow_url
-    number = json.loads(found)["experiment"]["experiment_id"]
-    return f"{mlflow_url}/#/experiments/{number}/runs?{MLFLOW_TRAINING}"
-
-
-def addresses(settings: Settings) -> str:
-    """Where to look."""
-    return "\n".join(
-        [
-            f"MLflow UI       {experiment_address(settings.mlflow_url)}",
-            f"Ray dashboard   {settings.ray_url}  (asks for the token: `ray get-auth-token` prints it)",
-            f"API             {settings.api_url}/docs",
-            f"workbench       {settings.api_url}/",
-        ]
-    )
-
-
-def shell_help(settings: Settings) -> str:
-    """How to set a shell up for jobs of one's own."""
-    return "\n".join(
-        [
-            "A shell for `ray job submit training/cluster_train.py` needs these lines",
-            '(`eval "$(.venv/bin/python -m services.local env)"` runs them):',
-            *(f"  {line}" for line in shell_lines(settings)),
-        ]
-    )
-
-
-def status_table(settings: Settings, statuses: Sequence[ServiceStatus]) -> str:
-    """One line a service, then the state folder."""
-    rows = [("service", "state", "pid", "since", "address")]
-    for one in statuses:
-        state = ("healthy" if one.healthy else "does not answer") if one.running else "not running"
-        since = "-" if one.since is None else time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(one.since))
-        rows.append((one.title, state, str(one.pid or "-"), since, one.address))
-    folder = f"state folder {settings.home}, {size_text(size_bytes(settings.home))}"
-    return f"{aligned(rows)}\n{folder}"
+def _is_alive(process: psutil.Process) -> bool:
+    with suppress(psutil.Error):
+        return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
+    return False

@@ -7,8 +7,7 @@ import pytest
 from playwright.sync_api import Page
 from playwright.sync_api import expect as expect_that
 
-from services.local.stack import experiment_address
-from services.names import MODEL_NAME
+from services.names import MLFLOW_TRAINING, MODEL_NAME
 from tests.browser import mlflow_pages
 from tests.browser.small_job import CHILDREN, DATA_DIGEST, SmallJob
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
@@ -18,8 +17,10 @@ Shoot = Callable[[str], Path]
 SMALLEST_SCREENSHOT = 10_000
 
 
-def test_the_address_that_is_printed_shows_the_runs_of_jobs(page: Page, server: str, job: SmallJob) -> None:
-    page.goto(experiment_address(server))
+def test_the_address_in_the_summary_shows_the_runs_of_jobs(
+    page: Page, server: str, experiment_id: str, job: SmallJob
+) -> None:
+    page.goto(f"{server}/#/experiments/{experiment_id}/runs?{MLFLOW_TRAINING}")
     expect_that(page.get_by_role("gridcell").filter(has_text="cluster-train").first).to_be_visible()
 
 

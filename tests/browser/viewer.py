@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 from playwright.sync_api import Page, expect
 
-from services.local.processes import free_ports
+from services.local.stack import free_ports
 
 
 @contextmanager

@@ -15,7 +15,7 @@ from PIL import Image, ImageOps
 from playwright.sync_api import Page, expect
 
 from cspace_client import SamplingClient
-from services.local.processes import free_ports
+from services.local.stack import free_ports
 from services.planner.viewer import FOCUS_M, Viewer
 from tests.browser.chromium import browser_page
 from tests.browser.viewer import open_viewer, plan_in_viewer, viewer_at

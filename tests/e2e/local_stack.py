@@ -11,12 +11,10 @@ from pathlib import Path
 
 import psutil
 
-from services.local.processes import family, free_ports, read_record
 from services.local.settings import Settings
-from services.local.stack import temp_folder
+from services.local.stack import SERVICES, connect, free_ports, leftovers
 
 ROOT = Path(__file__).parents[2]
-NAMES = ("mlflow", "ray", "api")
 FOREIGN = ("CSPACE_", "MLFLOW_", "RAY_", "PYTEST_")
 LIMIT_S = 400.0
 
@@ -39,7 +37,9 @@ class LocalStack:
 
     @property
     def settings(self) -> Settings:
-        return Settings.from_environment(self.environment, ROOT)
+        fields = Settings.model_fields
+        given = {name: self.environment.get(f"CSPACE_{name.upper()}") for name in fields}
+        return Settings(**{name: value for name, value in given.items() if value})
 
     def run(self, *arguments: str, limit_s: float = LIMIT_S) -> subprocess.CompletedProcess[str]:
         """One command, its output and errors together."""
@@ -55,16 +55,13 @@ class LocalStack:
         setup = f'eval "$({sys.executable} -m services.local env)"'
         return self._execute(["/bin/bash", "-c", f"{setup}\n{script}"], limit_s)
 
-    def pid(self, service: str) -> int:
-        record = read_record(self.settings.run_folder, service)
-        assert record is not None, f"{service} has no record"
-        return record.pid
+    def pids(self) -> dict[str, int]:
+        infos = connect(self.settings).getAllProcessInfo()
+        return {info["name"]: info["pid"] for info in infos if info["name"] in SERVICES}
 
-    def processes(self) -> list[psutil.Process]:
+    def processes(self) -> set[psutil.Process]:
         """All that runs for this stack."""
-        records = [read_record(self.settings.run_folder, name) for name in NAMES]
-        found = [process for record in records if record for process in family(record)]
-        return found + [psutil.Process(record.pid) for record in records if record]
+        return leftovers(self.settings)
 
     @contextmanager
     def running(self) -> Iterator["LocalStack"]:
@@ -74,7 +71,7 @@ class LocalStack:
             yield self
         finally:
             self.run("down")
-            shutil.rmtree(temp_folder(self.settings), ignore_errors=True)
+            shutil.rmtree(self.settings.temp_folder, ignore_errors=True)
 
     def _execute(self, command: list[str], limit_s: float) -> subprocess.CompletedProcess[str]:
         return subprocess.run(

@@ -1,22 +1,18 @@
+"""The commands as users call them: exit codes and what is printed."""
+
 import socket
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
-from cspace.errors import ConfigError, CspaceError, JobError, PortTakenError
-from services.local import settings
-from services.local.__main__ import exit_code, main
-from services.local.settings import Settings
+from services.local.__main__ import main
+from services.local.settings import BIN, Settings, make_state
 
-pytestmark = pytest.mark.usefixtures("own_settings")
+pytestmark = pytest.mark.usefixtures("settings")
 COMMANDS = ("up", "down", "status", "demo", "quickstart", "arm", "clean-state", "env")
-
-
-@pytest.mark.parametrize(
-    ("error", "code"),
-    [(CspaceError("x"), 1), (JobError("x"), 1), (ConfigError("x"), 2), (PortTakenError("x"), 3)],
-)
-def test_every_error_has_its_documented_exit_code(error: CspaceError, code: int) -> None:
-    assert exit_code(error) == code
+ROOT = Path(__file__).parents[3]
 
 
 @pytest.mark.parametrize("command", [[], *([name] for name in COMMANDS)])
@@ -29,103 +25,107 @@ def test_every_command_has_help_with_the_exit_codes(
     assert "Exit codes: 0 done" in capsys.readouterr().out
 
 
-def test_the_help_names_the_settings_of_the_services(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        main(["--help"])
-    printed = capsys.readouterr().out
-    ports = [name for name in vars(settings) if name.endswith("_PORT")]
-    assert len(ports) == 4
-    assert all(getattr(settings, name) in printed for name in ("HOME", "RAY_CPUS", *ports))
-
-
 @pytest.mark.parametrize("arguments", [[], ["fly"], ["up", "--fast"]])
-def test_wrong_usage_ends_with_2(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_usage_ends_with_2(arguments: list[str]) -> None:
     with pytest.raises(SystemExit) as raised:
         main(arguments)
     assert raised.value.code == 2
-    assert "usage:" in capsys.readouterr().err
 
 
-def test_a_wrong_setting_ends_with_2(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("CSPACE_API_PORT", "eight thousand")
-    assert main(["status"]) == 2
-    assert "CSPACE_API_PORT" in capsys.readouterr().err
-
-
-def test_up_on_a_port_of_a_stranger_ends_with_3_and_names_the_setting(
+def test_a_wrong_setting_ends_with_2_and_a_strangers_port_with_3(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with socket.create_server(("127.0.0.1", 0)) as stranger:
         monkeypatch.setenv("CSPACE_RAY_PORT", str(stranger.getsockname()[1]))
         assert main(["up"]) == 3
-    assert "CSPACE_RAY_PORT" in capsys.readouterr().err
+    monkeypatch.setenv("CSPACE_RAY_PORT", "eight thousand")
+    assert main(["status"]) == 2
+    assert capsys.readouterr().err.count("CSPACE_RAY_PORT") == 2
 
 
-def test_status_of_nothing_ends_with_4_and_makes_no_folder(
-    own_settings: Settings, capsys: pytest.CaptureFixture[str]
+def test_without_services_status_ends_with_4_and_down_with_0(
+    settings: Settings, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["status"]) == 4
-    assert capsys.readouterr().out.count("not running") == 3
-    assert not own_settings.home.exists()
-
-
-def test_down_with_nothing_up_ends_with_0(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["down"]) == 0
-    assert "nothing was running" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert printed.count("not running") == 3
+    assert "nothing was running" in printed
+    assert not settings.home.exists()
 
 
-def test_env_prints_exports_alone(capsys: pytest.CaptureFixture[str]) -> None:
+def test_env_sets_a_shell_up(settings: Settings, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["env"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert all(line.startswith("export ") for line in lines)
-    assert "export RAY_AUTH_MODE=token" in lines
-
-
-def test_clean_state_asks_somebody_or_wants_yes(
-    own_settings: Settings, capsys: pytest.CaptureFixture[str]
-) -> None:
-    own_settings.make_folders()
-    assert main(["clean-state"]) == 2
-    assert own_settings.home.exists()
-    assert "--yes" in capsys.readouterr().err
-    assert main(["clean-state", "--yes"]) == 0
-    assert not own_settings.home.exists()
-    assert main(["clean-state"]) == 0
-    assert "there is no" in capsys.readouterr().out
+    script = f"{capsys.readouterr().out}\nenv"
+    shell = subprocess.run(
+        ["/bin/sh", "-c", script], env={"PATH": "/usr/bin:/bin"}, capture_output=True, text=True, check=True
+    )
+    values = dict(line.split("=", 1) for line in shell.stdout.splitlines() if "=" in line)
+    assert values["RAY_AUTH_MODE"] == "token"
+    assert values["RAY_ADDRESS"] == settings.url("ray")
+    assert values["MLFLOW_TRACKING_URI"] == settings.url("mlflow")
+    assert values["CSPACE_API_URL"] == settings.url("api")
+    assert values["CSPACE_OUTCOMES"] == str(settings.home / "data" / "outcomes")
+    assert values["PATH"] == f"{Path(sys.executable).parent}:/usr/bin:/bin"
 
 
 @pytest.mark.parametrize(("answer", "code", "kept"), [("y", 0, False), ("n", 1, True), ("", 1, True)])
 def test_clean_state_shows_what_goes_and_does_what_the_answer_says(
-    own_settings: Settings,
+    settings: Settings,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     answer: str,
     code: int,
     kept: bool,
 ) -> None:
-    own_settings.make_folders()
-    (own_settings.data_folder / "deep").mkdir()
-    for name, size in (("large.npy", 9_000_000), ("deep/small.npy", 3_000_000)):
-        (own_settings.data_folder / name).write_bytes(bytes(size))
+    make_state(settings)
+    (settings.home / "data" / "large.npy").write_bytes(bytes(9_000_000))
+    assert main(["clean-state"]) == 2  # nobody to ask
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
     monkeypatch.setattr("builtins.input", lambda question: answer)
     assert main(["clean-state"]) == code
-    assert own_settings.home.exists() == kept
-    shown = capsys.readouterr().out
-    assert str(own_settings.data_folder) in shown
-    assert "12 MB" in shown
+    assert settings.home.exists() == kept
+    assert f"{settings.home / 'data'}" in (shown := capsys.readouterr().out)
+    assert "9.0 MB" in shown
 
 
-def test_a_folder_of_the_users_is_neither_used_nor_cleaned(
-    own_settings: Settings, capsys: pytest.CaptureFixture[str]
+@pytest.mark.usefixtures("programs")
+@pytest.mark.parametrize(
+    ("options", "screen", "opens"), [([], ":0", True), ([], "", False), (["--no-browser"], ":0", False)]
+)
+def test_demo_prints_the_address_that_the_viewer_reports_and_opens_it_on_a_screen(
+    settings: Settings,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    options: list[str],
+    screen: str,
+    opens: bool,
 ) -> None:
-    thesis = own_settings.data_folder / "thesis.tex"
-    thesis.parent.mkdir(parents=True)
-    thesis.write_text("years of work")
-    for command in (["up"], ["clean-state", "--yes"]):
-        assert main(command) == 2
-        assert "is not a state folder of this project" in capsys.readouterr().err
-    assert [path.name for path in own_settings.home.iterdir()] == ["data"]
-    assert thesis.read_text() == "years of work"
+    opened: list[str] = []
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    for name in ("WAYLAND_DISPLAY", "BROWSER"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("DISPLAY", screen)
+    assert main(["demo", *options]) == 0
+    page = f"http://127.0.0.1:{settings.viewer_port}/?token=secret"
+    assert page in capsys.readouterr().out
+    assert opened == ([page] if opens else [])
+    assert main(["clean-state", "--yes"]) == 1  # services run
+
+
+@pytest.mark.parametrize("name", ["a b", "R&D", "50$", "a:b", "plain", "with-._~+@%,=", "Größe"])
+def test_make_refuses_a_path_below_which_ray_cannot_run_before_it_installs(tmp_path: Path, name: str) -> None:
+    folder = tmp_path / name
+    for file in ("pyproject.toml", "clients/python/pyproject.toml", "constraints.txt"):
+        (folder / file).parent.mkdir(parents=True, exist_ok=True)
+        (folder / file).touch()
+    # Where the path is no hindrance, it goes on to look for Python, which is not there.
+    command = ["make", "-s", "-f", str(ROOT / "Makefile"), "PYTHON=/not/there", "venv"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    refused = any(character in name for character in " &$:")
+    assert done.stderr.startswith("Ray cannot run below the folder" if refused else "Python")
+    assert not (folder / ".venv").exists()
+
+
+def test_programs_of_the_configuration_are_there() -> None:
+    assert all((BIN / name).exists() for name in ("mlflow", "ray", "python", "supervisord", "supervisorctl"))

@@ -1,71 +1,86 @@
+"""Settings from the environment, and the state folder that they name."""
+
 from pathlib import Path
 
 import pytest
 
 from cspace.errors import ConfigError
-from cspace.files import IGNORE_FILE
-from services.local.settings import FOLDERS, MARKER, Settings
-
-ROOT = Path("/somewhere/checkout")
-
-
-def read(**environment: str) -> Settings:
-    return Settings.from_environment({"HOME": "/home/anna", **environment}, ROOT)
-
-
-def test_without_settings_the_defaults_hold() -> None:
-    settings = read()
-    assert settings.home == Path("/home/anna/.local/state/cspace-sampler")
-    assert (settings.api_url, settings.ray_url, settings.mlflow_url) == (
-        "http://127.0.0.1:8000",
-        "http://127.0.0.1:8265",
-        "http://127.0.0.1:5000",
-    )
-    assert settings.ray_cpus >= 2
+from services.local.settings import (
+    FOLDERS,
+    IGNORE,
+    MARKER,
+    ROOT,
+    Settings,
+    drop_state,
+    make_state,
+    read_settings,
+)
 
 
-def test_the_state_folder_follows_xdg_and_its_own_setting_comes_first() -> None:
-    assert read(XDG_STATE_HOME="/var/anna").home == Path("/var/anna/cspace-sampler")
-    assert read(XDG_STATE_HOME="/var/anna", CSPACE_HOME="/data/cspace").home == Path("/data/cspace")
+@pytest.fixture(autouse=True)
+def environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", "/home/anna")
+    for name in ("XDG_STATE_HOME", *(f"CSPACE_{field.upper()}" for field in Settings.model_fields)):
+        # Empty counts as not set.
+        monkeypatch.setenv(name, "")
 
 
-def test_an_empty_setting_counts_as_not_set() -> None:
-    assert read(CSPACE_HOME="", CSPACE_API_PORT="", CSPACE_RAY_CPUS="") == read()
-
-
-@pytest.mark.parametrize("value", ["0", "65536", "-1", "8000.0", "http", "٨٠٠٠", "8 000"])
-def test_a_port_that_is_none_is_an_error_that_names_the_setting(value: str) -> None:
-    with pytest.raises(ConfigError, match="CSPACE_RAY_PORT") as raised:
-        read(CSPACE_RAY_PORT=value)
-    assert "1 to 65535" in str(raised.value)
-
-
-def test_two_services_on_one_port_are_an_error() -> None:
-    with pytest.raises(ConfigError, match="CSPACE_API_PORT=9000, CSPACE_RAY_PORT=9000"):
-        read(CSPACE_API_PORT="9000", CSPACE_RAY_PORT="9000")
+def test_without_settings_the_defaults_hold(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = read_settings()
+    assert found.home == Path("/home/anna/.local/state/cspace-sampler")
+    assert (found.url("api"), found.url("ray")) == ("http://127.0.0.1:8000", "http://127.0.0.1:8265")
+    assert found.ray_cpus >= 2
+    monkeypatch.setenv("XDG_STATE_HOME", "/var/anna")
+    assert read_settings().home == Path("/var/anna/cspace-sampler")
+    monkeypatch.setenv("CSPACE_HOME", "/data/cspace")
+    assert read_settings().home == Path("/data/cspace")
 
 
 @pytest.mark.parametrize(
-    "home", ["/", "/home/anna", "/home", "/somewhere/checkout", "/somewhere", "relative/folder"]
+    ("name", "value"),
+    [
+        *(("CSPACE_RAY_PORT", value) for value in ("0", "65536", "http")),
+        *(
+            ("CSPACE_HOME", value)
+            for value in ("/", "/home/anna", str(ROOT), str(ROOT.parent), "relative", __file__)
+        ),
+        ("CSPACE_HOME", "/data/#1"),
+        ("CSPACE_RAY_CPUS", "0"),
+    ],
 )
-def test_a_state_folder_that_holds_other_things_is_refused(home: str) -> None:
-    with pytest.raises(ConfigError, match="CSPACE_HOME"):
-        read(CSPACE_HOME=home)
+def test_a_wrong_setting_is_named(monkeypatch: pytest.MonkeyPatch, name: str, value: str) -> None:
+    monkeypatch.setenv(name, value)
+    with pytest.raises(ConfigError, match=f"(?s){name}.*{value}"):
+        read_settings()
 
 
-def test_a_state_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    with pytest.raises(ConfigError, match="CSPACE_HOME"):
-        read(CSPACE_HOME=str(tmp_path / "file"))
-
-
-def test_the_state_folder_is_made_for_its_user_alone(settings: Settings) -> None:
+def test_the_state_folder_is_for_its_user_alone_and_goes_with_all_that_is_the_projects(
+    tmp_path: Path,
+) -> None:
+    settings = Settings(home=tmp_path / "state")
+    make_state(settings)
     assert settings.home.stat().st_mode & 0o077 == 0
-    assert {path.name for path in settings.home.iterdir()} == {*FOLDERS, MARKER, IGNORE_FILE}
+    assert {path.name for path in settings.home.iterdir()} == {*FOLDERS, MARKER, IGNORE}
+    (settings.home / "mlflow" / "mlflow.db").touch()
+    drop_state(settings)
+    assert not settings.home.exists()
+    make_state(settings)
+    (settings.home / "thesis.tex").touch()
+    drop_state(settings)
+    assert [path.name for path in settings.home.iterdir()] == ["thesis.tex"]
 
 
-def test_a_state_folder_that_cannot_be_made_is_a_setting_error(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    settings = Settings(home=tmp_path / "file" / "state", root=tmp_path)
-    with pytest.raises(ConfigError, match="CSPACE_HOME"):
-        settings.make_folders()
+def test_a_folder_that_somebody_else_made_is_left_alone(tmp_path: Path) -> None:
+    settings = Settings(home=tmp_path / "own")
+    (settings.home / "data").mkdir(parents=True)
+    for refused in (make_state, drop_state):
+        with pytest.raises(ConfigError, match="not a state folder"):
+            refused(settings)
+    assert [path.name for path in settings.home.iterdir()] == ["data"]
+
+
+def test_paths_of_sockets_are_short_and_differ_between_state_folders(tmp_path: Path) -> None:
+    # A socket's path ends at 107 bytes, and Ray appends 64 to its folder.
+    long = Settings(home=tmp_path / ("deep" * 30))
+    assert len(str(long.temp_folder)) <= 38
+    assert long.temp_folder != Settings(home=tmp_path).temp_folder
