@@ -19,7 +19,7 @@ from cspace.simulator import Split
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
-from services.evaluator.measures.scenes import Scene, Stage
+from services.evaluator.scenes import Scene, Stage
 from services.planner.samples import BundleSampler
 from tests.bundles import write_tiny_bundle
 from tests.training.models.builders import tiny_module

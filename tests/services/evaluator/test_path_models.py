@@ -14,19 +14,20 @@ from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.problems import Family, draw_problem
 from cspace.worlds.planar.world import PlanarWorld
 from inference_api.settings import PRETRAINED_FOLDER
-from services.evaluator.evaluation.job import evaluate_version
-from services.evaluator.evaluation.units import (
+from services.evaluator.job import evaluate_version, make_request
+from services.evaluator.measure import (
+    LEARNED_SAMPLES,
     Budget,
-    Kind,
     Setting,
     Unit,
-    make_request,
+    learned_samples,
+    plan_problem,
     planner_of,
     run_unit,
     units,
 )
-from services.evaluator.measures.planning import LEARNED_SAMPLES, learned_samples, plan_trial
-from services.evaluator.measures.scenes import bundle_sampler
+from services.evaluator.metrics import Task
+from services.evaluator.scenes import bundle_sampler
 from services.planner.ompl_planner import solve
 from services.planner.samples import BundleSampler
 from services.registry.promotion import decisions
@@ -76,7 +77,7 @@ def test_the_shipped_heads_path_sampler_is_promoted_for_what_it_saves(made, tmp_
     assert not any("reconstruction" in line or "topology" in line for line in lines)
     report = run.artifacts["report/evaluation.md"].decode()
     assert "## Planning, validation (decides)" in report
-    assert "Reconstruction" not in report
+    assert "## Reconstruction" not in report
     assert "6 validation and 1 test problems a family" in report
     assert set(outcome.figures) == {"plan-narrow", "plan-uniform"}
     assert {f"figures/{name}.png" for name in outcome.figures} <= set(run.artifacts)
@@ -119,16 +120,15 @@ def test_a_filter_is_asked_for_only_where_there_is_a_head(tmp_path):
 
     plain = bundle_sampler(Bundle.load(write_tiny_bundle(tmp_path / "plain", kind="path")))
     problem, settings = draw_problem(Family.UNIFORM, Split.DEMO, 0), planner_of(PlanarWorld())
-    plan_trial(problem, 0, 1, plain, settings, solver)
+    plan_problem(problem, 1, plain, settings, solver)
     _, learned, confident = drawn
     assert np.array_equal(learned, confident)
 
 
 def test_path_models_have_planning_units_alone(made):
-    assert {unit.kind for unit in units(Setting(PlanarWorld(), 0, FEW, paths=True))} == {Kind.PLANNING}
+    assert {unit.task for unit in units(Setting(PlanarWorld(), 0, FEW, paths=True))} == {Task.PLANNING}
     setting = Setting(PlanarWorld(TWO_LINK, Camera()), 0, FEW, paths=True)
     with pytest.raises(EvaluationError, match="evaluated by planning"):
-        run_unit(Unit(Kind.RECONSTRUCTION, Split.TEST, 0, 1), setting, BundleSampler(made))
-    result = run_unit(Unit(Kind.PLANNING, Split.TEST, 0, 1, Family.NARROW), setting, BundleSampler(made))
-    (row,) = result.rows
-    assert row.learned.learned_drawn > 0
+        run_unit(Unit(Task.RECONSTRUCTION, Split.TEST, 0, 1), setting, BundleSampler(made))
+    result = run_unit(Unit(Task.PLANNING, Split.TEST, 0, 1, Family.NARROW), setting, BundleSampler(made))
+    assert {row.sampler for row in result.rows} == {"uniform", "learned", "confident"}
