@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from services.evaluator.figures import COLLISION_COLOUR, FREE_COLOUR, SHOWN_SAMPLES, free_map
-from services.evaluator.metrics.geometry_score import Clouds
+from services.evaluator.measure import sample_clouds
 from services.evaluator.scenes import Scene, Stage, unfiltered
 from services.planner.samples import SampleSource
 
@@ -60,7 +60,7 @@ def reconstruction(scenes: Sequence[Scene], samplers: Mapping[str, SampleSource]
         real, floor = scene.free(SHOWN_SAMPLES, scene.rng(7)), 0.0
         for axes, sampler in zip(row[2:], samplers.values(), strict=True):
             samples = unfiltered(sampler, scene.image, SHOWN_SAMPLES, scene.sampler_seed())
-            score, floor = Clouds.sample(scene, sampler, draws).complement_scores[0]
+            score, floor = sample_clouds(scene, sampler, draws).complement_scores[0]
             _cloud(axes, scene, samples, score)
         _cloud(row[1], scene, real, floor)
         row[1].set_ylabel("theta2 [rad]")

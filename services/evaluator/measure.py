@@ -234,8 +234,15 @@ def _topology(scene: Scene, setting: Setting, sampler: SampleSource) -> Iterator
 
 def measure_topology(scene: Scene, sampler: SampleSource, draws: int, samples: int = POINTS) -> Iterator[Row]:
     """GS and GS-C of a sampler."""
-    clouds = Clouds.sample(scene, sampler, draws, samples)
+    clouds = sample_clouds(scene, sampler, draws, samples)
     return _rows(Task.TOPOLOGY, clouds, scene.family, scene.index)
+
+
+def sample_clouds(scene: Scene, sampler: SampleSource, draws: int, count: int = POINTS) -> Clouds:
+    """Clouds of ``count`` points; ``draws`` is the number of landmark draws per cloud and turn."""
+    generated = unfiltered(sampler, scene.image, count, int(scene.rng(11).integers(0, 2**63)))
+    real, again = (scene.free(count, scene.rng(stream)) for stream in (3, 4))
+    return Clouds(real, generated, again, scene.space, draws, scene.rng, scene.collisions)
 
 
 def _planning(scene: Scene, setting: Setting, sampler: SampleSource) -> Iterator[Row]:

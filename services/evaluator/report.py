@@ -49,9 +49,9 @@ On uniform configurations, predicted free at a confidence of 0.5; `acceptance` i
 reach the bundle's threshold. The row `confident` above is missing where too few do in a scene.""",
     Task.PLANNING: """\
 RRT, range {0.range_rad} rad, resolution {0.resolution_rad} rad a joint, at most {0.max_iterations}
-iterations. A run without success counts as the most expensive one: a median is a lower bound where fewer than half of the
-runs succeed. Ratios are the median with uniform samples over that with these, paired; the time is without
-sampling.""",
+iterations. A run without success counts as the most expensive one: a median is a lower bound where fewer than
+half of the runs succeed. Ratios are the median with uniform samples over that with these, paired; the time is
+without sampling.""",
     Task.TOPOLOGY: """\
 The floor is the same score between two real samples. `gsc_boundary` takes both complements from the points,
 `gsc_true` the real one from its collision states. The scores are blind to position.""",

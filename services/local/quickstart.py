@@ -172,7 +172,7 @@ def _rows(scene: Scene, client: SampleSource, reference: str) -> list[Row]:
     }
     if len(served) == SAMPLES:
         groups["confident"] = served
-    return list(measure_samples(scene, groups))
+    return list(measure_samples(scene, groups, SAMPLES))
 
 
 PLANNING_SEED = 7

@@ -4,7 +4,7 @@ Each score of a scenario comes with its noise floor, the score between two sampl
 score near the floor says nothing. The scores are blind to position: read them with precision and coverage.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any
@@ -17,9 +17,7 @@ from scipy.spatial.distance import cdist
 from cspace.kernel_cache import njit
 from cspace.space import JointSpace
 from services.evaluator.metrics import Task, metric
-from services.evaluator.scenes import Scene, unfiltered
 from services.evaluator.statistics import Floats, Interval, mean_interval
-from services.planner.samples import SampleSource
 
 
 @dataclass(frozen=True, slots=True)
@@ -323,33 +321,31 @@ def complement_score(
 
 @dataclass(frozen=True)
 class Clouds:
-    """Samples of a model, and two times as many real ones, in one scenario."""
+    """Samples of a model, and two times as many real ones, in one scenario.
 
-    scene: Scene
+    ``rng`` makes the scenario's generator of a number; ``collisions`` samples so many colliding states.
+    """
+
     real: Floats
     generated: Floats
     again: Floats
+    space: JointSpace
     draws: int
-
-    @classmethod
-    def sample(cls, scene: Scene, sampler: SampleSource, draws: int, count: int = POINTS) -> "Clouds":
-        """``count`` points a cloud; ``draws`` of landmarks per cloud and turn."""
-        generated = unfiltered(sampler, scene.image, count, int(scene.rng(11).integers(0, 2**63)))
-        real, again = (scene.free(count, scene.rng(stream)) for stream in (3, 4))
-        return cls(scene, real, generated, again, draws)
+    rng: Callable[[int], np.random.Generator]
+    collisions: Callable[[int, np.random.Generator], Floats]
 
     @cached_property
     def complement_scores(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """GS-C and its floor, the real side's complement from the points, then from its collision states."""
-        scene, count, rng = self.scene, len(self.real), self.scene.rng(6)
+        space, count, rng = self.space, len(self.real), self.rng(6)
         clouds = (self.real, self.generated, self.again)
 
         def turned(cloud: Floats) -> TurnedTimes:
-            return turned_living_times(cloud, scene.space, rng, draws=self.draws)
+            return turned_living_times(cloud, space, rng, draws=self.draws)
 
         real, ours, again = (turned(cloud) for cloud in clouds)
-        real_c, ours_c, again_c = (turned(sample_complement(c, scene.space, rng, count)) for c in clouds)
-        collisions = scene.collisions(count, rng)
+        real_c, ours_c, again_c = (turned(sample_complement(c, space, rng, count)) for c in clouds)
+        collisions = self.collisions(count, rng)
         # Fewer collision states than landmarks in a hundred thousand draws: no obstacle to speak of.
         true_c = turned(collisions if len(collisions) >= LANDMARKS else collisions[:0])
         boundary, true = (
@@ -366,7 +362,7 @@ def _with_floor(name: str, values: Floats, _: Floats, rng: np.random.Generator) 
 @metric("gs", Task.TOPOLOGY, estimates=partial(_with_floor, "gs"))
 def gs(clouds: Clouds) -> tuple[float, float]:
     """The geometry score and its noise floor."""
-    rng = clouds.scene.rng(5)
+    rng = clouds.rng(5)
     real, generated, again = (
         mean_living_times(cloud, rng, draws=clouds.draws)
         for cloud in (clouds.real, clouds.generated, clouds.again)

@@ -66,7 +66,7 @@ def test_versions_stand_side_by_side_with_limits_and_gaps(tracking, registry, tm
         ["validation", "reconstruction", "uniform", "sampler", "precision"] + 2 * ["0.9000 [0.8800, 0.9200]"],
         ["validation", "planning", "", "learned", "success", "1.0000 [0.9000, 1.0000]", "-"],
     ]
-    assert len(compare_table(found, everything=True)) == 4
+    assert len(compare_table(found, everything=True)) == 3
 
 
 def test_the_last_evaluation_of_a_version_counts(tracking, registry, tmp_path):
