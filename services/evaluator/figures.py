@@ -1,4 +1,4 @@
-"""Pictures of an evaluation: samples in single scenarios, completions of scenes, and plans."""
+"""Pictures of an evaluation: samples in single scenarios, and plans."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,7 +10,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from cspace.bundle import Bundle
 from cspace.simulator import UNIFORM, Split
 from cspace.worlds import picture_of, simulator_of
 from services.evaluator.measure import UNIFORM_SHARE, Setting, learned_samples, planner_of, planner_seed
@@ -32,19 +31,16 @@ POINTS = (
 )
 
 
-def gallery(
-    scenes: Sequence[Scene], sampler: SampleSource, title: str, notes: Sequence[str] | None = None
-) -> Figure:
+def gallery(scenes: Sequence[Scene], sampler: SampleSource, title: str) -> Figure:
     """One row a scenario: the picture, the true free space, the samples with both kinds of mistakes marked.
 
     A mistake is a sample in collision, or a free configuration that no sample is near. Of more than two
-    joints the first two are shown, without the second kind, which a projection would hide. Each scenario's
-    name is followed by its note.
+    joints the first two are shown, without the second kind, which a projection would hide.
     """
     figure = Figure(figsize=(9.0, 0.7 + 2.9 * len(scenes)), dpi=110, layout="constrained")
     panels = figure.subplots(len(scenes), 3, squeeze=False)
-    for row, scene, note in zip(panels, scenes, notes or [""] * len(scenes), strict=True):
-        _picture(row[0], scene, note)
+    for row, scene in zip(panels, scenes, strict=True):
+        _picture(row[0], scene)
         _truth(row[1], scene)
         _samples(row[2], scene, sampler)
     figure.suptitle(title)
@@ -57,30 +53,10 @@ def gallery(
     return figure
 
 
-def completions(scenes: Sequence[Scene], bundle: Bundle, title: str) -> Figure:
-    """One row a scenario from the side: what cameras see, and what the bundle expects among the obstacles."""
-    figure = Figure(figsize=(7.5, 0.7 + 2.9 * len(scenes)), dpi=110, layout="constrained")
-    panels = figure.subplots(len(scenes), 2, squeeze=False)
-    for row, scene in zip(panels, scenes, strict=True):
-        _picture(row[0], scene, "red is seen, grey is not")
-        found = bundle.belief(scene.image)
-        (left, _, low), (x, _, z) = found.low_m, found.cell_m * np.array(found.occupied.shape)
-        extent = (left, left + x, low, low + z)
-        most = found.occupied.max(axis=1).T
-        shown = row[1].imshow(most, "Purples", vmin=0.0, vmax=1.0, extent=extent, origin="lower")
-        simulator_of(scene.stage.world).draw_scene(row[1], scene.scenario, "none")
-        row[1].set(xlim=extent[:2], ylim=extent[2:])
-        row[1].set_title("expected by the model,\nwith the outlines of what is there", fontsize=9)
-        figure.colorbar(shown, ax=row[1], label="highest probability\nalong the view")
-    figure.suptitle(title)
-    return figure
-
-
-def _picture(axes: Axes, scene: Scene, note: str) -> None:
+def _picture(axes: Axes, scene: Scene) -> None:
     simulator_of(scene.stage.world).draw_picture(axes, scene.image)
     family = "" if scene.family == UNIFORM else f"{scene.family} "
-    name = f"{scene.stage.split}, {family}scenario {scene.index}"
-    axes.set_title(f"{name}\n{note}" if note else name, fontsize=9)
+    axes.set_title(f"{scene.stage.split}, {family}scenario {scene.index}", fontsize=9)
 
 
 def _truth(axes: Axes, scene: Scene) -> None:

@@ -43,15 +43,10 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """One evaluation.
+    """One evaluation; ``promote`` records the decision and moves the alias.
 
-    Args:
-        model: the version under test.
-        budget: how much is evaluated.
-        seed: of scenarios, samples and problems.
-        promote: whether the decision is recorded and the alias moved.
-        data: a data set whose held-out scenes it is evaluated on; None for those of the version's own data.
-        shipped: folder of the shipped model, which the version is compared with; None leaves that out.
+    ``data`` is a data set whose held-out scenes replace those of the version's own data. Without ``shipped``,
+    the folder of the shipped model, the version is not compared with it.
     """
 
     model: ModelReference

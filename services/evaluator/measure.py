@@ -53,19 +53,10 @@ class Row(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """How much is evaluated.
+    """How much is evaluated: scenarios per split, problems per family, runs per problem.
 
-    Args:
-        scenarios: uniform ones per split.
-        samples: per scenario and sampler.
-        validation_problems: planning problems per family that decide.
-        test_problems: planning problems per family that are only reported.
-        planner_seeds: runs per problem.
-        topology_scenarios: of the test split, for GS and GS-C.
-        draws: of landmarks per cloud and turn.
-        narrow_scenarios: per split, those of the first planning problems of the decisive family.
-        disconnected_scenarios: per split, of each family without a solution.
-        topology_samples: points per cloud for GS and GS-C.
+    GS and GS-C take scenarios of the test split, with so many draws of landmarks. ``narrow_scenarios`` are
+    those of the decisive family's first problems, ``disconnected_scenarios`` of each unsolvable family.
     """
 
     scenarios: int

@@ -9,7 +9,7 @@ from typing import Any
 
 import pandas as pd
 
-from cspace.simulator import UNIFORM, Split
+from cspace.simulator import UNIFORM
 from cspace.worlds import robot_digest, simulator_of
 from services.evaluator.evaluation import (
     ESTIMATE_COLUMNS,
@@ -19,43 +19,29 @@ from services.evaluator.evaluation import (
     headline,
     run_metrics,
 )
-from services.evaluator.figures import completions, gallery, plan_figure
+from services.evaluator.figures import gallery, plan_figure
 from services.evaluator.gate import Comparison, Verdict
 from services.evaluator.measure import EVALUATED_SPLITS, Setting, planned, planner_of
 from services.evaluator.metrics import Task
 from services.evaluator.metrics.head import reliability_diagram
-from services.evaluator.metrics.knn import NEIGHBOURS
 from services.evaluator.scenes import Scene, Stage
 from services.evaluator.tables import aligned, markdown
 from services.names import NOTE as DESCRIPTION
-from services.planner.samples import BundleSampler, SampleSource
+from services.planner.samples import SampleSource
 from services.registry.ports import RunLog, Shown
 
 MEASURES_TABLE, COMPARISONS, NOTE = "measures", "comparisons", "comparison.md"
 REPORT_FOLDER = "report"
-# The first scenarios of the uniform family; with the least precise one of every family they make a gallery.
+# The first of every family.
 GALLERY_SCENARIOS = 2
 COMPARISON_NOTE = """\
 Both on the same scenes and problems with the same seeds. The gain is above 0 where the version is better,
 with the limits of the paired difference by bootstrap; of edge checks it is the share saved. As served:
 filtered at the model's own threshold."""
-_NOTES = {
-    Task.RECONSTRUCTION: f"""\
-Only uniform validation scenes decide. `precision_gain` is the paired difference to uniform samples, p10 the
-10th percentile; `edr` is relative to uniform samples on the same scenes. Real samples of this size have the
-k-NN precision and recall of the row `real` (k = {NEIGHBOURS}).""",
-    Task.HEAD: """\
-On uniform configurations, predicted free at a confidence of 0.5; `acceptance` is the share of samples that
-reach the bundle's threshold. The row `confident` above is missing where too few do in a scene.""",
-    Task.PLANNING: """\
-RRT, range {0.range_rad} rad, resolution {0.resolution_rad} rad a joint, at most {0.max_iterations}
-iterations. A run without success counts as the most expensive one: a median is a lower bound where fewer than
-half of the runs succeed. Ratios are the median with uniform samples over that with these, paired; the time is
-without sampling.""",
-    Task.TOPOLOGY: """\
-The floor is the same score between two real samples. `gsc_boundary` takes both complements from the points,
-`gsc_true` the real one from its collision states. The scores are blind to position.""",
-}
+MEASURES_NOTE = """\
+Only validation decides, of scenes the uniform ones. docs/method.md defines the measures. Planning is by RRT,
+range {0.range_rad} rad, resolution {0.resolution_rad} rad a joint, at most {0.max_iterations} iterations. A
+run without success counts as the most expensive one. Ratios: uniform samples' median over that of these."""
 
 
 def scenes_text(setting: Setting) -> str:
@@ -103,13 +89,14 @@ def comparison_table(comparison: Comparison) -> pd.DataFrame:
 def comparison_note(evaluation: Evaluation, verdict: Verdict) -> str:
     """In Markdown what the gate decided and why, and the version beside its rivals."""
     title, decided = evaluation.model, "promoted" if verdict.promoted else "not promoted"
-    parts = [f"## {title}: {decided}", _list(verdict.reasons)]
+    parts = [f"## {title}: {decided}", "\n".join(f"- {reason}" for reason in verdict.reasons)]
     for one in verdict.bar.comparisons:
         parts += [f"### Beside {one.rival}", markdown(comparison_table(one))]
     if verdict.bar.comparisons:
         parts.append(COMPARISON_NOTE)
     card = f"Model card: `python -m services.evaluator card {title}`."
-    return "\n\n".join([*parts, _sentence(evaluation.setting), card]) + "\n"
+    scenes = scenes_text(evaluation.setting)
+    return "\n\n".join([*parts, f"{scenes[0].upper()}{scenes[1:]}.", card]) + "\n"
 
 
 def shown_of(evaluation: Evaluation, note: str) -> Shown:
@@ -139,23 +126,19 @@ def _tables(evaluation: Evaluation, *, everything: bool) -> Iterator[tuple[str, 
 
 
 def to_markdown(evaluation: Evaluation, verdict: Verdict) -> str:
-    """The report: scenes, decision, comparisons, and every estimate."""
+    """The report: decision, comparisons, scenes, and every estimate."""
     setting, budget = evaluation.setting, evaluation.setting.budget
-    parts = [f"# {evaluation.model}", _sentence(setting), "## Decision", _list(verdict.reasons)]
-    for one in verdict.bar.comparisons:
-        heading = f"## Beside {one.rival}, validation (decides)"
-        parts += [heading, markdown(comparison_table(one)), COMPARISON_NOTE]
+    parts = [comparison_note(evaluation, verdict).rstrip()]
     for split, task, table in _tables(evaluation, everything=True):
-        decides = split == VALIDATION and task in (Task.RECONSTRUCTION, Task.PLANNING)
-        heading = f"## {task.capitalize()}, {split} ({'decides' if decides else 'reported only'})"
-        parts += [heading, markdown(table), _NOTES[task].format(planner_of(setting.world))]
-    parts.append(simulator_of(setting.world).families.note)
+        parts += [f"## {task.capitalize()}, {split}", markdown(table)]
     scenes = f"{budget.scenarios} scenarios a split, {budget.samples} samples each"
     if setting.paths:
         scenes = f"{budget.validation_problems} validation and {budget.test_problems} test problems a family"
-    parts.append(
-        f"Seed {setting.seed}, {scenes}; intervals of 95 % by bootstrap over scenarios, exact for success."
-    )
+    parts += [
+        MEASURES_NOTE.format(planner_of(setting.world)),
+        simulator_of(setting.world).families.note,
+        f"Seed {setting.seed}, {scenes}; intervals of 95 % by bootstrap over scenarios, exact for success.",
+    ]
     return "\n\n".join(parts) + "\n"
 
 
@@ -164,15 +147,6 @@ def terminal_table(evaluation: Evaluation, comparisons: Sequence[Comparison] = (
     tables = [(f"{task}, {split}", table) for split, task, table in _tables(evaluation, everything=False)]
     tables += [(f"beside {one.rival}, validation", comparison_table(one)) for one in comparisons]
     return "\n\n".join(f"{name}\n{aligned(table)}" for name, table in tables)
-
-
-def _sentence(setting: Setting) -> str:
-    scenes = scenes_text(setting)
-    return f"{scenes[0].upper()}{scenes[1:]}."
-
-
-def _list(reasons: Sequence[str]) -> str:
-    return "\n".join(f"- {reason}" for reason in reasons)
 
 
 def log_evaluation(
@@ -211,14 +185,15 @@ def _log_plans(run: RunLog, evaluation: Evaluation, sampler: SampleSource) -> tu
 
 
 def _log_scenes(run: RunLog, evaluation: Evaluation, sampler: SampleSource) -> tuple[str, ...]:
+    """The first scenarios of every family, and the reliability of the head."""
     names, title, setting = [], evaluation.model, evaluation.setting
     for split in EVALUATED_SPLITS:
-        scenes = exhibits(Stage(setting.world, split, setting.seed), evaluation)
+        stage = Stage(setting.world, split, setting.seed)
+        rows = evaluation.select(split, Task.RECONSTRUCTION)[["family", "number"]].drop_duplicates()
+        first = rows.sort_values("number").groupby("family", sort=False).head(GALLERY_SCENARIOS)
+        scenes = [Scene(stage, int(number), str(family)) for family, number in first.to_numpy()]
         names.append(f"gallery-{split}")
-        run.figure(gallery([*scenes], sampler, title, [*scenes.values()]), names[-1])
-        if isinstance(sampler, BundleSampler) and sampler.bundle.tells_belief:
-            names.append(f"completions-{split}")
-            run.figure(completions([*scenes], sampler.bundle, title), names[-1])
+        run.figure(gallery(scenes, sampler, title), names[-1])
     head = evaluation.select(TEST, Task.HEAD)
     bins = head[(head["metric"] == "calibration") & (head["family"] == UNIFORM)]
     if not bins.empty:
@@ -226,17 +201,3 @@ def _log_scenes(run: RunLog, evaluation: Evaluation, sampler: SampleSource) -> t
         values = bins.pivot(index="number", columns="part", values="value").to_numpy()
         run.figure(reliability_diagram(values, title), names[-1])
     return tuple(names)
-
-
-def exhibits(stage: Stage, evaluation: Evaluation) -> dict[Scene, str]:
-    """The scenarios of a gallery with a note on each: some as they come, then the least precise by family."""
-    rows = evaluation.select(Split(stage.split), Task.RECONSTRUCTION)
-    rows = rows[(rows["metric"] == "precision") & (rows["sampler"] == "sampler")]
-    shown: dict[Scene, str] = {}
-    for family in simulator_of(stage.world).families.names:
-        mine = rows[rows["family"] == family].set_index("number")["value"]
-        if family == UNIFORM:
-            shown |= {Scene(stage, int(index)): "" for index in mine.index[:GALLERY_SCENARIOS]}
-        if len(mine):
-            shown[Scene(stage, int(mine.idxmin()), family)] = f"least precise of {len(mine)}"
-    return shown

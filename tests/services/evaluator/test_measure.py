@@ -124,11 +124,11 @@ def test_a_run_has_few_metrics_by_group_and_a_headline_fewer(results):
 def test_the_report_has_the_decision_and_every_table(results):
     found = evaluation_of(results)
     text = to_markdown(found, decide(found, Bar(notes=("a note",))))
-    assert text.startswith("# m/1\n")
+    assert text.startswith("## m/1: ")
     assert "- a note" in text
     for heading in (
-        "Reconstruction, validation (decides)",
-        "Planning, test (reported only)",
+        "Reconstruction, validation",
+        "Planning, test",
         "Topology, test",
     ):
         assert f"## {heading}" in text

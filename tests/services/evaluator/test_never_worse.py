@@ -29,7 +29,7 @@ def evaluate(tmp_path, verified_here):
         if outcome.verdict.promoted:
             assert registry.by_alias(MODEL_NAME, ALIAS_CHAMPION).number == version.number
         report = tracking.runs[outcome.run_id].artifacts["report/evaluation.md"].decode()
-        assert report.count("(decides)") == 1 + len(outcome.verdict.bar.comparisons)
+        assert report.count("### Beside") == len(outcome.verdict.bar.comparisons)
         return outcome
 
     return run

@@ -76,7 +76,7 @@ def test_the_shipped_heads_path_sampler_is_promoted_for_what_it_saves(made, tmp_
     assert decision.metrics["narrow_edge_checks_ratio"] > 1.0
     assert not any("reconstruction" in line or "topology" in line for line in lines)
     report = run.artifacts["report/evaluation.md"].decode()
-    assert "## Planning, validation (decides)" in report
+    assert "## Planning, validation" in report
     assert "## Reconstruction" not in report
     assert "6 validation and 1 test problems a family" in report
     assert set(outcome.figures) == {"plan-narrow", "plan-uniform"}
