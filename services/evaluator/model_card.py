@@ -57,10 +57,10 @@ def _properties(version: ModelVersion, spec: BundleSpec) -> dict[str, str]:
     world, made = spec.world, spec.provenance
     given = {"configuration": "a picture", "path": "a picture, start and goal"}[spec.kind]
     changed = ", with changes" if made.git_dirty else ""
+    robot = shown_name(world, recorded_name(made.config))
     return {
         "task": f"collision-free configurations for {given}",
-        "robot": f"{shown_name(world, recorded_name(made.config))}, {spec.dim} joints, "
-        f"digest {robot_digest(world)[:12]}",
+        "robot": f"{robot}, {spec.dim} joints, digest {robot_digest(world)[:12]}",
         "pictures": _pictures(spec),
         "scenes": f"{world.kind} world, {simulator_of(world).families.uniform_obstacles}",
         "preset": version.tags.get(TAG_PRESET, ""),
@@ -81,39 +81,19 @@ def _pictures(spec: BundleSpec) -> str:
         left, right, low, high = extent_m
         place = f"x {left:g} to {right:g} m, y {low:g} to {high:g} m"
         return f"{spec.pixels} x {spec.pixels} RGB of the plane, {place}"
-    cameras = convention["cameras"]
-    width, height = cameras["pixels"]
-    return (
-        f"depth pictures of {_range(cameras['count'])} cameras; in training {width} x {height} pixels, "
-        f"field of view {_range(cameras['field_deg'])} degrees, {_range(cameras['distance_m'])} m away; "
-        f"voxels of {100.0 * convention['grid']['voxel_m']:g} cm"
-    )
-
-
-def _range(ends: Sequence[float]) -> str:
-    low, high = ends
-    return f"{low:g}" if low == high else f"{low:g} to {high:g}"
+    cameras = ", ".join(f"{name} {'-'.join(map(str, ends))}" for name, ends in convention["cameras"].items())
+    return f"depth pictures; {cameras}; voxels of {convention['grid']['voxel_m']:g} m"
 
 
 def _promises(spec: BundleSpec) -> Iterator[str]:
-    threshold = spec.confidence_threshold
-    yield (
-        "Samples have no confidence."
-        if threshold is None
-        else "A sample's confidence is the predicted probability that it is free. Samples below "
-        f"{threshold:g} are not served, unless a request asks otherwise."
-    )
-    if spec.kind == "configuration" and threshold is not None:
-        yield (
-            "The confidence of plans is not calibrated."
-            if spec.plan_calibration is None
-            else "The confidence of plans is calibrated on validation scenes. A plan below "
-            f"{spec.plan_confidence:g} is refused, unless a request asks otherwise."
-        )
+    if spec.confidence_threshold is not None:
+        least = spec.confidence_threshold
+        yield f"Confidence is the predicted probability that a sample is free; below {least:g} none is served."
+    if spec.kind == "configuration" and spec.plan_calibration is not None:
+        least = spec.plan_confidence
+        yield f"The confidence of plans is calibrated on validation; below {least:g} a plan is refused."
     yield "A confidence is a prediction, no guarantee. Check paths exactly before a robot moves."
     yield "Scenes, cameras and mountings unlike those above lower quality and calibration."
-    if spec.world.sensor.extent_m is None:
-        yield "What no camera sees is guessed from what usually stands there."
 
 
 def _figures(version: ModelVersion, registry: ModelRegistry, tracking: Tracking) -> list[str]:

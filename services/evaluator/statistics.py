@@ -129,27 +129,6 @@ def clopper_pearson(successes: int, trials: int) -> Interval:
     return Interval(successes / trials, float(limits.low), float(limits.high), trials)
 
 
-@dataclass(frozen=True, slots=True)
-class CensoredSummary:
-    """Median and 90th percentile of runs of which some were cut off; a bound is a lower one."""
-
-    median: float
-    p90: float
-    median_is_bound: bool
-    p90_is_bound: bool
-    censored: int
-    count: int
-
-
-def summarise_censored(values: ArrayLike, censored: ArrayLike) -> CensoredSummary:
-    """Quantiles of (n,) values in which a censored run ranks behind all others; none is dropped."""
-    ranked, cut = censored_as_largest(values, censored), np.asarray(censored, dtype=bool)
-    finished = np.sort(np.where(cut, np.inf, ranked))
-    median, p90 = (float(np.quantile(ranked, q, method="higher")) for q in (0.5, 0.9))
-    bounds = [bool(np.isinf(np.quantile(finished, q, method="higher"))) for q in (0.5, 0.9)]
-    return CensoredSummary(median, p90, bounds[0], bounds[1], int(cut.sum()), int(cut.size))
-
-
 def censored_as_largest(values: ArrayLike, censored: ArrayLike) -> Floats:
     """(n,) values in which every censored run counts as much as the largest value seen."""
     seen = np.asarray(values, dtype=np.float64)

@@ -3,7 +3,6 @@ from pathlib import Path
 import pytest
 
 from cspace.bundle import Bundle
-from cspace.errors import EvaluationError
 from cspace.simulator import Split
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.camera import Camera
@@ -81,14 +80,6 @@ def test_a_cluster_gives_the_same_numbers_as_this_process(cluster, packed):
     there = numbers(run_on_ray(WORK, setting, packed), setting)
     assert there == here
     assert "iterations_median" in here
-
-
-@pytest.mark.e2e
-def test_an_error_of_a_unit_comes_back_as_itself(cluster, tmp_path):
-    paths = PackedBundle.pack(Bundle.load(write_tiny_bundle(tmp_path / "bundle", kind="path")))
-    unit, setting = Unit(Task.RECONSTRUCTION, Split.TEST, 0, 1), Setting(PlanarWorld(), 4, QUICK)
-    with pytest.raises(EvaluationError, match="by planning alone"):
-        list(run_on_ray([unit], setting, paths))
 
 
 def test_what_has_ended_is_not_cancelled(monkeypatch):

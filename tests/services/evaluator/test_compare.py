@@ -69,13 +69,6 @@ def test_versions_stand_side_by_side_with_limits_and_gaps(tracking, registry, tm
     assert len(compare_table(found, everything=True)) == 3
 
 
-def test_the_last_evaluation_of_a_version_counts(tracking, registry, tmp_path):
-    version = registered(tracking, registry, tmp_path / "a")
-    evaluated(tracking, version, ROWS)
-    last = evaluated(tracking, version, ROWS[:1])
-    assert find("m/1", tracking, registry).run.run_id == last
-
-
 def test_a_run_is_compared_by_its_own_evaluation_or_its_job_s(tracking, registry, tmp_path):
     version = registered(tracking, registry, tmp_path / "a")
     run_id = evaluated(tracking, version, ROWS)

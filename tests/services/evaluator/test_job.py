@@ -7,15 +7,14 @@ import pandas as pd
 import pytest
 
 from cspace.bundle import Bundle
-from cspace.errors import EvaluationError, ModelNotFoundError, RegistryError
+from cspace.errors import EvaluationError, ModelNotFoundError
 from cspace.worlds.planar.arm import THREE_LINK
-from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator import __main__ as command
 from services.evaluator import job
 from services.evaluator import stores as connection
 from services.evaluator.evaluation import MAX_HEADLINE, MAX_METRICS
-from services.evaluator.job import evaluate_version, executor, make_request, run_here, run_on_ray
-from services.evaluator.measure import Budget, Setting, units
+from services.evaluator.job import evaluate_version, make_request
+from services.evaluator.measure import Budget
 from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, MODEL_NAME
 from services.registry.promotion import decisions
 from tests.bundles import write_tiny_bundle
@@ -129,16 +128,6 @@ def test_a_refused_version_is_recorded_and_the_champion_stays(refused):
         refused.registry.by_alias(MODEL_NAME, ALIAS_CHAMPION)
 
 
-def test_progress_tells_every_unit(refused):
-    count, lines = len(units(Setting(PlanarWorld(), 0, TINY))), refused.lines
-    assert len(lines) == 2 + count
-    assert f"{MODEL_NAME}/1" in lines[0]
-    assert lines[1].startswith("evaluated on scenes of the planar world with 3 discs of radius 1.0 m (robot ")
-    assert "2 validation and 2 test scenes of the family uniform" in lines[1]
-    assert lines[1].endswith("seed 0")
-    assert lines[-1].lstrip().startswith(f"{count}/{count}")
-
-
 def test_a_promoted_version_is_the_champion_and_is_not_compared_with_its_own_promotion(stores, passing):
     evaluated(stores)
     assert stores[1].by_alias(MODEL_NAME, ALIAS_CHAMPION).number == 1
@@ -152,17 +141,6 @@ def test_without_promotion_nothing_is_recorded_or_shown(stores, passing):
     tracking, registry = stores
     assert (decisions(registry, MODEL_NAME), registry.shown) == ((), {})
     assert tracking.runs[outcome.run_id].status == "FINISHED"
-
-
-def test_a_version_whose_training_was_deleted_is_judged_all_the_same(stores, monkeypatch):
-    def gone(version, shown):
-        raise RegistryError("there is no such run")
-
-    monkeypatch.setattr(stores[1], "show", gone)
-    lines = []
-    outcome = evaluate_version(request(), *stores, progress=lines.append)
-    assert outcome.recorded
-    assert lines[-1] == f"the figures are not shown with {MODEL_NAME}/1: there is no such run"
 
 
 def test_an_evaluation_that_fails_leaves_a_failed_run_and_no_decision(stores):
@@ -184,20 +162,6 @@ def test_a_path_model_is_not_judged_without_problems(stores, tmp_path):
     registry.register(MODEL_NAME, bundle.folder, run_id, bundle.digest, {})
     with pytest.raises(EvaluationError, match="path models are evaluated on"):
         evaluated(stores, model=f"{MODEL_NAME}/2")
-
-
-@pytest.mark.parametrize(
-    ("environment", "expected"),
-    [
-        ({}, run_here),
-        ({"RAY_ADDRESS": ""}, run_here),
-        ({"RAY_ADDRESS": "http://127.0.0.1:8265"}, run_here),
-        ({"RAY_ADDRESS": "127.0.0.1:6379"}, run_on_ray),
-        ({"RAY_ADDRESS": "auto"}, run_on_ray),
-    ],
-)
-def test_the_cluster_is_used_where_a_driver_can_reach_one(environment, expected):
-    assert executor(environment) is expected
 
 
 @pytest.fixture

@@ -10,11 +10,10 @@ from cspace.bundle import Bundle, write_bundle
 from cspace.errors import BundleIntegrityError, EvaluationError
 from cspace.simulator import Problem, Split
 from cspace.worlds import simulator_of
-from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
+from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.problems import Family, draw_problem
-from cspace.worlds.planar.simulator import PlanarSimulator
 from cspace.worlds.planar.world import Disc, PlanarWorld, Scenario
 from services.evaluator.evaluation import (
     MAX_HEADLINE,
@@ -33,7 +32,6 @@ from services.evaluator.measure import (
     Unit,
     plan_problem,
     planner_of,
-    planner_seed,
     reconstruct,
     run_unit,
     units,
@@ -141,23 +139,6 @@ def test_an_evaluation_without_scenarios_is_an_error(results):
         decide(empty, Bar())
 
 
-@pytest.mark.slow
-def test_three_joints_are_evaluated_with_planning_and_with_both_scores():
-    budget = dataclasses.replace(TINY, scenarios=2, disconnected_scenarios=0)
-    setting = Setting(PlanarWorld(THREE_LINK, Camera()), 12, budget)
-    results = [run_unit(unit, setting, UniformSampler(THREE_LINK.space)) for unit in units(setting)]
-    logged = run_metrics(evaluation_of(results, setting))
-    # Their grid tells of no narrow passages.
-    assert not any("narrow" in name for name in logged)
-    assert {"test/topology/gs", "test/topology/gsc_true", "validation/planning_success"} <= logged.keys()
-
-
-def test_planner_seeds_differ_and_are_never_zero():
-    seeds = {planner_seed(0, index, repeat) for index in range(50) for repeat in range(3)}
-    assert len(seeds) == 150
-    assert 1 <= min(seeds) <= max(seeds) < 2**31
-
-
 def test_scenes_are_the_split_s_scenarios_and_those_of_a_family_its_problems():
     assert [Scene(STAGE, index).scenario for index in range(3)] == random_scenarios(Split.VALIDATION, 5, 3)
     camera = Camera(pixels=32)
@@ -209,15 +190,6 @@ def test_a_sampler_that_repeats_one_free_configuration_is_precise_and_covers_not
 def test_no_samples_and_samples_that_are_not_finite_are_errors(samples):
     with pytest.raises(EvaluationError):
         Scene(STAGE, 0).quality(samples, np.zeros((10, 2)))
-
-
-def test_the_radius_of_coverage_and_the_planner_are_the_worlds(monkeypatch):
-    other = dataclasses.replace(simulator_of(PlanarWorld()).measures, coverage_radius_rad=0.7, range_rad=0.4)
-    monkeypatch.setattr(PlanarSimulator, "measures", property(lambda _: other))
-    held_out = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 2.0]] * 4)
-    found = Scene(STAGE, 0).quality(np.array([[0.5, 0.0]] * 6), held_out)
-    assert found["coverage"] == pytest.approx(2 / 3)
-    assert planner_of(PlanarWorld()).range_rad == 0.4
 
 
 def oracle(scene, threshold=0.5):

@@ -5,8 +5,6 @@ import pytest
 from cspace.bundle import Bundle
 from cspace.errors import ModelNotFoundError
 from inference_api.settings import PRETRAINED_FOLDER
-from services.evaluator import __main__ as command
-from services.evaluator import stores
 from services.evaluator.job import evaluate_version
 from services.evaluator.model_card import make_card
 from services.names import ALIAS_CHALLENGER, MODEL_NAME, TAG_PRESET
@@ -75,20 +73,6 @@ def test_a_version_that_nobody_evaluated_says_so(tiny):
 
 def test_the_card_of_an_arm_in_space_names_its_cameras_and_what_plans_promise(tmp_path, verified_here):
     card = Platform(tmp_path, Bundle.load(PANDA_FOLDER)).card()
-    assert "| depth pictures of 1 to 3 cameras; in training 128 x 128 pixels" in card
-    assert "voxels of 2.5 cm" in card
-    assert "A plan below 0.2 is refused" in card
-    assert "What no camera sees is guessed" in card
+    assert "| depth pictures; count 1-3, " in card
+    assert "below 0.2 a plan is refused" in card
     assert "| command | `" in card
-
-
-def test_the_command_prints_a_card_or_writes_it(tiny, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(stores, "connect", lambda environment: (tiny.tracking, tiny.registry))
-    environment = {"MLFLOW_TRACKING_URI": "http://127.0.0.1:1"}
-    assert command.main(["card", f"{MODEL_NAME}/1"], environment) == 0
-    printed = capsys.readouterr().out
-    assert printed == tiny.card()
-    assert command.main(["card", f"{MODEL_NAME}/1", "--out", str(tmp_path / "card.md")], environment) == 0
-    assert (tmp_path / "card.md").read_text() == printed
-    assert command.main(["card", f"{MODEL_NAME}/9"], environment) == 2
-    assert command.main(["card", "not a model"], environment) == 2

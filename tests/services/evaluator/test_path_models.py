@@ -21,17 +21,13 @@ from services.evaluator.measure import (
     Setting,
     Unit,
     learned_samples,
-    plan_problem,
-    planner_of,
     run_unit,
     units,
 )
 from services.evaluator.metrics import Task
 from services.evaluator.scenes import bundle_sampler
-from services.planner.ompl_planner import solve
 from services.planner.samples import BundleSampler
 from services.registry.promotion import decisions
-from tests.bundles import write_tiny_bundle
 from tests.fakes.registry import FakeRegistry, FakeTracking
 from tests.fakes.uniform_sampler import UniformSampler
 from training.paths.writing import make_path_bundle
@@ -88,15 +84,6 @@ def test_the_shipped_heads_path_sampler_is_promoted_for_what_it_saves(made, tmp_
     assert "precision" not in run.history
 
 
-@pytest.mark.slow
-def test_a_path_model_that_knows_nothing_is_refused(tmp_path):
-    bundle = Bundle.load(write_tiny_bundle(tmp_path / "bundle", kind="path"))
-    outcome, _, registry = evaluated(tmp_path, bundle, [])
-    assert not outcome.verdict.promoted
-    assert any("does not save edge checks" in reason for reason in outcome.verdict.reasons)
-    assert not decisions(registry, MODEL)[0].promoted
-
-
 def test_start_and_goal_reach_the_model(made):
     sampler = bundle_sampler(made)
     assert sampler.with_ends
@@ -109,20 +96,6 @@ def test_start_and_goal_reach_the_model(made):
     expected = made.sample(image, LEARNED_SAMPLES, 3, min_confidence=0.0, **ends).samples
     assert np.array_equal(there, expected)
     assert not np.array_equal(there, back)
-
-
-def test_a_filter_is_asked_for_only_where_there_is_a_head(tmp_path):
-    drawn = []
-
-    def solver(problem, settings, samples, uniform_share):
-        drawn.append(samples)
-        return solve(problem, settings, samples, uniform_share)
-
-    plain = bundle_sampler(Bundle.load(write_tiny_bundle(tmp_path / "plain", kind="path")))
-    problem, settings = draw_problem(Family.UNIFORM, Split.DEMO, 0), planner_of(PlanarWorld())
-    plan_problem(problem, 1, plain, settings, solver)
-    _, learned, confident = drawn
-    assert np.array_equal(learned, confident)
 
 
 def test_path_models_have_planning_units_alone(made):

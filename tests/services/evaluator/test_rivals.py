@@ -7,7 +7,7 @@ from tempfile import mkdtemp
 import pytest
 
 from cspace.bundle import Bundle
-from cspace.errors import ConfigError, ModelNotFoundError, RegistryUnavailableError
+from cspace.errors import ModelNotFoundError
 from cspace.worlds import robot_digest
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
 from cspace.worlds.planar.world import PlanarWorld
@@ -103,23 +103,6 @@ def test_a_champion_whose_bundle_is_gone_or_damaged_is_compared_by_its_record_wh
     assert "version 1, the present champion, can not be measured again" in bar.notes[0]
 
 
-def test_a_registry_that_goes_away_ends_the_search(registry, register, tiny, tmp_path):
-    register(1, 0.8)
-    register(2)
-    version = registry.version(MODEL_NAME, 2)
-    registry.away = True
-    with pytest.raises(RegistryUnavailableError):
-        find_rivals(registry, version, tiny(2, TWO_LINK), None, tmp_path / "rivals")
-
-
-def test_a_champion_that_was_deleted_is_no_rival(registry, register, rivals_of):
-    for number, precision in ((1, 0.9), (2, 0.8), (3, None)):
-        register(number, precision)
-    registry.delete(MODEL_NAME, 1)
-    rivals, bar = rivals_of(3)
-    assert (names(rivals), bar.recorded) == (["version 2, the present champion"], ())
-
-
 def test_a_version_that_was_rolled_back_is_no_bar_any_more(registry, register, rivals_of):
     for number, precision in ((1, 0.7), (2, 0.8), (3, 0.99)):
         register(number, precision)
@@ -132,24 +115,6 @@ def test_a_version_that_was_rolled_back_is_no_bar_any_more(registry, register, r
     assert note.startswith("not compared with version 3, which was rolled back on 20")
     promote(registry, registry.version(MODEL_NAME, 3), "it was the camera")
     assert names(rivals_of(4)[0]) == ["version 3, the present champion", "version 2, the best before it"]
-
-
-def test_the_present_champion_is_a_rival_whatever_was_said_of_it(registry, register, rivals_of):
-    for number in (1, 2):
-        register(number, 0.8)
-    roll_back(registry, MODEL_NAME, "worse in the field")
-    registry.set_alias(MODEL_NAME, "champion", 2)
-    register(3)
-    rivals, bar = rivals_of(3)
-    assert names(rivals) == ["version 2, the present champion", "version 1, the best before it"]
-    assert not any("rolled back" in note for note in bar.notes)
-
-
-def test_an_alias_that_somebody_moved_makes_a_champion_as_well(registry, register, rivals_of):
-    register(1)
-    registry.set_alias(MODEL_NAME, "champion", 1)
-    register(2)
-    assert (names(rivals_of(2)[0]), rivals_of(2)[1].against) == (["version 1, the present champion"], 1)
 
 
 def test_champions_of_other_robots_are_no_rivals(register, rivals_of):
@@ -178,9 +143,3 @@ def test_no_bundle_is_its_own_rival_or_one_twice(registry, register, rivals_of, 
     assert bar.notes[-1] == "the shipped model, is this very bundle"
     register(3)
     assert names(rivals_of(3, shipped.folder)[0]) == ["version 1, the present champion"]
-
-
-def test_a_shipped_model_that_is_not_there_is_an_error_that_names_the_option(register, rivals_of, tmp_path):
-    register(1)
-    with pytest.raises(ConfigError, match="--without-shipped"):
-        rivals_of(1, tmp_path / "nothing")

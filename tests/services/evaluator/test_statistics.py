@@ -11,7 +11,6 @@ from services.evaluator.statistics import (
     mean_interval,
     ratio_of_medians_interval,
     ratio_of_sums_interval,
-    summarise_censored,
     summary_rng,
 )
 
@@ -34,12 +33,6 @@ def test_resampling_is_that_of_rows_drawn_by_the_generator():
     found = mean_interval(values, np.random.default_rng(4))
     assert (found.low, found.high) == pytest.approx(tuple(limits), abs=1e-12)
     assert mean_interval([2.0], np.random.default_rng(4)).high == 2.0
-
-
-def test_about_95_of_100_intervals_hold_the_true_mean():
-    rng = np.random.default_rng(0)
-    intervals = [mean_interval(rng.exponential(1.0, 60), rng) for _ in range(200)]
-    assert 0.88 <= np.mean([i.low <= 1.0 <= i.high for i in intervals]) <= 0.98
 
 
 def test_pairs_and_rows_are_resampled_together(rng):
@@ -69,10 +62,7 @@ def test_an_empty_group_is_an_error(rng):
             call()
 
 
-def test_censored_runs_rank_last_and_quantiles_among_them_are_bounds():
-    found = summarise_censored([1.0, 2.0, 3.0, 0.5], [False, False, False, True])
-    assert (found.median, found.p90_is_bound, found.median_is_bound) == (3.0, True, False)
-    assert summarise_censored([1.0, 5.0, 5.0], [False, True, True]).median_is_bound
+def test_a_censored_run_counts_as_the_largest_value_seen():
     np.testing.assert_array_equal(censored_as_largest([1.0, 9.0, 2.0], [False, False, True]), [1.0, 9.0, 9.0])
 
 
