@@ -88,7 +88,7 @@ def _pictures(spec: BundleSpec) -> str:
 def _promises(spec: BundleSpec) -> Iterator[str]:
     if spec.confidence_threshold is not None:
         least = spec.confidence_threshold
-        yield f"Confidence is the predicted probability that a sample is free; below {least:g} none is served."
+        yield f"Confidence predicts that a sample is free; samples below {least:g} are not served."
     if spec.kind == "configuration" and spec.plan_calibration is not None:
         least = spec.plan_confidence
         yield f"The confidence of plans is calibrated on validation; below {least:g} a plan is refused."

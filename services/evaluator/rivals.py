@@ -29,11 +29,15 @@ from services.registry.promotion import champions
 
 @dataclass(frozen=True)
 class Rival:
-    """A model to be measured on the same scenes, whose world may have another camera."""
+    """A model to be measured on the same scenes, whose world may have another camera.
+
+    ``version`` is its number, None for the shipped model.
+    """
 
     name: str
     world: World
     packed: PackedBundle
+    version: int | None = None
 
 
 def find_rivals(
@@ -103,7 +107,7 @@ class _Found:
             why = f"can not be measured again ({error.what}): recorded metrics count"
             self.notes.append(f"version {number}, {words}, {why}")
             return False
-        return self._add(f"version {number}, {words}", bundle)
+        return self._add(f"version {number}, {words}", bundle, number)
 
     def add_shipped(self, folder: Path | None) -> None:
         """The shipped model where it is of this robot and kind."""
@@ -123,7 +127,7 @@ class _Found:
         if not any(self._add("the shipped model", Bundle.load(one)) for one in folders):
             self.notes.append("no model of this robot and kind is shipped")
 
-    def _add(self, name: str, bundle: Bundle) -> bool:
+    def _add(self, name: str, bundle: Bundle, number: int | None = None) -> bool:
         spec, ours = bundle.spec, self._candidate.spec
         if spec.kind != ours.kind or robot_digest(spec.world) != robot_digest(ours.world):
             return False
@@ -131,5 +135,5 @@ class _Found:
             self.notes.append(f"{name}, is this very bundle")
         elif bundle.digest not in self._seen:
             self._seen.add(bundle.digest)
-            self.rivals.append(Rival(name, spec.world, PackedBundle.pack(bundle)))
+            self.rivals.append(Rival(name, spec.world, PackedBundle.pack(bundle), number))
         return True
