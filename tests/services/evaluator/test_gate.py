@@ -1,6 +1,7 @@
 """The gate's decisions on recorded cases, and what single conditions say."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -94,7 +95,22 @@ def test_recorded_champions_may_be_better_by_the_margin_alone(change, promoted):
 
 def test_what_a_champion_has_and_the_version_was_not_measured_by_is_a_refusal():
     case = first(lambda case, found: found["promoted"] and not case.path and not case.rivals)
-    case = type(case)(**{**vars(case), "ours": [row for row in case.ours if row[0] != "planning"]})
+    case = replace(case, ours=[row for row in case.ours if row[0] != "planning"])
     verdict = judged(case, recorded=(Champion(3, {"planning_success": 0.5}),))
     assert not verdict.promoted
     assert "planning_success was not measured; version 3 has 0.500" in verdict.reasons
+
+
+def test_where_too_few_samples_pass_a_head_the_run_without_it_counts_as_served():
+    def fits(case, _):
+        served = {row[0] for row in case.ours if row[4] == "confident"}
+        return not case.path and len(case.rivals) > 0 and served == {"reconstruction", "planning"}
+
+    case = first(fits)
+    few = [row for row in case.ours if not (row[0] == "planning" and row[4] == "confident" and row[2] < 3)]
+    success = {row[1:5]: row[7] for row in few if row[5] == "success"}
+    drawn = {key[:3]: value for key, value in success.items() if key[3] == "learned"}
+    served = drawn | {key[:3]: value for key, value in success.items() if key[3] == "confident"}
+    found = compare(evaluated(replace(case, ours=few)), next(iter(case.rivals)))
+    (gain,) = (one for one in found.gains if one.name == "planning success as served")
+    assert gain.ours == pytest.approx(np.mean([*served.values()]))
