@@ -8,9 +8,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from services.evaluator.evaluation.report import COLLISION_COLOUR, FREE_COLOUR, SHOWN_SAMPLES, free_map
-from services.evaluator.measures.scenes import Scene, Stage, unfiltered
-from services.evaluator.measures.topology import scene_topology
+from services.evaluator.figures import COLLISION_COLOUR, FREE_COLOUR, SHOWN_SAMPLES, free_map
+from services.evaluator.measure import sample_clouds
+from services.evaluator.scenes import Scene, Stage, unfiltered
 from services.planner.samples import SampleSource
 
 # Okabe and Ito's palette, told apart by the colour-blind, too.
@@ -60,9 +60,8 @@ def reconstruction(scenes: Sequence[Scene], samplers: Mapping[str, SampleSource]
         real, floor = scene.free(SHOWN_SAMPLES, scene.rng(7)), 0.0
         for axes, sampler in zip(row[2:], samplers.values(), strict=True):
             samples = unfiltered(sampler, scene.image, SHOWN_SAMPLES, scene.sampler_seed())
-            found = scene_topology(scene, sampler, draws).gsc_boundary
-            floor = found.floor
-            _cloud(axes, scene, samples, found.score)
+            score, floor = sample_clouds(scene, sampler, draws).complement_scores[0]
+            _cloud(axes, scene, samples, score)
         _cloud(row[1], scene, real, floor)
         row[1].set_ylabel("theta2 [rad]")
     for axes, label in zip(panels[0], ("picture", "real samples", *samplers), strict=True):

@@ -16,8 +16,11 @@ from cspace.bundle import Bundle
 from cspace.dataset import Dataset, open_dataset
 from cspace.errors import EvaluationError
 from cspace.simulator import Split
-from services.evaluator.measures.scenes import Scene, Stage, measure_reconstruction, summary_rng
-from services.evaluator.measures.topology import POINTS, scene_topology, summarise_topology
+from services.evaluator.evaluation import estimates_of
+from services.evaluator.measure import measure_topology, reconstruct
+from services.evaluator.metrics import Task
+from services.evaluator.metrics.geometry_score import POINTS
+from services.evaluator.scenes import Scene, Stage
 from services.evaluator.statistics import Interval
 from services.evaluator.tables import Table
 from services.planner.samples import BundleSampler
@@ -91,7 +94,7 @@ def learning_curve(study: Study, column: Column, made: Mapping[int, Bundle], eff
     rows = []
     for step, bundle in made.items():
         name = f"{column.name}-{step}-validation-{effort.validation}"
-        summary = _kept(study, name, bundle, lambda b: _quality(stage, b, effort.validation, effort.samples))
+        summary = _kept(study, name, bundle, lambda b: quality(stage, b, effort.validation, effort.samples))
         rows.append({"step": step, **summary["sampler"]})
     return {"losses": [dict(row) for row in read_progress(last).history], "quality": rows}
 
@@ -113,7 +116,7 @@ def final_quality(study: Study, column: Column, bundle: Bundle, seed: int, effor
             study,
             f"{column.name}-{name}-{effort.scenarios}",
             bundle,
-            lambda b, stage=stage: _quality(stage, b, effort.scenarios, effort.samples),
+            lambda b, stage=stage: quality(stage, b, effort.scenarios, effort.samples),
         )
         found[f"{name}_topology"] = _kept(
             study,
@@ -142,20 +145,26 @@ def _stage(bundle: Bundle, split: Split, seed: int) -> Stage:
     return Stage(bundle.spec.world, split, seed)
 
 
-def _quality(stage: Stage, bundle: Bundle, scenarios: int, samples: int) -> Measured:
-    summary = measure_reconstruction(stage, BundleSampler(bundle), scenarios, samples)
+def quality(stage: Stage, bundle: Bundle, scenarios: int, samples: int) -> Measured:
+    """Estimates of a bundle's, of uniform and of real samples, by measure."""
+    sampler = BundleSampler(bundle)
+    rows = [row for index in range(scenarios) for row in reconstruct(Scene(stage, index), sampler, samples)]
+    found = estimates_of(rows, stage.seed)
     return {
-        name: {key: getattr(one, key).to_dict() for key in MEASURES}
-        for name, one in (("sampler", summary.sampler), ("uniform", summary.uniform), ("real", summary.real))
+        name: {key: found[name, key].to_dict() for key in MEASURES} for name in ("sampler", "uniform", "real")
     }
 
 
 def _topology(stage: Stage, bundle: Bundle, effort: Effort) -> Measured:
     scenes = [Scene(stage, index) for index in range(effort.topology)]
     sampler = BundleSampler(bundle)
-    rows = [scene_topology(scene, sampler, effort.draws, effort.topology_samples) for scene in scenes]
-    summary = summarise_topology(rows, summary_rng(stage.seed))[SCORE]
-    return {"score": summary.score.to_dict(), "floor": summary.floor.to_dict()}
+    rows = [
+        row
+        for scene in scenes
+        for row in measure_topology(scene, sampler, effort.draws, effort.topology_samples)
+    ]
+    found = estimates_of(rows, stage.seed, Task.TOPOLOGY)
+    return {"score": found["", SCORE].to_dict(), "floor": found["", f"{SCORE}_floor"].to_dict()}
 
 
 def _kept(study: Study, name: str, bundle: Bundle, measure: Callable[[Bundle], Measured]) -> Measured:

@@ -16,12 +16,13 @@ from benchmarks.paper.measures import (
     dataset_of,
     final_quality,
     learning_curve,
+    quality,
     table,
 )
 from cspace.bundle import Bundle
 from cspace.errors import EvaluationError
 from cspace.simulator import Split
-from services.evaluator.measures.scenes import Stage, measure_reconstruction
+from services.evaluator.scenes import Stage
 from services.evaluator.tables import markdown
 from services.planner.samples import BundleSampler
 
@@ -50,10 +51,8 @@ def compare_columns(
         last[column] = made[max(made)]
         found[column.name] = final_quality(study, column, last[column], seed, effort)
     stage = Stage(dataset.world, Split.VALIDATION, 0)
-    uniform = measure_reconstruction(
-        stage, BundleSampler(last[trained[0]]), effort.validation, effort.samples
-    )
-    floor = {name: getattr(uniform.uniform, name).estimate for name in MEASURES}
+    uniform = quality(stage, last[trained[0]], effort.validation, effort.samples)["uniform"]
+    floor = {name: uniform[name]["estimate"] for name in MEASURES}
     convergence(curves, floor).savefig(study.out / "convergence.png", dpi=100)
     _draw_reconstruction(study, last, seed)
     for column, bundle in last.items():

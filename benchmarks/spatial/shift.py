@@ -41,7 +41,6 @@ from cspace.worlds.spatial.world import SpatialWorld, shipped, usual
 from cspace_client import OutcomeSender, SamplingClient
 from cspace_client import PlanQuery as ClientQuery
 from inference_api.drift import ALARM
-from services.evaluator.evaluation.shadow import LEAST
 from services.evaluator.statistics import difference_interval, log_losses, mean_interval
 
 RAISED_M, SEED = 0.4, 25
@@ -180,7 +179,7 @@ def measured(bundle: Bundle, chosen: list[Seen]) -> tuple[np.ndarray, np.ndarray
         rows = space.to_float32(np.concatenate([space.sample_uniform(rng, 200), about]))
         picture = bundle.prepare(bundle.spec.world.examined(one.scene.view()))
         free = one.truth.valid_batch(rows.astype(np.float64))
-        losses.append(log_losses(bundle.score(picture, rows), free, LEAST).mean())
+        losses.append(log_losses(bundle.score(picture, rows), free, 1e-3).mean())
         query = PlanQuery(tuple(one.start), tuple(one.goal), number, 0.0, LIMIT_S, PATHS)
         found = bundle.plan(picture, query)
         hits.append(len(found.path) > 0 and one.collided_at(found.path) is not None)

@@ -19,7 +19,7 @@ from cspace.simulator import Split
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
-from services.evaluator.measures.scenes import Scene, Stage
+from services.evaluator.scenes import Scene, Stage
 from services.planner.samples import BundleSampler
 from tests.bundles import write_tiny_bundle
 from tests.training.models.builders import tiny_module
@@ -150,7 +150,7 @@ def test_the_table_has_every_column_seen_and_unseen_and_measures_nothing_twice(s
         ["real", "unseen"],
     ]
     assert rows[3][2].startswith("1.000")
-    monkeypatch.setattr("benchmarks.paper.measures.measure_reconstruction", None)
+    monkeypatch.setattr("benchmarks.paper.measures.reconstruct", None)
     assert final_quality(study, SINGLE, bundle, 0, EFFORT) == found[SINGLE.name]
 
 

@@ -40,7 +40,7 @@ from services.evaluator.benchmark.sources import (
     served,
     served_planner,
 )
-from services.evaluator.evaluation.units import MAX_SEED
+from services.evaluator.measure import MAX_SEED
 from services.planner.settings import PLANNERS
 from services.registry.ports import Tracking
 

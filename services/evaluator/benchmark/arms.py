@@ -12,7 +12,7 @@ from cspace.simulator import Families, Split
 from cspace.simulator import Taken as Unseen
 from cspace.world import World
 from cspace.worlds import default_world, simulator_of
-from services.evaluator.evaluation.units import planner_seed
+from services.evaluator.measure import planner_seed
 from services.planner.planning import PAPER_SCHEDULE
 from services.planner.settings import (
     BIT_STAR,

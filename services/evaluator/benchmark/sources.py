@@ -19,7 +19,7 @@ from cspace.space import JointSpace
 from cspace.view_file import is_view, pack_view, unpack_view
 from cspace.world import World
 from cspace.worlds import picture_file_of, robot_digest, simulator_of
-from services.evaluator.measures.scenes import PackedBundle
+from services.evaluator.scenes import PackedBundle
 from services.planner.client import RetryPolicy, SamplingClient, ServedPlan
 from services.planner.planning import between_ends
 from services.planner.samples import BundleSampler, SampleBatch, SampleSource

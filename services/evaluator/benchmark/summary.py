@@ -8,12 +8,13 @@ infinite.
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from cspace.errors import EvaluationError
 from cspace.planning.cost import calibration_error
@@ -31,7 +32,6 @@ from services.evaluator.statistics import (
     mean_interval,
     quantile_interval,
     ratio_of_sums_interval,
-    summarise_censored,
 )
 from services.planner.result import Reason
 from services.planner.settings import RRT_CONNECT, SAMPLED_CONNECT
@@ -494,3 +494,24 @@ def _checks(paired: Paired, arm: PlanArm, rng: np.random.Generator) -> Iterator[
         whole = Paired(runs)
         mine, base = (spent(whole, name, "state_checks") for name in (arm.name, CONNECT.name))
         yield from break_even("break_even_state_base", mine, [base], rng)
+
+
+@dataclass(frozen=True, slots=True)
+class CensoredSummary:
+    """Median and 90th percentile of runs of which some were cut off; a bound is a lower one."""
+
+    median: float
+    p90: float
+    median_is_bound: bool
+    p90_is_bound: bool
+    censored: int
+    count: int
+
+
+def summarise_censored(values: ArrayLike, censored: ArrayLike) -> CensoredSummary:
+    """Quantiles of (n,) values in which a censored run ranks behind all others; none is dropped."""
+    ranked, cut = censored_as_largest(values, censored), np.asarray(censored, dtype=bool)
+    finished = np.sort(np.where(cut, np.inf, ranked))
+    median, p90 = (float(np.quantile(ranked, q, method="higher")) for q in (0.5, 0.9))
+    bounds = [bool(np.isinf(np.quantile(finished, q, method="higher"))) for q in (0.5, 0.9)]
+    return CensoredSummary(median, p90, bounds[0], bounds[1], int(cut.sum()), int(cut.size))
