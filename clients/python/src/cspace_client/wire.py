@@ -38,14 +38,10 @@ DIGEST, NAME = "[0-9a-f]{64}", "[A-Za-z0-9][A-Za-z0-9-]{0,62}"
 
 
 def _listed(value: object) -> object:
-    """Arrays and tuples as lists; the rest is pydantic's to check."""
-    return (
-        value.tolist()
-        if isinstance(value, np.ndarray)
-        else list(value)
-        if isinstance(value, tuple)
-        else value
-    )
+    """Arrays and tuples as lists."""
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return list(value) if isinstance(value, tuple) else value
 
 
 def _one_or_more(value: object) -> object:
@@ -69,28 +65,27 @@ def _parse_seed(value: object) -> object:
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False)]
+Seconds = Annotated[float, Field(ge=0.0, le=1e10)]
+PartName = Annotated[str, Field(min_length=1, max_length=100)]
+Pair = Annotated[list[PartName], Field(min_length=2, max_length=2), BeforeValidator(_listed)]
 Vector = Annotated[list[Number], Field(min_length=3, max_length=3), BeforeValidator(_listed)]
 Quaternion = Annotated[list[Number], Field(min_length=4, max_length=4), BeforeValidator(_listed)]
 Matrix = Annotated[list[Quaternion], Field(min_length=4, max_length=4), BeforeValidator(_listed)]
 Configuration = Annotated[list[Number], Field(max_length=MAX_JOINTS), BeforeValidator(_listed)]
 Range = Annotated[list[Number], Field(min_length=2, max_length=2), BeforeValidator(_listed)]
-PartName = Annotated[str, Field(min_length=1, max_length=100)]
+Limits = Annotated[list[Range | None], Field(max_length=MAX_JOINTS), BeforeValidator(_listed)]
+Epsilon = Annotated[float, Field(ge=0.0, le=MAX_EPSILON, allow_inf_nan=False)]
+Schedule = Annotated[
+    list[Epsilon], Field(min_length=1, max_length=MAX_EPSILONS), BeforeValidator(_one_or_more)
+]
+RobotReference = Annotated[str, Field(pattern=f"^({DIGEST}|{NAME})$")]
+ModelVersion = Annotated[str, Field(pattern="^[A-Za-z0-9][A-Za-z0-9._-]{0,99}/[0-9]{1,9}$")]
 Seed = Annotated[
     Annotated[int, Field(ge=0, le=MAX_SEED)] | None,
     BeforeValidator(_parse_seed),
-    WithJsonSchema(
-        {
-            "anyOf": [
-                {"type": "integer", "minimum": 0, "maximum": MAX_SEED},
-                {"type": "string", "pattern": "^[0-9]{1,20}$"},
-                {"type": "null"},
-            ]
-        }
-    ),
+    WithJsonSchema({"type": ["integer", "string", "null"], "minimum": 0, "pattern": "^[0-9]{1,20}$"}),
 ]
-_SEED_FIELD = Field(
-    default=None, description="Unsigned 64 bit as number or decimal text; drawn and returned when absent."
-)
+_SEED = Field(None, description="Unsigned 64 bit as number or decimal text; drawn and returned when absent.")
 
 
 class Request(BaseModel):
@@ -98,12 +93,23 @@ class Request(BaseModel):
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _plain(cls, values: Any) -> Any:
+        """NumPy's numbers and arrays as plain ones."""
+        if not isinstance(values, dict):
+            return values
+        return {
+            name: one.tolist() if isinstance(one, np.ndarray | np.generic) else one
+            for name, one in values.items()
+        }
+
 
 class Pose(Request):
     """A place in m and a rotation."""
 
     translation: Vector
-    quaternion_xyzw: Quaternion = Field(default=[0.0, 0.0, 0.0, 1.0], description="With a norm of 1.")
+    quaternion_xyzw: Quaternion = Field([0.0, 0.0, 0.0, 1.0], description="With a norm of 1.")
 
 
 AnyPose = Annotated[
@@ -119,19 +125,11 @@ class Camera(Request):
     fy: Number | None = None
     cx: Number | None = None
     cy: Number | None = None
-    camera_info: dict[str, Any] | str | None = Field(
-        default=None,
-        description="In place of the four numbers: a ROS CameraInfo, or its text in YAML or JSON.",
-    )
+    camera_info: dict[str, Any] | str | None = Field(None, description="Or a ROS CameraInfo.")
     pose: AnyPose = Field(description="4 x 4, m, or `translation` and `quaternion_xyzw`.")
-    frame: Literal["optical", "body"] = Field(
-        default="optical",
-        description="Of the camera: optical (x right, y down, z forward) or body (x forward, y left, z up).",
-    )
-    link: str | None = Field(
-        default=None, description="The joint, link or `tool` whose frame `pose` is in; absent, the base."
-    )
-    stamp_s: Number | None = Field(default=None, description="Of the picture, seconds since the epoch.")
+    frame: Literal["optical", "body"] = Field("optical", description="`body`: x forward, z up.")
+    link: str | None = Field(None, description="In whose frame `pose` is; absent, the base.")
+    stamp_s: Number | None = Field(None, description="Of the picture, seconds since the epoch.")
 
     @model_validator(mode="after")
     def _numbers_or_info(self) -> Self:
@@ -198,7 +196,7 @@ class Volume(Request):
     cylinder: Cylinder | None = None
     sphere: Sphere | None = None
     mesh: Mesh | None = None
-    pose: AnyPose | None = Field(default=None, description="As of a camera; absent, the frame itself.")
+    pose: AnyPose | None = Field(None, description="As of a camera; absent, the frame itself.")
 
     @model_validator(mode="after")
     def _one_shape(self) -> Self:
@@ -218,8 +216,8 @@ class AttachedBody(Volume):
     """A body that moves with the arm."""
 
     name: PartName
-    link: PartName = Field(default="tool", description="The part of the robot whose frame `pose` is in.")
-    touch_links: list[PartName] = Field(default=[], max_length=100, description="Parts that it may touch.")
+    link: PartName = Field("tool", description="The part of the robot whose frame `pose` is in.")
+    touch_links: list[PartName] = Field([], max_length=100, description="Parts that it may touch.")
 
 
 def _state_kind(state: object) -> str:
@@ -234,73 +232,48 @@ State = Annotated[
     ],
     Discriminator(_state_kind),
 ]
+Cameras = Annotated[list[Camera], Field(max_length=16), BeforeValidator(_one_or_more)]
+Views = Annotated[list[View], Field(max_length=MAX_VIEWS), BeforeValidator(_one_or_more)]
 Picture = Annotated[
-    bytes,
-    BeforeValidator(_from_base64),
-    WithJsonSchema({"type": "string", "contentEncoding": "base64"}),
+    bytes, BeforeValidator(_from_base64), WithJsonSchema({"type": "string", "contentEncoding": "base64"})
 ]
+Pictures = Annotated[list[Picture], Field(min_length=1, max_length=16), BeforeValidator(_one_or_more)]
 
 
 class KnownFields(Request):
     """What is known of a scene beside its pictures."""
 
-    scene: list[Body] = Field(
-        default=[], max_length=MAX_BODIES, description="Bodies in the base frame, whatever the pictures show."
-    )
-    attached: list[AttachedBody] = Field(
-        default=[],
-        max_length=MAX_ATTACHED,
-        description="Bodies that the arm holds. Their pixels are removed as the arm's are.",
-    )
-    allowed: list[Annotated[list[PartName], Field(min_length=2, max_length=2), BeforeValidator(_listed)]] = (
-        Field(
-            default=[],
-            max_length=MAX_PAIRS,
-            description="Pairs of names, of parts and bodies, that may touch.",
-        )
-    )
-    ignore: list[Volume] = Field(
-        default=[], max_length=MAX_IGNORED, description="Volumes that count as free, whatever pictures show."
-    )
-    meshes: dict[PartName, str] = Field(
-        default={},
-        max_length=MAX_MESHES,
-        description="Binary STL in base64 by the names that `mesh` gives. In a form files, parts `mesh`.",
+    scene: list[Body] = Field([], max_length=MAX_BODIES, description="Bodies in the base frame.")
+    attached: list[AttachedBody] = Field([], max_length=MAX_ATTACHED, description="Held by the arm.")
+    allowed: list[Pair] = Field([], max_length=MAX_PAIRS, description="Pairs of names that may touch.")
+    ignore: list[Volume] = Field([], max_length=MAX_IGNORED, description="Volumes that count as free.")
+    meshes: dict[PartName, str] = Field({}, max_length=MAX_MESHES, description="STL in base64.")
+
+
+class ViewFields(KnownFields):
+    """What goes with depth pictures and what is known."""
+
+    camera: Cameras = Field([], description="One for each depth picture, in the same order.")
+    state: State | None = Field(None, description="Where the robot was, rad; or one for each image.")
+    max_age_s: Positive | None = Field(None, description="Refuses older pictures, by `stamp_s`.")
+    depth_scale_m: Number | None = Field(
+        None, ge=1e-6, le=1.0, description="Metres per unit of the pictures: 0.001 when absent, 1 for floats."
     )
 
 
-class SceneFields(KnownFields):
+class SceneFields(ViewFields):
     """What shows the scene, and the model that is asked."""
 
-    image: Annotated[list[Picture], Field(min_length=1, max_length=16), BeforeValidator(_one_or_more)] = (
-        Field(
-            description="A square PNG of 16 to 2048 pixels. For models of depth cameras 1 to "
-            f"{MAX_PICTURES} pictures of depths along the optical axis: 16-bit grey PNGs of mm, 0 for no "
-            "reading, or float32 metres as TIFF or `.npy`. In a form files, in JSON base64.",
-        )
+    image: Pictures = Field(
+        description="A square PNG, or 1 to 4 depth pictures: 16-bit PNG of mm, float32 TIFF or `.npy` of m."
     )
-    camera: Annotated[list[Camera], Field(max_length=16), BeforeValidator(_one_or_more)] = Field(
-        default=[], description="For depth pictures and only for them, one for each image in the same order."
+    model: str | None = Field(
+        None,
+        max_length=300,
+        description="`name` (its champion), `name@alias`, `name/version` or `pretrained`.",
     )
-    state: State | None = Field(
-        default=None,
-        description="Where the robot was when the pictures were taken, rad; absent, it is in none of them. "
-        "An array of such arrays, or nulls, has one for each image.",
-    )
-    max_age_s: Positive | None = Field(
-        default=None, description="Refuses pictures that are older, by `stamp_s` and the server's clock."
-    )
-    depth_scale_m: Annotated[float, Field(ge=1e-6, le=1.0, allow_inf_nan=False)] | None = Field(
-        default=None, description="Metres per unit of the depth pictures: 0.001 when absent, 1 for floats."
-    )
-    model: Annotated[str, Field(max_length=300)] | None = Field(
-        default=None,
-        description="`name` (its champion), `name@alias`, `name/version`, or `pretrained` (shipped).",
-    )
-    robot: Annotated[str, Field(pattern=f"^({DIGEST}|{NAME})$")] | None = Field(
-        default=None,
-        description="Digest of the robot that is planned for: a model of another one answers 409. Without "
-        "`model` also a robot's name, such as `panda`: the champion of its models answers.",
+    robot: RobotReference | None = Field(
+        None, description="Digest of the robot that is planned for; without `model` also its name."
     )
 
     @model_validator(mode="after")
@@ -310,126 +283,79 @@ class SceneFields(KnownFields):
         return self
 
 
-class SampleFields(Request):
+class SampleQuery(Request):
     """What is asked of a sampler."""
 
-    n: int = Field(default=300, ge=1, le=MAX_SAMPLES, description="How many samples.")
-    seed: Seed = _SEED_FIELD
-    epsilon_sigma: Annotated[
-        list[Annotated[float, Field(ge=0.0, le=MAX_EPSILON, allow_inf_nan=False)]],
-        Field(min_length=1, max_length=MAX_EPSILONS),
-        BeforeValidator(_one_or_more),
-    ] = Field(
-        default=[0.0],
-        description="Added to the encoder's standard deviation; several values share the samples equally.",
+    n: int = Field(300, ge=1, le=MAX_SAMPLES, description="How many samples.")
+    seed: Seed = _SEED
+    epsilon_sigma: Schedule = Field(
+        [0.0], description="Added to the encoder's standard deviation; several values share the samples."
     )
-    start: Configuration | None = Field(default=None, description="For path models and only for them, rad.")
-    goal: Configuration | None = Field(default=None, description="As `start`.")
-    min_confidence: Share | None = Field(
-        default=None,
-        description="Least confidence of a sample. Absent, the model's threshold; 0 returns all samples.",
-    )
+    start: Configuration | None = Field(None, description="For path models and only for them, rad.")
+    goal: Configuration | None = Field(None, description="As `start`.")
+    min_confidence: Share | None = Field(None, description="Absent, the model's threshold; 0 returns all.")
 
 
-class PlanFields(Request):
+class PlanQuery(Request):
     """What is asked of a planner."""
 
     start: Configuration = Field(description="Where the path begins, rad.")
-    goal: Configuration | None = Field(default=None, description="Where it ends; either this or `goal_pose`.")
-    goal_pose: "GoalPose | None" = Field(default=None, description="Of arms in space: where the tool ends.")
-    limits: Annotated[list[Range | None], Field(max_length=MAX_JOINTS)] | None = Field(
-        default=None,
-        description="For each joint `[low, high]` in rad, or null for its own, all along the path.",
-    )
-    upright: "Upright | None" = Field(
-        default=None, description="Of arms in space: an axis that stays upright."
-    )
-    unwrapped: bool = Field(
-        default=False,
-        description="Whether circles go on beyond [-pi, pi) along the path, from `start` as sent.",
-    )
-    seed: Seed = _SEED_FIELD
-    min_confidence: Share | None = Field(
-        default=None,
-        description="Least confidence of the path. Absent, 0.2 where plans are calibrated, else 0.",
-    )
-    max_risk: Share | None = Field(
-        default=None,
-        description="In place of `min_confidence`: the greatest probability that the path collides.",
-    )
-    time_limit_s: Annotated[float, Field(ge=0.01, le=MAX_TIME_S, allow_inf_nan=False)] = Field(
-        default=1.0, description="Of search and refinement."
-    )
-    ways: int = Field(default=4, ge=1, le=MAX_PATHS, description="Number of paths to search for.")
+    goal: Configuration | None = Field(None, description="Where it ends; either this or `goal_pose`.")
+    goal_pose: "GoalPose | None" = Field(None, description="Of arms in space: where the tool ends.")
+    limits: Limits | None = Field(None, description="For each joint `[low, high]`, or null for its own.")
+    upright: "Upright | None" = Field(None, description="An axis that stays upright.")
+    unwrapped: bool = Field(default=False, description="Circles go on beyond [-pi, pi).")
+    seed: Seed = _SEED
+    min_confidence: Share | None = Field(None, description="Absent, 0.2 where plans are calibrated.")
+    max_risk: Share | None = Field(None, description="In place of `min_confidence`: of a collision.")
+    time_limit_s: Number = Field(1.0, ge=0.01, le=MAX_TIME_S, description="Of search and refinement.")
+    ways: int = Field(4, ge=1, le=MAX_PATHS, description="Number of paths to search for.")
     alternatives: bool = Field(default=False, description="Return all paths of sufficient confidence.")
-    explain: bool = Field(
-        default=False, description="Say in `contact` what is in the way where there is no path."
-    )
-    keep: bool = Field(
-        default=False, description="Allow the server to keep pictures and path of a solved plan for training."
-    )
-    next_view: bool = Field(
-        default=False, description="Name the camera that would see most of unknown space."
-    )
-    view: Annotated[list[View], Field(max_length=MAX_VIEWS), BeforeValidator(_one_or_more)] = Field(
-        default=[], description="Cameras to choose it from. Absent, places of training cameras."
-    )
+    explain: bool = Field(default=False, description="Say in `contact` what is in the way.")
+    keep: bool = Field(default=False, description="Let the server keep the plan for training.")
+    next_view: bool = Field(default=False, description="Name a camera that would see more.")
+    view: Views = Field([], description="Cameras to choose it from; absent, those of the training.")
 
 
 class GoalPose(Request):
     """Where the tool's frame shall be in the end, in the robot's base."""
 
     pose: AnyPose
-    tolerance_m: Annotated[float, Field(ge=1e-4, le=1.0)] = 0.005
-    tolerance_rad: Annotated[float, Field(ge=1e-3, le=np.pi)] = 0.05
-    free_z_rotation: bool = Field(
-        default=False, description="Whether any turn about the frame's z axis will do."
-    )
+    tolerance_m: float = Field(0.005, ge=1e-4, le=1.0)
+    tolerance_rad: float = Field(0.05, ge=1e-3, le=np.pi)
+    free_z_rotation: bool = Field(default=False, description="Any turn about z will do.")
 
 
 class Upright(Request):
     """An axis in the tool's frame that stays within `max_rad` of `up` in the base."""
 
     axis: Vector
-    max_rad: Annotated[float, Field(ge=1e-3, le=np.pi)]
+    max_rad: float = Field(ge=1e-3, le=np.pi)
     up: Vector = [0.0, 0.0, 1.0]
 
 
-class SampleRequest(SampleFields, SceneFields):
+class SampleRequest(SampleQuery, SceneFields):
     """A request for samples."""
 
 
-class PlanRequest(PlanFields, SceneFields):
+class PlanRequest(PlanQuery, SceneFields):
     """A request for a path."""
+
+
+_Row = Annotated[list[Number], Field(min_length=1, max_length=MAX_JOINTS)]
+_ROWS = {"type": "array", "items": {"type": "array", "items": {"type": "number"}}, "maxItems": MAX_SAMPLES}
+ConfigurationRows = Annotated[
+    bytes | Annotated[list[_Row], Field(min_length=1, max_length=MAX_SAMPLES)], WithJsonSchema(_ROWS)
+]
 
 
 class ValidityRequest(SceneFields):
     """A request for the confidence of configurations."""
 
-    configurations: Annotated[
-        bytes
-        | Annotated[
-            list[Annotated[list[Number], Field(min_length=1, max_length=MAX_JOINTS)]],
-            Field(min_length=1, max_length=MAX_SAMPLES),
-        ],
-        WithJsonSchema(
-            {
-                "type": "array",
-                "items": {
-                    "type": "array",
-                    "items": {"type": "number"},
-                    "minItems": 1,
-                    "maxItems": MAX_JOINTS,
-                },
-                "minItems": 1,
-                "maxItems": MAX_SAMPLES,
-            }
-        ),
-    ] = Field(description="Rows in rad: JSON, or in a form a `.npy` file, float32 or float64 (n, joints).")
-    explain: bool = Field(
-        default=False,
-        description=f"Say in `why` what is in the way of each below 0.5; at most {MAX_EXPLAINED} rows.",
+    configurations: ConfigurationRows = Field(
+        description="(n, joints) rad: JSON, or in a form a `.npy` file."
     )
+    explain: bool = Field(default=False, description=f"Say `why`; at most {MAX_EXPLAINED} rows.")
 
 
 class BeliefRequest(SceneFields):
@@ -441,23 +367,13 @@ class DoctorRequest(SceneFields):
 
 
 class _Outcome(Request):
-    request_id: Annotated[str, Field(pattern="^[A-Za-z0-9._-]{1,128}$")] = Field(
-        description="The `X-Request-ID` of the answer."
-    )
-    model: Annotated[str, Field(pattern="^[A-Za-z0-9][A-Za-z0-9._-]{0,99}/[0-9]{1,9}$")] = Field(
-        description="The model that answered, as `name/version`."
-    )
-    receipt: Annotated[str, Field(max_length=1000)] | None = Field(
-        default=None, description="That the answer carried."
-    )
-    stamp_s: Annotated[float, Field(ge=0.0, le=1e10)] | None = Field(
-        default=None, description="When this was known, seconds since the epoch."
-    )
-    confidence: Share | None = Field(default=None, description="That the answer stated.")
-    novelty: Share | None = Field(default=None, description="That the answer stated.")
-    site: Annotated[str, Field(pattern="^[A-Za-z0-9._-]{1,64}$")] | None = Field(
-        default=None, description="A short name of the place, such as a cell's."
-    )
+    request_id: str = Field(pattern="^[A-Za-z0-9._-]{1,128}$", description="`X-Request-ID` of the answer.")
+    model: ModelVersion = Field(description="The model that answered, as `name/version`.")
+    receipt: str | None = Field(None, max_length=1000, description="That the answer carried.")
+    stamp_s: Seconds | None = Field(None, description="When this was known, since the epoch.")
+    confidence: Share | None = Field(None, description="That the answer stated.")
+    novelty: Share | None = Field(None, description="That the answer stated.")
+    site: str | None = Field(None, pattern="^[A-Za-z0-9._-]{1,64}$", description="A name of the place.")
 
 
 class PlanOutcome(_Outcome):
@@ -465,16 +381,10 @@ class PlanOutcome(_Outcome):
 
     kind: Literal["plan"] = "plan"
     success: bool = Field(description="Whether the path was free, or was executed to its end.")
-    executed: bool | None = Field(default=None, description="Whether a robot moved along the path.")
-    collided: bool | None = Field(
-        default=None, description="Whether the path collides, in the world or for an exact check."
-    )
-    collided_at: Share | None = Field(
-        default=None, description="Where it collides first: the share of the path's length from its start."
-    )
-    time_s: Annotated[float, Field(ge=0.0, le=1e10)] | None = Field(
-        default=None, description="From the request to this outcome."
-    )
+    executed: bool | None = Field(None, description="Whether a robot moved along the path.")
+    collided: bool | None = Field(None, description="Whether the path collides.")
+    collided_at: Share | None = Field(None, description="Where first, as a share of its length.")
+    time_s: Seconds | None = Field(None, description="From the request to this outcome.")
 
     @model_validator(mode="after")
     def _only_of_collisions(self) -> Self:
@@ -531,10 +441,11 @@ Float32Rows = Annotated[NDArray[np.float32], *_array(np.float32, 2)]
 Float32s = Annotated[NDArray[np.float32], *_array(np.float32, 1)]
 Rows = Annotated[NDArray[np.float64], *_array(np.float64, 2)]
 Numbers = Annotated[NDArray[np.float64], *_array(np.float64, 1)]
-SeedText = Annotated[
-    int, PlainSerializer(str), WithJsonSchema({"type": "string", "pattern": "^[0-9]{1,20}$"})
-]
-LEFT_OUT: Any = Field(default=None, exclude_if=lambda value: value is None)
+SeedText = Annotated[int, PlainSerializer(str), WithJsonSchema({"type": "string", "pattern": "^[0-9]+$"})]
+
+
+def _absent(value: object) -> bool:
+    return value is None
 
 
 class Answer(BaseModel):
@@ -549,11 +460,9 @@ class JointSpaceInfo(Answer):
     kind: Literal["torus", "box", "mixed"] = Field(description="All circles, none, or some.")
     dim: int
     unit: Literal["rad"] = "rad"
-    lower: Annotated[list[float] | None, LEFT_OUT] = None
-    upper: Annotated[list[float] | None, LEFT_OUT] = None
-    periodic: Annotated[list[bool] | None, LEFT_OUT] = Field(
-        default=None, description="Whether each joint is a circle."
-    )
+    lower: list[float] | None = Field(None, exclude_if=_absent)
+    upper: list[float] | None = Field(None, exclude_if=_absent)
+    periodic: list[bool] | None = Field(None, exclude_if=_absent, description="Whether each is a circle.")
 
 
 class ModelInfo(Answer):
@@ -561,23 +470,18 @@ class ModelInfo(Answer):
 
     name: str
     version: int = Field(description="Number in the registry; 0 for a shipped model.")
-    alias: str | None = Field(default=None, description="By which it was found.")
+    alias: str | None = Field(None, description="By which it was found.")
     run_id: str | None = None
     digest: str = Field(description="SHA-256 of the bundle's sums.")
     fallback: bool = Field(default=False, description="Whether a shipped model stands in for a champion.")
-    robot: str | None = Field(default=None, description="SHA-256 of the robot in `GET /models`.")
-    alias_confirmed: bool = Field(
-        default=True,
-        description="False if the alias may have moved: the registry is away, or it is not loaded.",
-    )
+    robot: str | None = Field(None, description="SHA-256 of the robot in `GET /models`.")
+    alias_confirmed: bool = Field(default=True, description="False if the alias may have moved.")
 
 
 class ScenarioInfo(Answer):
     """What the model makes of the picture."""
 
-    novelty: float | None = Field(
-        default=None, description="Share of known pictures that are less unusual, 0 to 1; null if not known."
-    )
+    novelty: float | None = Field(None, description="Share of known pictures that are less unusual.")
 
 
 class PictureWarning(Answer):
@@ -585,7 +489,7 @@ class PictureWarning(Answer):
 
     code: str = Field(description="A name that never changes.")
     message: str = Field(description="What was seen, what it does to the answer, and what to do.")
-    pictures: list[int] = Field(default=[], description="Numbers of the images, from 0; empty for all.")
+    pictures: list[int] = Field([], description="Numbers of the images, from 0; empty for all.")
 
 
 class TimingMs(Answer):
@@ -624,9 +528,7 @@ class SceneAnswer(Answer):
     """What every answer about pictures says of them and of the model."""
 
     scenario: ScenarioInfo
-    warnings: list[PictureWarning] = Field(
-        default=[], description="What is wrong with the pictures, or may be."
-    )
+    warnings: list[PictureWarning] = Field([], description="Problems of the pictures.")
     joint_space: JointSpaceInfo
     model: ModelInfo
 
@@ -634,16 +536,10 @@ class SceneAnswer(Answer):
 class SampleAnswer(SceneAnswer):
     """Samples for a picture."""
 
-    samples: Float32Rows = Field(
-        description="Configurations in rad, circles in [-pi, pi), other joints within their limits."
-    )
+    samples: Float32Rows = Field(description="Configurations, rad.")
     confidence: Float32s | None = Field(description="The validity head's score of each sample.")
-    unseen: Float32s | None = Field(
-        default=None, description="Share of the robot in unseen space, of each sample; null in a plane."
-    )
-    ways: list[int] | None = Field(
-        default=None, description="Path models that search: the path of each sample, 0 for the surest."
-    )
+    unseen: Float32s | None = Field(None, description="Share of the robot in unseen space.")
+    ways: list[int] | None = Field(None, description="Path models that search: the path of each sample.")
     shortfall: int = Field(description="n minus the number of samples.")
     acceptance: float = Field(description="Share of the proposals that reached the confidence.")
     seed: SeedText = Field(description="That was used, in decimal.")
@@ -654,8 +550,7 @@ class Contact(Answer):
     """What is in the way of a configuration."""
 
     kind: Literal["known", "self", "seen", "hidden", "unread", "out of view"] = Field(
-        description="A known body, the robot itself, a seen surface; or unknown space: hidden behind one, "
-        "without a reading, or out of view."
+        description="The last three are unknown space."
     )
     link: str = Field(description="The part of the robot, or the attached body.")
     other: str = Field(description="The body or part that it touches; empty for what pictures show.")
@@ -670,9 +565,7 @@ class ValidityAnswer(SceneAnswer):
     confidence: Float32s = Field(description="The probability that each configuration is free.")
     unseen: Float32s | None = Field(description="Share of the robot in unseen space; null in a plane.")
     threshold: float | None = Field(description="The default `min_confidence` of samples; null without one.")
-    why: Annotated[list[Contact | None] | None, LEFT_OUT] = Field(
-        default=None, description="With `explain`: what is in the way of each; null of those that pass."
-    )
+    why: list[Contact | None] | None = Field(None, exclude_if=_absent, description="What is in the way.")
     timing_ms: ScoreTimingMs
 
 
@@ -683,8 +576,7 @@ class BeliefAnswer(SceneAnswer):
     cell_m: float = Field(description="Side of a cell.")
     counts: list[int] = Field(description="Cells along x, y and z.")
     occupied: str = Field(
-        description="The probability in 1/255: base64 of a byte for each cell, z the fastest, x the slowest.",
-        json_schema_extra={"contentEncoding": "base64"},
+        json_schema_extra={"contentEncoding": "base64"}, description="Base64 of a byte a cell, z the fastest."
     )
     timing_ms: ScoreTimingMs
 
@@ -696,7 +588,7 @@ class Verdict(Answer):
     seen: str = Field(description="What was seen.")
     effect: str = Field(description="What it does to answers.")
     remedy: str = Field(description="What to do.")
-    pictures: list[int] = Field(default=[], description="Numbers of the images, from 0; empty for all.")
+    pictures: list[int] = Field([], description="Numbers of the images, from 0; empty for all.")
 
 
 class SuggestedPose(Answer):
@@ -747,35 +639,21 @@ class PlanAnswer(SceneAnswer):
     """A path, or why there is none."""
 
     status: Literal["solved", "refused", "timeout"] = Field(
-        description="`refused` without a path or enough confidence, `timeout` if the time ended first."
+        description="`refused`: none is confident enough."
     )
     reason: str | None = Field(description="Why it is not solved, in words.")
     path: Rows = Field(description="From start to goal, straight in between, rad; empty unless solved.")
-    confidence: float = Field(
-        description="Estimated probability that the whole path is free; of the best path where it is refused."
-    )
-    receipt: Annotated[str | None, LEFT_OUT] = Field(
-        default=None, description="To be sent back with the outcome of this plan."
-    )
-    kept: Annotated[bool | None, LEFT_OUT] = Field(
-        default=None, description="With `keep`: whether the server keeps pictures and path."
-    )
+    confidence: float = Field(description="That the whole path is free.")
+    receipt: str | None = Field(None, exclude_if=_absent, description="Sent back with outcomes.")
+    kept: bool | None = Field(None, exclude_if=_absent, description="Whether the server keeps it.")
     edges: Float32s = Field(description="The lowest confidence on each edge of the path.")
-    unseen: Float32s | None = Field(
-        description="The largest share of the robot on each edge that no picture shows; null in a plane."
-    )
+    unseen: Float32s | None = Field(description="Of each edge, the largest share of the robot.")
     length_rad: float
     ways: int = Field(description="Paths that were found.")
     least_sure: LeastSure | None
-    contact: Annotated[Contact | None, LEFT_OUT] = Field(
-        default=None, description="What is in the way, of an answer without a path."
-    )
-    alternatives: list[Alternative] | None = Field(
-        description="All paths of sufficient confidence, the best first; null where not requested."
-    )
-    next_view: NextView | None = Field(
-        description="Of the best path; null where not requested or none helps."
-    )
+    contact: Contact | None = Field(None, exclude_if=_absent, description="What is in the way.")
+    alternatives: list[Alternative] | None = Field(description="The best first; null unless requested.")
+    next_view: NextView | None = Field(description="For the best path.")
     seed: SeedText = Field(description="That was used, in decimal.")
     timing_ms: PlanTimingMs
 
@@ -798,9 +676,7 @@ class ListedModel(Answer):
     loaded: bool = Field(description="Whether it is in memory.")
     default: bool = Field(description="Whether it answers requests that name no model.")
     robot: str | None = Field(description="SHA-256 of the robot; null where it is not known before loading.")
-    world: dict[str, Any] | None = Field(
-        description="Robot, limits and camera; null as `robot` is, and where they are too long."
-    )
+    world: dict[str, Any] | None = Field(description="Robot and camera; null if too long.")
     joint_space: JointSpaceInfo | None = Field(description="As in an answer; null as `world` is.")
 
 
@@ -823,9 +699,7 @@ class Ready(Answer):
 
     status: Literal["ready"] = "ready"
     registry: Literal["none", "reachable", "unreachable"]
-    successor: Literal["none", "pending", "refused"] = Field(
-        description="Whether a champion is not served yet, or is refused."
-    )
+    successor: Literal["none", "pending", "refused"] = Field(description="A champion not served yet.")
     model: ModelInfo
 
 
