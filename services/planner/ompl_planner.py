@@ -18,9 +18,13 @@ from ompl import base as ob
 from cspace.errors import PlanningError
 from cspace.simulator import Checker, Problem
 from cspace.worlds import checker_of
-from cspace_client.ompl.learned_sampler import DEFAULT_UNIFORM_SHARE
-from cspace_client.ompl.sample_mixture import GoalOnly, SampleMixture, StateDraws
-from cspace_client.ompl.state_space import StateAccess
+from cspace_client.ompl import (
+    DEFAULT_UNIFORM_SHARE,
+    GoalOnly,
+    SampleMixture,
+    StateAccess,
+    StateDraws,
+)
 from services.planner.ompl_adapters import (
     CostRecord,
     EdgeValidator,

@@ -1,5 +1,6 @@
 """The clients of an inference API, for programs with threads and for those with an event loop."""
 
+import json
 import logging
 import math
 import random
@@ -38,23 +39,24 @@ from cspace_client.wire import PlanQuery, Problem, SampleAnswer, SampleQuery
 _LOG = logging.getLogger("cspace_client")
 DEFAULT_TIMEOUT_S, DEFAULT_DEADLINE_S, DEFAULT_RETRIES = 10.0, 30.0, 2
 MAX_ANSWER_BYTES = 64 * 2**20
-_UNKNOWN_MODEL = ":unknown-model"
 _START_REMEDY = "check that the inference API runs and that the address is right"
 _PAUSE_S = 0.5
-# After these the same request may find an answer. Not after a time-out: the server still works on the request.
+# The same request may find an answer later. Not after a time-out: the server still works on the request.
 _AGAIN = (httpx.codes.REQUEST_TIMEOUT, httpx.codes.TOO_MANY_REQUESTS, httpx.codes.SERVICE_UNAVAILABLE)
 _LOST = (httpx.NetworkError, httpx.RemoteProtocolError)
 
 Found = TypeVar("Found")
 Told = TypeVar("Told", FoundPlan, Predictions, Diagnosis, Belief)
+Reader = Callable[[bytes, float, str | None], Found]
+"""Reads an answer's body; the seconds that it took and the request's id go with it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Call(Generic[Found]):
-    """A request, and how its answer is read: of a body, seconds and the request's id."""
+    """A request, and how its answer is read."""
 
     path: str
-    read: Callable[[bytes, float, str | None], Found]
+    read: Reader[Found]
     form: dict[str, Any]
     files: list[Part]
 
@@ -85,100 +87,90 @@ class _Api:
             got = f"{timeout_s}, {connect_s} and {deadline_s} s, {retries} retries"
             raise ConfigError("a time limit is impossible", expected="above 0 s, 0 retries or more", got=got)
         self.url = url.rstrip("/")
-        self._timeout_s, self._connect_s, self._deadline_s, self._retries = (
-            timeout_s,
-            connect_s,
-            deadline_s,
-            retries,
-        )
-        self._headers = {} if api_key is None else {"Authorization": f"Bearer {api_key}"}
+        self._timeout_s, self._deadline_s, self._retries = timeout_s, deadline_s, retries
         self._fallback, self._robot = fallback, robot
+        self._settings: dict[str, Any] = {
+            "base_url": self.url,
+            "headers": {} if api_key is None else {"Authorization": f"Bearer {api_key}"},
+            "timeout": httpx.Timeout(timeout_s, connect=connect_s),
+            "trust_env": False,
+        }
 
-    def _sample(self, picture: Picture, query: SampleQuery, model: str | None, robot: str | None) -> Call:
+    def _sample(
+        self, picture: Picture, query: SampleQuery, model: str | None, robot: str | None
+    ) -> Call[SampleBatch]:
         def read(body: bytes, spent_s: float, request_id: str | None) -> SampleBatch:
             return SampleBatch.of(SampleAnswer.model_validate_json(body), spent_s, request_id)
 
-        return self._call("/sample", read, picture, model, robot, form_of(query))
+        return self._call("/sample", read, picture, model, form_of(query), robot=robot)
 
     def _validity(
-        self, picture: Picture, rows: ArrayLike, model: str | None, robot: str | None, explain: bool
+        self, picture: Picture, configurations: ArrayLike, model: str | None, *, explain: bool
     ) -> Call[Predictions]:
-        file = npy_file(np.ascontiguousarray(rows, dtype="<f8"))
-        part: Part = ("configurations", ("configurations.npy", file, NPY))
-        form = {"explain": "true"} if explain else {}
-        return self._call("/validity", _reader(Predictions), picture, model, robot, form, part)
+        rows = npy_file(np.ascontiguousarray(configurations, dtype="<f8"))
+        form, part = {"explain": json.dumps(explain)}, ("configurations", ("configurations.npy", rows, NPY))
+        return self._call("/validity", _reader(Predictions), picture, model, form, part)
 
-    def _plan(
-        self, picture: Picture, query: PlanQuery, model: str | None, robot: str | None
-    ) -> Call[FoundPlan]:
-        return self._call("/plan", _reader(FoundPlan), picture, model, robot, form_of(seeded(query)))
+    def _plan(self, picture: Picture, query: PlanQuery, model: str | None) -> Call[FoundPlan]:
+        return self._call("/plan", _reader(FoundPlan), picture, model, form_of(seeded(query)))
 
     def _call(
         self,
         path: str,
-        read: Callable[[bytes, float, str | None], Found],
+        read: Reader[Found],
         picture: Picture,
         model: str | None,
-        robot: str | None,
         form: dict[str, Any] | None = None,
         *files: Part,
+        robot: str | None = None,
     ) -> Call[Found]:
         sent, named = shown(picture), {"model": model, "robot": robot or self._robot}
         given = {name: value for name, value in named.items() if value is not None}
         return Call(path, read, {**form_of(sent.fields), **(form or {}), **given}, [*sent.files, *files])
 
-    def _request(
-        self, client: httpx.Client | httpx.AsyncClient, call: Call[Any], began: float
-    ) -> httpx.Request:
-        left = max(self._deadline_s - (time.perf_counter() - began), 1e-3)
-        limits = httpx.Timeout(min(self._timeout_s, left), connect=min(self._connect_s, left))
-        return client.build_request("POST", call.path, data=call.form, files=call.files, timeout=limits)
-
-    def _check(self, body: bytearray, began: float, response: httpx.Response) -> None:
+    def _bound(self, size: int, began: float) -> None:
         """Bounds the size of an answer and the time that it takes."""
-        if len(body) > MAX_ANSWER_BYTES:
+        if size > MAX_ANSWER_BYTES:
             raise SamplerAnswerError("the answer is too long", expected=f"at most {MAX_ANSWER_BYTES} bytes")
         if time.perf_counter() - began > self._deadline_s:
-            raise httpx.ReadTimeout("the deadline has passed", request=response.request)
+            raise httpx.ReadTimeout("the deadline has passed")
 
-    def _lost(self, error: httpx.TransportError, tried: int, began: float) -> float:
-        """The pause after an attempt that got no answer; raises if there is to be no other."""
-        if isinstance(error, _LOST) and tried <= self._retries and self._in_time(0.0, began):
+    def _after_loss(self, error: httpx.TransportError, tried: int, began: float) -> float:
+        """The pause after an attempt without an answer; raises if there is to be no other."""
+        if isinstance(error, _LOST) and self._may_try(tried, 0.0, began):
             return 0.0
-        if isinstance(error, httpx.TimeoutException):
-            what = f"the sampling endpoint {self.url} did not answer in time"
-            expected = f"an answer within {self._timeout_s:g} s, and {self._deadline_s:g} s in all"
-            raise SamplerUnavailableError(
-                what, expected=expected, got=type(error).__name__, remedy=_START_REMEDY
-            ) from error
-        what, got = f"the sampling endpoint {self.url} cannot be reached", str(error) or type(error).__name__
-        raise SamplerUnavailableError(what, got=got, remedy=_START_REMEDY) from error
+        late = isinstance(error, httpx.TimeoutException)
+        raise SamplerUnavailableError(
+            f"the sampling endpoint {self.url} {'did not answer in time' if late else 'cannot be reached'}",
+            expected=f"an answer within {self._timeout_s:g} s, and {self._deadline_s:g} s in all",
+            got=f"{type(error).__name__} {error}",
+            remedy=_START_REMEDY,
+        ) from error
 
-    def _refused(self, response: httpx.Response, body: bytes, tried: int, began: float) -> float:
+    def _after_refusal(self, response: httpx.Response, body: bytes, tried: int, began: float) -> float:
         """The pause after a refusal; raises if there is to be no other attempt."""
         asked = response.headers.get("retry-after", "")
-        pause_s = max(float(asked) if asked.isdecimal() else 0.0, _PAUSE_S) * random.uniform(1.0, 1.2)  # noqa: S311
-        if response.status_code in _AGAIN and tried <= self._retries and self._in_time(pause_s, began):
+        least_s = float(asked) if asked.isdecimal() else _PAUSE_S
+        pause_s = least_s * random.uniform(1.0, 1.2)  # noqa: S311 - no secret
+        if response.status_code in _AGAIN and self._may_try(tried, pause_s, began):
             return pause_s
         raise _error_of(response, body)
 
-    def _in_time(self, pause_s: float, began: float) -> bool:
-        return time.perf_counter() - began + pause_s < self._deadline_s
+    def _may_try(self, tried: int, pause_s: float, began: float) -> bool:
+        return tried <= self._retries and time.perf_counter() - began + pause_s < self._deadline_s
 
     def _read(self, call: Call[Found], response: httpx.Response, body: bytes, began: float) -> Found:
         try:
             found = call.read(body, time.perf_counter() - began, response.headers.get("x-request-id"))
         except ValidationError as error:
             remedy = "check that the address is an inference API of this release"
-            raise SamplerAnswerError(
-                "the answer cannot be read", got=str(error)[:500], remedy=remedy
-            ) from error
+            raise SamplerAnswerError("the answer cannot be read", got=str(error), remedy=remedy) from error
         for one in getattr(found, "warnings", ()):
             _LOG.warning("%s: %s", one.code, one.message)
         return found
 
 
-def _reader(kind: type[Told]) -> Callable[[bytes, float, str | None], Told]:
+def _reader(kind: type[Told]) -> Reader[Told]:
     def read(body: bytes, spent_s: float, request_id: str | None) -> Told:
         answer = kind.model_validate_json(body)
         return answer.model_copy(update={"round_trip_s": spent_s, "request_id": request_id})
@@ -193,22 +185,22 @@ def _error_of(response: httpx.Response, body: bytes) -> SamplerError:
         problem = Problem.model_validate_json(body)
     except ValidationError:
         title = f"{status} {response.reason_phrase}"
-        problem = Problem(type="", title=title, status=status, detail=f"status {status}")
-    kind = SamplerModelError if problem.type.endswith(_UNKNOWN_MODEL) else SamplerError
+        problem = Problem(type="about:blank", title=title, status=status, detail="no problem document")
+    kind = SamplerModelError if problem.type.endswith(":unknown-model") else SamplerError
     if status in _AGAIN or status >= httpx.codes.INTERNAL_SERVER_ERROR:
         kind = SamplerUnavailableError
     elif status < httpx.codes.BAD_REQUEST:
         kind = SamplerAnswerError
-    named = f"{problem.title} ({problem.type})" if problem.type else problem.title
-    return kind(f"the sampling endpoint refused the request: {named}", got=problem.detail)
+    what = f"the sampling endpoint refused the request: {problem.title} ({problem.type})"
+    return kind(what, got=problem.detail)
 
 
 class SamplingClient(_Api):
     """Asks an inference API for samples, confidence and paths over kept connections; a context manager.
 
-    A request costs about 1 ms beside the server's work; never send one from a planner's callback, which would
-    stop the search for as long. Lost connections, 503 and 429 are tried again. The seed is drawn here when
-    none is given, so that a request that is sent again is the same request.
+    A request costs about 1 ms beside the server's work. Never send one from a planner's callback, which
+    would stop the search for as long. Lost connections, 429 and 503 are tried again; the seed is drawn here,
+    so that it is the same request.
 
     Errors are :class:`cspace_client.SamplerUnavailableError` without an answer in time or from a server that
     fails, and other :class:`cspace_client.SamplerError` for requests that the server refuses. Values that no
@@ -218,11 +210,12 @@ class SamplingClient(_Api):
         url: of the API, for example ``http://127.0.0.1:8000``.
         timeout_s: for each read and write.
         connect_timeout_s: for connecting; ``timeout_s`` when None.
-        deadline_s: for all attempts and their answers together.
+        deadline_s: after which no attempt begins, and an answer that still arrives is given up.
         retries: further attempts after the first.
         api_key: sent as ``Authorization: Bearer``.
-        fallback: answers :meth:`sample` with the same seed while the API is away; the batch says so.
-        robot: digest of the robot that is planned for, where a call names none: other models are refused.
+        fallback: answers samples with the same seed while the API is away; the batch says so.
+        robot: digest of the robot that is planned for: models of others are refused. Also its name, where
+            calls name no model.
         transport: of httpx, in place of the network.
     """
 
@@ -231,27 +224,18 @@ class SamplingClient(_Api):
     ) -> None:
         super().__init__(url, *values, **options)
         network = transport or httpx.HTTPTransport(retries=self._retries)
-        self._http = httpx.Client(
-            base_url=self.url, headers=self._headers, transport=network, trust_env=False
-        )
+        self._http = httpx.Client(transport=network, **self._settings)
 
     def sample(
-        self,
-        picture: Picture,
-        n: int,
-        seed: int | None = None,
-        *,
-        model: str | None = None,
-        robot: str | None = None,
-        **options: Any,
+        self, picture: Picture, n: int, seed: int | None = None, *, model: str | None = None, **options: Any
     ) -> SampleBatch:
         """At most ``n`` samples; options as :class:`cspace_client.SampleQuery` has them."""
-        return self.answer(picture, as_query(SampleQuery, n=n, seed=seed, **options), model, robot)
+        return self.answer(picture, as_query(SampleQuery, n=n, seed=seed, **options), model)
 
     def answer(
         self, picture: Picture, query: SampleQuery, model: str | None = None, robot: str | None = None
     ) -> SampleBatch:
-        """At most ``query.n`` samples of a model: ``name``, ``name@alias``, ``name/version`` or ``pretrained``."""
+        """At most ``query.n`` samples of ``name``, ``name@alias``, ``name/version`` or ``pretrained``."""
         began, query = time.perf_counter(), seeded(query)
         try:
             return self._send(self._sample(picture, query, model, robot))
@@ -265,30 +249,22 @@ class SamplingClient(_Api):
             return replace(batch, fallback=True, round_trip_s=time.perf_counter() - began)
 
     def validity(
-        self,
-        picture: Picture,
-        configurations: ArrayLike,
-        model: str | None = None,
-        robot: str | None = None,
-        *,
-        explain: bool = False,
+        self, picture: Picture, configurations: ArrayLike, model: str | None = None, *, explain: bool = False
     ) -> Predictions:
         """A model's confidence that configurations, (n, d) rad, are free."""
-        return self._send(self._validity(picture, configurations, model, robot, explain))
+        return self._send(self._validity(picture, configurations, model, explain=explain))
 
-    def plan(
-        self, picture: Picture, query: PlanQuery, model: str | None = None, robot: str | None = None
-    ) -> FoundPlan:
+    def plan(self, picture: Picture, query: PlanQuery, model: str | None = None) -> FoundPlan:
         """A path from start to goal by what a model predicts; the time limits leave room for the search."""
-        return self._send(self._plan(picture, query, model, robot))
+        return self._send(self._plan(picture, query, model))
 
-    def belief(self, picture: Picture, model: str | None = None, robot: str | None = None) -> Belief:
+    def belief(self, picture: Picture, model: str | None = None) -> Belief:
         """How likely something is in each cell of space, for depth pictures."""
-        return self._send(self._call("/belief", _reader(Belief), picture, model, robot))
+        return self._send(self._call("/belief", _reader(Belief), picture, model))
 
-    def doctor(self, picture: Picture, model: str | None = None, robot: str | None = None) -> Diagnosis:
+    def doctor(self, picture: Picture, model: str | None = None) -> Diagnosis:
         """What is wrong with pictures, cameras and state, and what to do."""
-        return self._send(self._call("/doctor", _reader(Diagnosis), picture, model, robot))
+        return self._send(self._call("/doctor", _reader(Diagnosis), picture, model))
 
     def close(self) -> None:
         """Closes the connections."""
@@ -305,47 +281,35 @@ class SamplingClient(_Api):
         while True:
             tried += 1
             try:
-                response = self._http.send(self._request(self._http, call, began), stream=True)
-                body = bytearray()
-                try:
+                with self._http.stream("POST", call.path, data=call.form, files=call.files) as response:
+                    body = bytearray()
                     for chunk in response.iter_bytes():
                         body += chunk
-                        self._check(body, began, response)
-                finally:
-                    response.close()
+                        self._bound(len(body), began)
             except httpx.TransportError as error:
-                pause_s = self._lost(error, tried, began)
+                pause_s = self._after_loss(error, tried, began)
             else:
                 if response.is_success:
                     return self._read(call, response, bytes(body), began)
-                pause_s = self._refused(response, bytes(body), tried, began)
+                pause_s = self._after_refusal(response, bytes(body), tried, began)
             time.sleep(pause_s)
 
 
 class AsyncSamplingClient(_Api):
-    """As :class:`cspace_client.SamplingClient`, awaited; tasks may share one. A fallback answers in a thread."""
+    """As :class:`cspace_client.SamplingClient`, awaited; fallbacks answer in a thread."""
 
     def __init__(
         self, url: str, *values: Any, transport: httpx.AsyncBaseTransport | None = None, **options: Any
     ) -> None:
         super().__init__(url, *values, **options)
         network = transport or httpx.AsyncHTTPTransport(retries=self._retries)
-        self._http = httpx.AsyncClient(
-            base_url=self.url, headers=self._headers, transport=network, trust_env=False
-        )
+        self._http = httpx.AsyncClient(transport=network, **self._settings)
 
     async def sample(
-        self,
-        picture: Picture,
-        n: int,
-        seed: int | None = None,
-        *,
-        model: str | None = None,
-        robot: str | None = None,
-        **options: Any,
+        self, picture: Picture, n: int, seed: int | None = None, *, model: str | None = None, **options: Any
     ) -> SampleBatch:
         """As of :class:`cspace_client.SamplingClient`."""
-        return await self.answer(picture, as_query(SampleQuery, n=n, seed=seed, **options), model, robot)
+        return await self.answer(picture, as_query(SampleQuery, n=n, seed=seed, **options), model)
 
     async def answer(
         self, picture: Picture, query: SampleQuery, model: str | None = None, robot: str | None = None
@@ -365,30 +329,22 @@ class AsyncSamplingClient(_Api):
             return replace(batch, fallback=True, round_trip_s=time.perf_counter() - began)
 
     async def validity(
-        self,
-        picture: Picture,
-        configurations: ArrayLike,
-        model: str | None = None,
-        robot: str | None = None,
-        *,
-        explain: bool = False,
+        self, picture: Picture, configurations: ArrayLike, model: str | None = None, *, explain: bool = False
     ) -> Predictions:
         """As of :class:`cspace_client.SamplingClient`."""
-        return await self._send(self._validity(picture, configurations, model, robot, explain))
+        return await self._send(self._validity(picture, configurations, model, explain=explain))
 
-    async def plan(
-        self, picture: Picture, query: PlanQuery, model: str | None = None, robot: str | None = None
-    ) -> FoundPlan:
+    async def plan(self, picture: Picture, query: PlanQuery, model: str | None = None) -> FoundPlan:
         """As of :class:`cspace_client.SamplingClient`."""
-        return await self._send(self._plan(picture, query, model, robot))
+        return await self._send(self._plan(picture, query, model))
 
-    async def belief(self, picture: Picture, model: str | None = None, robot: str | None = None) -> Belief:
+    async def belief(self, picture: Picture, model: str | None = None) -> Belief:
         """As of :class:`cspace_client.SamplingClient`."""
-        return await self._send(self._call("/belief", _reader(Belief), picture, model, robot))
+        return await self._send(self._call("/belief", _reader(Belief), picture, model))
 
-    async def doctor(self, picture: Picture, model: str | None = None, robot: str | None = None) -> Diagnosis:
+    async def doctor(self, picture: Picture, model: str | None = None) -> Diagnosis:
         """As of :class:`cspace_client.SamplingClient`."""
-        return await self._send(self._call("/doctor", _reader(Diagnosis), picture, model, robot))
+        return await self._send(self._call("/doctor", _reader(Diagnosis), picture, model))
 
     async def aclose(self) -> None:
         """Closes the connections."""
@@ -405,18 +361,15 @@ class AsyncSamplingClient(_Api):
         while True:
             tried += 1
             try:
-                response = await self._http.send(self._request(self._http, call, began), stream=True)
-                body = bytearray()
-                try:
+                async with self._http.stream("POST", call.path, data=call.form, files=call.files) as response:
+                    body = bytearray()
                     async for chunk in response.aiter_bytes():
                         body += chunk
-                        self._check(body, began, response)
-                finally:
-                    await response.aclose()
+                        self._bound(len(body), began)
             except httpx.TransportError as error:
-                pause_s = self._lost(error, tried, began)
+                pause_s = self._after_loss(error, tried, began)
             else:
                 if response.is_success:
                     return self._read(call, response, bytes(body), began)
-                pause_s = self._refused(response, bytes(body), tried, began)
+                pause_s = self._after_refusal(response, bytes(body), tried, began)
             await anyio.sleep(pause_s)

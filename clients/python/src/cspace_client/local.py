@@ -1,7 +1,7 @@
 """Samples from a bundle in this process, where a package that reads bundles is installed.
 
-Such a package registers a function of a folder and a robot under the entry point group ``cspace_client.local``;
-``cspace-sampler`` does, and needs ``onnxruntime`` for it.
+Such a package registers a function of a folder and a robot under the entry point group
+``cspace_client.local``; ``cspace-sampler`` does, and needs ``onnxruntime`` for it.
 """
 
 from importlib.metadata import entry_points
@@ -34,17 +34,10 @@ class LocalClient:
         self._source: Source = opener(Path(folder), robot=robot)
 
     def sample(
-        self,
-        picture: Picture,
-        n: int,
-        seed: int | None = None,
-        *,
-        model: str | None = None,
-        robot: str | None = None,
-        **options: Any,
+        self, picture: Picture, n: int, seed: int | None = None, *, model: str | None = None, **options: Any
     ) -> SampleBatch:
         """As of :class:`cspace_client.SamplingClient`; ``model`` is ``pretrained`` or None."""
-        return self.answer(picture, as_query(SampleQuery, n=n, seed=seed, **options), model, robot)
+        return self.answer(picture, as_query(SampleQuery, n=n, seed=seed, **options), model)
 
     def answer(
         self, picture: Picture, query: SampleQuery, model: str | None = None, robot: str | None = None

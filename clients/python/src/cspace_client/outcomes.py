@@ -7,30 +7,29 @@ from threading import Event, Lock, Thread
 from typing import Any, Self
 
 import httpx
-import numpy as np
 
 from cspace_client.models import FoundPlan, SampleBatch
-from cspace_client.wire import MAX_OUTCOMES, Outcome, OutcomesRequest, PlanOutcome, SamplesOutcome
+from cspace_client.wire import MAX_OUTCOMES, OutcomesRequest, PlanOutcome, SamplesOutcome
 
 MAX_WAITING = 10_000
 """Outcomes that wait to be sent."""
+Outcome = PlanOutcome | SamplesOutcome
 EVERY_S, CLOSE_S, ATTEMPTS = 1.0, 5.0, 4
 
 
 class OutcomeSender:
     """Sends outcomes in batches in the background; a context manager.
 
-    Neither :meth:`plan` nor :meth:`samples` waits. What cannot be sent is dropped and counted. Answers without
-    a request id, as of a fallback, are ignored. Values that no outcome has are a ``pydantic.ValidationError``.
+    Neither :meth:`plan` nor :meth:`samples` waits. What cannot be sent is dropped and counted. Answers
+    without a request id, as of a fallback, are ignored. Wrong values are a ``pydantic.ValidationError``.
     """
 
     def __init__(
         self, url: str, *, api_key: str | None = None, transport: httpx.BaseTransport | None = None
     ) -> None:
         headers = {} if api_key is None else {"Authorization": f"Bearer {api_key}"}
-        self._http = httpx.Client(
-            base_url=url, headers=headers, transport=transport or httpx.HTTPTransport(), trust_env=False
-        )
+        network = transport or httpx.HTTPTransport(retries=1)
+        self._http = httpx.Client(base_url=url, headers=headers, transport=network, trust_env=False)
         self._queue: queue.Queue[Outcome] = queue.Queue(MAX_WAITING)
         self._lock, self._closing = Lock(), Event()
         self.sent = 0
@@ -40,48 +39,21 @@ class OutcomeSender:
         self._thread = Thread(target=self._run, name="outcomes", daemon=True)
         self._thread.start()
 
-    def plan(
-        self,
-        found: FoundPlan,
-        *,
-        success: bool,
-        executed: bool | None = None,
-        collided: bool | None = None,
-        collided_at: float | None = None,
-        time_s: float | None = None,
-        site: str | None = None,
-    ) -> None:
-        """Reports what became of a plan; None is not known.
+    def plan(self, found: FoundPlan, *, success: bool, **known: Any) -> None:
+        """Reports what became of a plan, after its execution or an exact check.
 
-        Args:
-            found: the answer.
-            success: whether its path was free, or was executed to its end.
-            executed: whether a robot moved along the path.
-            collided: whether the path collides, in the world or for an exact check.
-            collided_at: where it collides first, as a share of its length.
-            time_s: from the request to this outcome.
-            site: a name of the place.
+        ``success`` says whether its path was free, or was executed to its end. What is known beside it:
+        ``executed``, ``collided``, ``collided_at``, ``time_s`` and ``site``, as
+        :class:`cspace_client.wire.PlanOutcome` has them.
         """
-        if found.request_id is not None:
-            values = {
-                "success": success,
-                "executed": executed,
-                "collided": collided,
-                "collided_at": collided_at,
-                "time_s": time_s,
-                "site": site,
-                "confidence": found.confidence,
-                "receipt": found.receipt,
-            }
-            model = f"{found.model.name}/{found.model.version}"
-            self._put(PlanOutcome(**_known(found.request_id, model, found.scenario.novelty, values)))
+        model, novelty = f"{found.model.name}/{found.model.version}", found.scenario.novelty
+        told = {"confidence": found.confidence, "receipt": found.receipt, "success": success, **known}
+        self._put(PlanOutcome, found.request_id, model, novelty, told)
 
     def samples(self, batch: SampleBatch, *, checked: int, free: int, site: str | None = None) -> None:
         """Reports how many samples were checked exactly, and how many of those were free."""
-        if batch.request_id is not None:
-            values = {"checked": checked, "free": free, "site": site}
-            model = f"{batch.model_name}/{batch.model_version}"
-            self._put(SamplesOutcome(**_known(batch.request_id, model, batch.novelty, values)))
+        model, told = f"{batch.model_name}/{batch.model_version}", {"checked": checked, "free": free}
+        self._put(SamplesOutcome, batch.request_id, model, batch.novelty, {**told, "site": site})
 
     def close(self) -> None:
         """Sends what waits, and returns after 5 s at the latest."""
@@ -95,7 +67,17 @@ class OutcomeSender:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _put(self, outcome: Outcome) -> None:
+    def _put(
+        self,
+        kind: type[Outcome],
+        request_id: str | None,
+        model: str,
+        novelty: float | None,
+        told: dict[str, Any],
+    ) -> None:
+        if request_id is None:
+            return
+        outcome = kind(request_id=request_id, model=model, novelty=novelty, stamp_s=time.time(), **told)
         # Under the lock, or what comes while this is closed would be neither sent nor counted.
         with self._lock:
             if not self._closing.is_set():
@@ -140,12 +122,3 @@ class OutcomeSender:
                 if status < httpx.codes.INTERNAL_SERVER_ERROR and status != httpx.codes.TOO_MANY_REQUESTS:
                     return False
         return False
-
-
-def _known(request_id: str, model: str, novelty: float | None, values: dict[str, Any]) -> dict[str, Any]:
-    given = {"request_id": request_id, "model": model, "novelty": novelty, "stamp_s": time.time(), **values}
-    return {
-        name: one.item() if isinstance(one, np.generic) else one
-        for name, one in given.items()
-        if one is not None
-    }
