@@ -18,7 +18,7 @@ from ompl import base as ob
 from ompl import geometric as og
 
 from cspace_client.errors import ConfigError, PlanningError
-from cspace_client.models import Joints, JointSpace, SampleBatch, Source, as_query, circles
+from cspace_client.models import Joints, JointSpace, SampleBatch, Source, as_query, circles, seeded
 from cspace_client.pictures import Picture
 from cspace_client.wire import SampleQuery
 
@@ -452,9 +452,8 @@ def learned_sampler(
         with_ends: whether start and goal are sent, as path models require and others refuse.
     """
     ends = {"start": problem.start, "goal": problem.goal} if with_ends else {}
-    return LearnedSampler(
-        problem, client.answer(problem.picture, as_query(SampleQuery, n=n, seed=seed, **ends), model)
-    )
+    query = seeded(as_query(SampleQuery, n=n, seed=seed, **ends))
+    return LearnedSampler(problem, client.answer(problem.picture, query, model))
 
 
 class _Checks:

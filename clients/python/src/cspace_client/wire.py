@@ -88,6 +88,9 @@ Seed = Annotated[
 _SEED = Field(None, description="Unsigned 64 bit as number or decimal text; drawn and returned when absent.")
 
 
+_MAX_MEMBERS = 100
+
+
 class Request(BaseModel):
     """Base of requests and their parts."""
 
@@ -99,6 +102,9 @@ class Request(BaseModel):
         """NumPy's numbers and arrays as plain ones."""
         if not isinstance(values, dict):
             return values
+        if len(values) > _MAX_MEMBERS:
+            # Each unknown one would be an error of its own, a kilobyte.
+            raise ValueError(f"an object of at most {_MAX_MEMBERS} members")
         return {
             name: one.tolist() if isinstance(one, np.ndarray | np.generic) else one
             for name, one in values.items()
@@ -342,10 +348,11 @@ class PlanRequest(PlanQuery, SceneFields):
     """A request for a path."""
 
 
-_Row = Annotated[list[Number], Field(min_length=1, max_length=MAX_JOINTS)]
+_Row = Annotated[list[Number], Field(min_length=1, max_length=MAX_JOINTS, fail_fast=True)]
 _ROWS = {"type": "array", "items": {"type": "array", "items": {"type": "number"}}, "maxItems": MAX_SAMPLES}
 ConfigurationRows = Annotated[
-    bytes | Annotated[list[_Row], Field(min_length=1, max_length=MAX_SAMPLES)], WithJsonSchema(_ROWS)
+    bytes | Annotated[list[_Row], Field(min_length=1, max_length=MAX_SAMPLES, fail_fast=True)],
+    WithJsonSchema(_ROWS),
 ]
 
 
