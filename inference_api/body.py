@@ -94,6 +94,7 @@ async def _form_values(request: Request, kind: type[BaseModel], boundary: bytes)
             meshes[value.filename or ""] = base64.b64encode(await value.read()).decode()
         else:
             values.setdefault(name, []).append(await value.read())
+    await form.close()
     found: dict[str, Any] = {name: many[0] if len(many) == 1 else many for name, many in values.items()}
     return found | ({"meshes": meshes} if meshes else {})
 
@@ -131,12 +132,11 @@ def _malformed(what: str, expected: str, got: str) -> RequestError:
 
 def both_bodies(kind: type[BaseModel]) -> dict[str, Any]:
     """``openapi_extra`` of a route that takes a form or JSON."""
-    schema = kind.model_json_schema(ref_template="#/components/schemas/{model}")
-    schema.pop("$defs", None)
+    form = kind.model_json_schema(ref_template="#/components/schemas/{model}")
+    del form["$defs"]
     file = {"type": "string", "format": "binary"}
-    form = {**schema, "properties": dict(schema["properties"])}
     form["properties"]["image"] = {"type": "array", "items": file, "minItems": 1, "maxItems": 4}
     if "configurations" in form["properties"]:
         form["properties"]["configurations"] = file
-    content = {FORM: {"schema": form}, JSON: {"schema": schema}}
-    return {"requestBody": {"required": True, "content": content}}
+    json = {"$ref": f"#/components/schemas/{kind.__name__}"}
+    return {"requestBody": {"required": True, "content": {FORM: {"schema": form}, JSON: {"schema": json}}}}

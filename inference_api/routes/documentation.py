@@ -23,8 +23,10 @@ from cspace_client.wire import (
     PlanRequest,
     Problem,
     SampleRequest,
+    SceneFields,
     ValidityRequest,
 )
+from inference_api.body import FORM
 from inference_api.limits import HEALTH
 from inference_api.problems import NOT_FOUND, RequestError
 
@@ -64,13 +66,15 @@ def document(app: FastAPI, default_model: str) -> dict[str, Any]:
         made["security"] = [{}, {"key": []}]
         for path in HEALTH:
             made["paths"][path]["get"]["security"] = []
-        for path in ("/sample", "/validity", "/plan", "/belief", "/doctor"):
-            for body in made["paths"][path]["post"]["requestBody"]["content"].values():
-                body["schema"]["properties"]["model"]["default"] = default_model
         _, found = models_json_schema(
             [(kind, "validation") for kind in _UNSEEN], ref_template="#/components/schemas/{model}"
         )
         components["schemas"] = components.get("schemas", {}) | found["$defs"]
+        for kind in SceneFields.__subclasses__():
+            body = made["paths"][f"/{kind.__name__.removesuffix('Request').lower()}"]["post"]["requestBody"]
+            form = body["content"][FORM]["schema"]
+            for schema in (form, components["schemas"][kind.__name__]):
+                schema["properties"]["model"]["default"] = default_model
         app.openapi_schema = made
     return app.openapi_schema
 

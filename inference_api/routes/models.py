@@ -43,13 +43,11 @@ def models(store: Models, name: str | None = None) -> ModelsAnswer:
     if name is not None and not is_model_name(name):
         raise InputError("name is wrong", expected="a registered model's name", got=repr(name)[:200])
     default = store.default
+    registered = [_registered(store, one, default) for one in store.listing(name)]
     return ModelsAnswer(
         default=store.model_name,
         registry=store.registry_state,
-        models=[
-            *(_registered(store, one, default) for one in store.listing(name)),
-            *(_shipped(one, default) for one in store.shipped),
-        ],
+        models=[*registered, *(_shipped(one, default) for one in store.shipped)],
     )
 
 
