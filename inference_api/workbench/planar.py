@@ -113,6 +113,7 @@ Discs = Annotated[DiscScene, Depends(_scene_of)]
 @router.post("/picture")
 def picture(discs: Discs, place: ComputePlace) -> PictureAnswer:
     """The picture of a scene, as the training draws it."""
+    place.check_cancelled()
     return PictureAnswer(image=base64.b64encode(discs.simulator.picture_file(discs.scene)).decode())
 
 
