@@ -34,6 +34,7 @@ from inference_api.limits import HEALTH, METRICS
 from inference_api.models import Reload, ServedModel
 from inference_api.problems import PROBLEMS, SHUTTING_DOWN, RequestError, problem_response
 from inference_api.settings import TRACES_ENDPOINTS
+from services.outcomes import RESULTS
 
 if TYPE_CHECKING:
     from opentelemetry.sdk.trace import TracerProvider
@@ -147,6 +148,8 @@ class Metrics:
             self.failures.labels(problem.name)
         for status in get_args(Status):
             self._plans.labels(status)
+        for result in RESULTS:
+            self._outcomes.labels(result)
         for reload in get_args(Reload):
             self._reloads.labels(*_reload_labels(reload))
         ProcessCollector(registry=registry)
