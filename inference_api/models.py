@@ -71,7 +71,7 @@ REMEMBERED, LISTED_MODELS, LOOKUPS = 1024, 100, 16
 # Of pictures that are kept: a dozen arrays of space, or all the flat ones.
 MAX_PICTURES_BYTES = 20 * 2**20
 MAX_DESCRIPTION_BYTES = 2**20
-_CHAMPION, _TEMPORARY = "champion.json", ".download-"
+_CHAMPION, _TEMPORARY, _LEFT_OVER_S = "champion.json", ".download-", 3600.0
 _DESCRIPTION = TypeAdapter(ModelVersion)
 _LOG = logging.getLogger(__name__)
 _Key = tuple[str, int, str, str]
@@ -166,11 +166,8 @@ class ShippedModels:
                     # It comes with the program, or the operator chose it: its graphs are trusted.
                     bundle = Bundle.load(self._folders[name], check=False, replay=True)
                 except BundleError as error:
-                    raise ModelNotReadyError(
-                        f"the shipped model {name} cannot be served",
-                        expected="a sound bundle",
-                        got=error.what,
-                    ) from error
+                    what = f"the shipped model {name} cannot be served"
+                    raise ModelNotReadyError(what, expected="a sound bundle", got=error.what) from error
                 found = ServedModel(bundle, name, PRETRAINED_VERSION)
                 self._found[name] = Shipped(name, bundle.spec, bundle.digest, found)
             return found
@@ -201,34 +198,27 @@ class BundleFolders:
         return self._folder / version.name / f"{version.number}-{version.digest[:16]}"
 
     def fetch(self, version: ModelVersion, download: Callable[[ModelVersion, Path], Path]) -> Path:
-        """The folder of a version's bundle, downloaded where it is not there.
-
-        Raises:
-            RegistryError: it cannot be downloaded.
-            StorageError: the folder cannot be written.
-        """
+        """The folder of a version's bundle, downloaded where it is not there."""
         place = self.place(version)
         try:
             if not place.exists():
                 place.parent.mkdir(parents=True, exist_ok=True)
                 with tempfile.TemporaryDirectory(prefix=_TEMPORARY, dir=place.parent) as temporary:
                     whole = download(version, Path(temporary) / "bundle")
+                    whole.touch()
                     try:
                         whole.rename(place)
                     except OSError:
                         # Unless another process was first.
                         if not place.exists():
                             raise
-                place.touch()
                 self._prune(version, place)
+            # When it was used last.
             place.touch()
         except OSError as error:
-            raise StorageError(
-                "the model cache cannot be written",
-                expected="room and rights in CSPACE_MODEL_CACHE",
-                got=error.strerror or type(error).__name__,
-                remedy="free some space, or set CSPACE_MODEL_CACHE to another folder",
-            ) from None
+            remedy = "free some space, or set CSPACE_MODEL_CACHE to another folder"
+            got = error.strerror or type(error).__name__
+            raise StorageError("the model cache cannot be written", got=got, remedy=remedy) from None
         return place
 
     def remove(self, version: ModelVersion) -> None:
@@ -253,13 +243,15 @@ class BundleFolders:
             _LOG.warning("the champion will not be remembered over a restart: %s", error.strerror)
 
     def _prune(self, version: ModelVersion, newest: Path) -> None:
-        """Deletes the versions used least recently, and what dead processes have left."""
+        """Deletes the versions used least recently, and what processes have left that died in between."""
         champion = self.last_champion(version.name)
         safe = {newest} if champion is None else {newest, self.place(champion)}
         with suppress(OSError):
-            used = {path: path.stat().st_mtime_ns for path in newest.parent.iterdir() if path.is_dir()}
-            for path in sorted(used, key=used.__getitem__, reverse=True)[self._stored :]:
-                if path not in safe:
+            used = {path: path.stat().st_mtime for path in newest.parent.iterdir() if path.is_dir()}
+            left = {path for path in used if path.name.startswith(_TEMPORARY)}
+            versions = sorted(used.keys() - left, key=used.__getitem__, reverse=True)
+            for path in (*versions[self._stored :], *left):
+                if path not in safe and (path not in left or time.time() - used[path] > _LEFT_OVER_S):
                     _delete(path)
 
 
@@ -274,14 +266,9 @@ def _delete(place: Path) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """A picture for a bundle, and what it took.
+    """A decoded and encoded picture for a bundle, what that took, and what answers say of the picture.
 
-    Args:
-        picture: decoded and encoded.
-        decode_ms: 0 for one that was known.
-        encode_ms: 0 for one that was known.
-        findings: what answers say of the picture.
-        without_state: whether it is not known where the robot stands in it.
+    Both times are 0 for a known picture. Without state nobody knows where the robot stands in it.
     """
 
     picture: Picture
@@ -309,22 +296,17 @@ class PlannerStart:
     def require(self) -> None:
         """Raise RequestError while the search is being loaded."""
         if self.state == "loading":
-            raise RequestError(
-                STARTING,
-                "the search of plans is being loaded",
-                expected="a server whose /health/ready says 200",
-                got="one that was started a moment ago",
-                remedy="ask again in some seconds; without kernels on disk compiling takes about a minute",
-            )
+            remedy = "ask again in some seconds; without kernels on disk compiling takes about a minute"
+            raise RequestError(STARTING, "the search of plans is being loaded", remedy=remedy)
 
     def _load(self) -> None:
         try:
             load_examples()
         except ImportError:
             _LOG.info("this server does not plan: the packages of the extra plan are not installed")
-        except Exception:  # noqa: BLE001 - samples can be asked for all the same
-            _LOG.exception("the search of plans could not be loaded; requests will try again")
-        self.state = "loaded"
+        finally:
+            # Samples can be asked for all the same, and plans try again.
+            self.state = "loaded"
 
 
 @dataclass(slots=True)
@@ -437,12 +419,305 @@ class ModelStore:
             return self._bundles.get(_key_of(version))
 
     def prepared(self, bundle: Bundle, key: bytes, make: Callable[[], Prepared]) -> Prepared:
-        """A picture for a bundle: one of those asked for last, so that a robot that replans pays once.
+        """A picture for a bundle: one of those asked for last, or else what ``make`` reads and encodes.
 
-        Args:
-            bundle: that takes it.
-            key: digest of the picture and all that was sent with it.
-            make: reads and encodes it.
+        A robot that replans thus pays once. ``key`` is a digest of the picture and all that was sent with it.
+        """
+        with self._lock:
+            known = self._pictures.get((bundle.digest, key))
+        if known is not None:
+            # A copy: the pixels for the graphs go with the request.
+            return replace(known, picture=replace(known.picture))
+        made = make()
+        # Without the pixels for the graphs, and without the request's body, of which the image may be a view.
+        picture = replace(made.picture, image=made.picture.image.copy())
+        # One that alone is larger than all may be is not kept.
+        with self._lock, suppress(ValueError):
+            self._pictures[bundle.digest, key] = replace(made, picture=picture, decode_ms=0.0, encode_ms=0.0)
+            while len(self._pictures) > self._most_pictures:
+                self._pictures.popitem()
+        return made
+
+    # What requests ask for.
+
+    async def resolve(self, reference: ModelReference) -> ServedModel:
+        """As :meth:`get`, off the event loop where it has to wait."""
+        found = self.peek(reference)
+        if found is not None:
+            return found
+        return await to_thread.run_sync(self.get, reference, limiter=self._lookups)
+
+    def peek(self, name: str) -> ServedModel | None:
+        """A model that is in memory."""
+        found = self._found.get(name)
+        return None if found is None else found.loaded
+
+    def get(self, name: str) -> ServedModel:
+        """The same, loaded now where it was not; raises ModelNotReadyError where it cannot be."""
+        # One at a time: two requests at once would have the memory of two.
+        with self._lock:
+            found = self.peek(name)
+            if found is None:
+                try:
+                    # It comes with the program, or the operator chose it: its graphs are trusted.
+                    bundle = Bundle.load(self._folders[name], check=False, replay=True)
+                except BundleError as error:
+                    what = f"the shipped model {name} cannot be served"
+                    raise ModelNotReadyError(what, expected="a sound bundle", got=error.what) from error
+                found = ServedModel(bundle, name, PRETRAINED_VERSION)
+                self._found[name] = Shipped(name, bundle.spec, bundle.digest, found)
+            return found
+
+    def stand_in(self, model: str, robot: str | None, *, but: str = "") -> str | None:
+        """The name of the first that may stand in for a registered model, if any."""
+        return next((one.name for one in self if one.name != but and one.fits(model, robot)), None)
+
+
+class BundleFolders:
+    """Downloaded bundles, each in ``<folder>/<name>/<number>-<digest>/``; processes may share the folder.
+
+    Args:
+        folder: made when first needed.
+        stored: versions of each model that are kept beside its last champion, at least 1.
+    """
+
+    def __init__(self, folder: Path, stored: int) -> None:
+        self._folder, self._stored = folder, stored
+
+    def place(self, version: ModelVersion) -> Path:
+        """Where a version's bundle is, or would be."""
+        if re.fullmatch("[0-9a-f]{64}", version.digest) is None:
+            raise BundleIntegrityError(
+                f"{version} was registered without a digest", got=repr(version.digest)[:100]
+            )
+        # A registry that was set up again counts its versions from 1.
+        return self._folder / version.name / f"{version.number}-{version.digest[:16]}"
+
+    def fetch(self, version: ModelVersion, download: Callable[[ModelVersion, Path], Path]) -> Path:
+        """The folder of a version's bundle, downloaded where it is not there."""
+        place = self.place(version)
+        try:
+            if not place.exists():
+                place.parent.mkdir(parents=True, exist_ok=True)
+                with tempfile.TemporaryDirectory(prefix=_TEMPORARY, dir=place.parent) as temporary:
+                    whole = download(version, Path(temporary) / "bundle")
+                    whole.touch()
+                    try:
+                        whole.rename(place)
+                    except OSError:
+                        # Unless another process was first.
+                        if not place.exists():
+                            raise
+                self._prune(version, place)
+            # When it was used last.
+            place.touch()
+        except OSError as error:
+            remedy = "free some space, or set CSPACE_MODEL_CACHE to another folder"
+            got = error.strerror or type(error).__name__
+            raise StorageError("the model cache cannot be written", got=got, remedy=remedy) from None
+        return place
+
+    def remove(self, version: ModelVersion) -> None:
+        """Take a version away."""
+        _delete(self.place(version))
+
+    def last_champion(self, name: str) -> ModelVersion | None:
+        """The champion of a model when the registry was last there; None for a file that is damaged."""
+        try:
+            data = read_bounded(self._folder / name / _CHAMPION, MAX_DESCRIPTION_BYTES, StorageError)
+            version = _DESCRIPTION.validate_json(data)
+        except (StorageError, ValidationError):
+            return None
+        return version if version.name == name else None
+
+    def remember_champion(self, version: ModelVersion) -> None:
+        """Keep a version as the last known champion of its model."""
+        try:
+            with replacing(self._folder / version.name / _CHAMPION) as beside:
+                beside.write_bytes(_DESCRIPTION.dump_json(version))
+        except OSError as error:
+            _LOG.warning("the champion will not be remembered over a restart: %s", error.strerror)
+
+    def _prune(self, version: ModelVersion, newest: Path) -> None:
+        """Deletes the versions used least recently, and what processes have left that died in between."""
+        champion = self.last_champion(version.name)
+        safe = {newest} if champion is None else {newest, self.place(champion)}
+        with suppress(OSError):
+            used = {path: path.stat().st_mtime for path in newest.parent.iterdir() if path.is_dir()}
+            left = {path for path in used if path.name.startswith(_TEMPORARY)}
+            versions = sorted(used.keys() - left, key=used.__getitem__, reverse=True)
+            for path in (*versions[self._stored :], *left):
+                if path not in safe and (path not in left or time.time() - used[path] > _LEFT_OVER_S):
+                    _delete(path)
+
+
+def _delete(place: Path) -> None:
+    """By a rename first, so that what is read is there whole or not at all."""
+    with suppress(OSError):
+        gone = Path(tempfile.mkdtemp(prefix=_TEMPORARY, dir=place.parent))
+        with suppress(FileNotFoundError):
+            place.rename(gone / place.name)
+        shutil.rmtree(gone, ignore_errors=True)
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """A decoded and encoded picture for a bundle, what that took, and what answers say of the picture.
+
+    Both times are 0 for a known picture. Without state nobody knows where the robot stands in it.
+    """
+
+    picture: Picture
+    decode_ms: float = 0.0
+    encode_ms: float = 0.0
+    findings: tuple[Finding, ...] = ()
+    without_state: bool = False
+
+    def findings_with(self, world: World, **answer: Any) -> tuple[Finding, ...]:
+        """With those that an answer shows, which :meth:`cspace.world.World.state_findings` tells of."""
+        return self.findings + (world.state_findings(**answer) if self.without_state else ())
+
+
+class PlannerStart:
+    """The compiled search of plans: loaded in the background by servers, else with the first plan."""
+
+    def __init__(self) -> None:
+        self.state: Literal["on demand", "loading", "loaded"] = "on demand"
+
+    def begin(self) -> None:
+        """Start to load or compile it; nothing waits for that."""
+        self.state = "loading"
+        Thread(target=self._load, name="planner-start", daemon=True).start()
+
+    def require(self) -> None:
+        """Raise RequestError while the search is being loaded."""
+        if self.state == "loading":
+            remedy = "ask again in some seconds; without kernels on disk compiling takes about a minute"
+            raise RequestError(STARTING, "the search of plans is being loaded", remedy=remedy)
+
+    def _load(self) -> None:
+        try:
+            load_examples()
+        except ImportError:
+            _LOG.info("this server does not plan: the packages of the extra plan are not installed")
+        finally:
+            # Samples can be asked for all the same, and plans try again.
+            self.state = "loaded"
+
+
+@dataclass(slots=True)
+class _Known:
+    """What a reference stands for, and when a request named it last, s.
+
+    It is overtaken while the version that took its place cannot be loaded.
+    """
+
+    version: ModelVersion
+    used_s: float
+    overtaken: bool = False
+
+
+class ModelStore:
+    """Bundles by reference; safe to share between threads.
+
+    Args:
+        settings: of the API.
+        registry: opens it when it is first asked; None serves the shipped models only.
+        verify: takes a bundle's folder and its digest; raises BundleError for one that is not sound, and
+            ServiceError where nobody could look at it.
+    """
+
+    def __init__(
+        self,
+        settings: ApiSettings,
+        registry: Callable[[], ModelReader] | None,
+        verify: Callable[[Path, str], object],
+    ) -> None:
+        # Told of each champion that was put into service, refused or removed.
+        self.on_reload: Callable[[Reload], None] = lambda _: None
+        self.planner, self.shipped = PlannerStart(), ShippedModels(settings.shipped_folders)
+        self.model_name, self._poll_s = settings.model_name, settings.model_poll_s
+        self._registry, self._verify, self._trusted_key = registry, verify, settings.trusted_key
+        self._disk = BundleFolders(settings.model_cache, settings.stored_models)
+        self._bundles: MutableMapping[_Key, Bundle] = LRUCache(settings.loaded_models)
+        self._known: MutableMapping[ModelReference, _Known] = LRUCache(REMEMBERED)
+        self._unknown: MutableMapping[ModelReference, bool] = TTLCache(REMEMBERED, self._poll_s)
+        self._refused: MutableMapping[_Key, BundleError] = TTLCache(REMEMBERED, REFUSED_S)
+        self._listed: MutableMapping[str, list[ModelVersion]] = TTLCache(1, self._poll_s)
+        self._pictures: MutableMapping[tuple[str, bytes], Prepared] = LRUCache(
+            MAX_PICTURES_BYTES, lambda prepared: prepared.picture.size_bytes
+        )
+        self._most_pictures = settings.cached_pictures
+        # By digest: what was verified once need not be again.
+        self._verified: set[str] = set()
+        self._lock, self._loading, self._lookups = Lock(), Lock(), CapacityLimiter(LOOKUPS)
+        self._champion: ServedModel | None = None
+        self._stand_in: ServedModel | None = None
+        self.successor: Literal["none", "pending", "refused"] = "none"
+        """Whether there is a champion that is not in service: it is being fetched, or could not follow."""
+        self._noted: tuple[_Key, Reload] | None = None
+        self._away_until: float | None = None
+        self._ended = Event()
+
+    # What a server shows.
+
+    @property
+    def registry_state(self) -> Literal["none", "reachable", "unreachable"]:
+        """Whether the registry answered when it was asked last."""
+        if self._registry is None:
+            return "none"
+        return "reachable" if self._away_until is None else "unreachable"
+
+    @property
+    def default(self) -> ServedModel | None:
+        """The model that answers requests that name none, None without one."""
+        found = self._champion or self._stand_in
+        confirmed = self.registry_state != "unreachable" and self.successor == "none"
+        return found if found is None or confirmed else replace(found, confirmed=False)
+
+    def listing(self, name: str | None = None) -> Sequence[ModelVersion]:
+        """Versions of a model, newest first; none while the registry is away.
+
+        Without a name all of the default model, then those of others that an alias names.
+        """
+        if name is not None:
+            return self._versions(name)
+        with self._lock:
+            found = self._listed.get(self.model_name)
+        if found is None:
+            names: Sequence[str] = ()
+            with suppress(RegistryError):
+                names = self._ask(lambda registry: registry.names())
+            found = self._versions(self.model_name)
+            for other in [one for one in names if self._is_listed(one)][:LISTED_MODELS]:
+                found += [version for version in self._versions(other) if version.aliases]
+            with self._lock:
+                self._listed[self.model_name] = found
+        return found
+
+    def _is_listed(self, name: str) -> bool:
+        is_own = name in (self.model_name, SCENE_MODEL_NAME) or name.startswith(CALIBRATION_PREFIX)
+        return is_model_name(name) and not is_own
+
+    def _versions(self, name: str) -> list[ModelVersion]:
+        try:
+            found = self._ask(lambda registry: registry.versions(name))
+        except RegistryError:
+            return []
+        return sorted((one for one in found if one.name == name), key=lambda one: one.number, reverse=True)
+
+    def loaded(self, version: ModelVersion) -> Bundle | None:
+        """A version's bundle if it is in memory."""
+        champion = self._champion
+        if champion is not None and self._is_champion(version):
+            return champion.bundle
+        with self._lock:
+            return self._bundles.get(_key_of(version))
+
+    def prepared(self, bundle: Bundle, key: bytes, make: Callable[[], Prepared]) -> Prepared:
+        """A picture for a bundle: one of those asked for last, or else what ``make`` reads and encodes.
+
+        A robot that replans thus pays once. ``key`` is a digest of the picture and all that was sent with it.
         """
         with self._lock:
             known = self._pictures.get((bundle.digest, key))
@@ -466,12 +741,7 @@ class ModelStore:
         return self.peek(reference) or await to_thread.run_sync(self.get, reference, limiter=self._lookups)
 
     def peek(self, reference: ModelReference) -> ServedModel | None:
-        """The model that a reference names, from memory alone; None when :meth:`get` has to be asked.
-
-        Raises:
-            ModelNotFoundError: there is no such model, or there was none a moment ago.
-            ModelNotReadyError: no model answers by default.
-        """
+        """The model that a reference names, from memory alone; None when :meth:`get` has to be asked."""
         if reference.name in self.shipped:
             if not reference.is_bare:
                 raise _unknown(reference)
@@ -479,12 +749,10 @@ class ModelStore:
         if reference == ModelReference(self.model_name):
             default = self.default
             if default is None:
-                raise ModelNotReadyError(
-                    "no model is ready",
-                    expected=f"a champion of {self.model_name}, or a shipped model of its robot",
-                    got=f"none (registry: {self.registry_state})",
-                    remedy="train and promote a model, or ask again when the registry is back",
-                )
+                expected = f"a champion of {self.model_name}, or a shipped model of its robot"
+                got = f"none (registry: {self.registry_state})"
+                remedy = "train and promote a model, or ask again when the registry is back"
+                raise ModelNotReadyError("no model is ready", expected=expected, got=got, remedy=remedy)
             return default
         if self._champion is not None and reference == ModelReference(self.model_name, ALIAS_CHAMPION):
             return self.default
