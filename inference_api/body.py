@@ -5,8 +5,8 @@ from collections.abc import Awaitable, Callable
 from functools import cache
 from typing import Any, TypeVar
 
+from anyio import to_thread
 from fastapi import Request
-from fastapi.concurrency import run_in_threadpool
 from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, ValidationError
 from pydantic_core import from_json
@@ -41,7 +41,7 @@ def body_of(kind: type[Fields], *media_types: str) -> Callable[[Request], Awaita
             return validated(kind, await _form_values(request, kind, options.get(b"boundary", b"")))
         body = await request.body()
         if len(body) > _LONG_JSON_BYTES:
-            return await run_in_threadpool(_of_json, kind, body)
+            return await to_thread.run_sync(_of_json, kind, body, limiter=request.app.state.places.parsing)
         return _of_json(kind, body)
 
     return read

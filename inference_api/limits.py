@@ -255,6 +255,8 @@ class ComputePlaces:
 
     def __init__(self, cores: int, waiting: Gauge) -> None:
         self.all, self.waiting = CapacityLimiter(cores), waiting
+        # The JSON parser holds up all other threads, so one at a time is enough.
+        self.parsing = CapacityLimiter(1)
         self._of_client = max(1, cores - 1)
         # A client's limiter is there as long as one of its requests is.
         self._clients: WeakValueDictionary[str, CapacityLimiter] = WeakValueDictionary()
