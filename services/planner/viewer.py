@@ -655,7 +655,7 @@ class Viewer:
         self._forget_path()
         found, self.verdict.content = self.state.plan(float(self.least.value))
         if found.contact is not None:
-            place = found.contact.position_m
+            place = np.array(found.contact.position_m)
             self.server.scene.add_icosphere("/path/contact", 0.03, CONTACT, position=place)
         if len(found.path) < 2:
             return
