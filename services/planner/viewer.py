@@ -719,8 +719,8 @@ def world_of(api_url: str, model: str) -> World:
     """
     found = _entry(api_url, model)
     if found is not None and found["world"] is None:
-        place = f"/v2/models/{found['name']}/versions/{found['version']}/ready"
-        httpx.get(f"{api_url}{place}", timeout=LOAD_S).raise_for_status()
+        # What a request names is loaded before the request is looked at.
+        httpx.post(f"{api_url}/doctor", json={"model": model, "image": ""}, timeout=LOAD_S)
         found = _entry(api_url, model)
     if found is None or not found["world"] or not _is_arm(found):
         fitting = [one["reference"] for one in _listed(api_url) if _is_arm(one)]
