@@ -41,7 +41,7 @@ WATCH_AFTER_S = 0.1
 CLIENT_SHARE = 0.75
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "[::1]")
 HEALTH = ("/health/live", "/health/ready")
-METRICS = "/metrics"
+METRICS, SEARCH = "/metrics", "/plan"
 WORKBENCH_FILES = "/workbench/files"
 # What one subscriber is usually given of IPv6; single addresses of it are free to choose.
 _SUBSCRIBER_BITS = 64
@@ -255,6 +255,8 @@ class ComputePlaces:
 
     def __init__(self, cores: int, waiting: Gauge) -> None:
         self.all, self.waiting = CapacityLimiter(cores), waiting
+        # Searches take long: they never hold the last place together, either.
+        self.searches = CapacityLimiter(max(1, cores - 1))
         # The JSON parser holds up all other threads, so one at a time is enough.
         self.parsing = CapacityLimiter(1)
         self._of_client = max(1, cores - 1)
@@ -269,6 +271,9 @@ class ComputePlaces:
 async def take_place(request: Request) -> AsyncIterator[Place]:
     """FastAPI's dependency: a place to compute, for a request whose body and model are there."""
     places: ComputePlaces = request.app.state.places
+    limiters = [places.of(client_of(request.scope)), places.all]
+    if request.url.path == SEARCH:
+        limiters.insert(1, places.searches)
     place, loop = Place(request.state.deadline), asyncio.get_running_loop()
     patience = CancelScope(deadline=loop.time() + ANSWER_S)
     async with AsyncExitStack() as held:
@@ -279,7 +284,7 @@ async def take_place(request: Request) -> AsyncIterator[Place]:
         # Most are answered before it is worth while to look whether their clients are still there.
         held.callback(loop.call_later(WATCH_AFTER_S, watch).cancel)
         with patience:
-            for limiter in (places.of(client_of(request.scope)), places.all):
+            for limiter in limiters:
                 try:
                     limiter.acquire_on_behalf_of_nowait(place)
                 except WouldBlock:

@@ -221,6 +221,7 @@ class Computing:
         add_problem_handlers(self.app)
         self.app.add_middleware(LimitRequests, max_in_flight=64, body_timeout_s=30.0)
 
+        @self.app.post("/plan")
         @self.app.post("/")
         def compute(body: Annotated[bytes, Depends(_read)], place: ComputePlace) -> str:
             self.running += 1
@@ -235,10 +236,10 @@ class Computing:
                 self.running -= 1
             return "computed"
 
-    async def ask(self, host: str) -> int:
+    async def ask(self, host: str, path: str = "/") -> int:
         transport = httpx.ASGITransport(self.app, client=(host, 1))
         async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as client:
-            return (await client.post("/", content=b"body", timeout=None)).status_code
+            return (await client.post(path, content=b"body", timeout=None)).status_code
 
     async def leave(self) -> None:
         """A client that goes away once its body is there."""
@@ -275,6 +276,20 @@ def test_a_client_never_holds_the_last_place_to_compute() -> None:
         assert await computing.settled() == 3
         computing.free.set()
         assert set(await asyncio.gather(*first, *others)) == {200}
+
+    asyncio.run(scenario())
+
+
+def test_searches_of_many_clients_leave_a_place_for_samples() -> None:
+    computing = Computing(2)
+
+    async def scenario() -> None:
+        plans = [asyncio.create_task(computing.ask(f"192.0.2.{number}", "/plan")) for number in range(4)]
+        assert await computing.settled() == 1
+        sample = asyncio.create_task(computing.ask("192.0.2.9"))
+        assert await computing.settled() == 2
+        computing.free.set()
+        assert set(await asyncio.gather(sample, *plans)) == {200}
 
     asyncio.run(scenario())
 
