@@ -17,7 +17,7 @@ from cspace.worlds import examples, simulator_of
 from cspace.worlds.spatial.camera import DepthCamera, encode_depth, looking
 from cspace.worlds.spatial.poses import pose_of
 from tests.bundles import picture
-from tests.cspace.worlds.spatial.test_doctor import CAMERA, PICTURE, STATE, VIEW, WORLD
+from tests.cspace.worlds.spatial.test_doctor import CAMERA, PICTURE, STATE
 from tests.inference_api.answers import assert_problem
 from tests.inference_api.client import ApiClient
 
@@ -178,22 +178,6 @@ def test_of_a_picture_of_the_plane_the_novelty_alone_is_judged(api: ApiClient) -
     for image, found in ((PLANE.read_bytes(), []), (encode_png(picture()), ["novel"])):
         answer = api.post("/doctor", files={"image": image}, data={"model": "pretrained"}).json()
         assert [one["code"] for one in answer["verdicts"]] == found
-
-
-def test_a_diagnosis_ends_where_the_client_has_left() -> None:
-    class LeftError(Exception):
-        pass
-
-    calls = 0
-
-    def check_cancelled() -> None:
-        nonlocal calls
-        calls += 1
-        if calls == 60:
-            raise LeftError
-
-    with pytest.raises(LeftError):
-        WORLD.diagnosed(VIEW, check_cancelled)
 
 
 def test_what_is_there_is_expected_also_where_no_camera_looks(api: ApiClient) -> None:

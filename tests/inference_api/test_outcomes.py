@@ -12,12 +12,10 @@ from typing import Any
 import pytest
 
 from cspace.worlds import robot_digest
-from cspace_client import OutcomeSender, SamplingClient
 from inference_api.auth import digest_of
 from services.outcomes import files_of
 from tests.inference_api.answers import PNG, assert_problem
 from tests.inference_api.client import ApiClient
-from tests.inference_api.client_transports import IntoApp
 from tests.inference_api.conftest import api_over
 from tests.inference_api.fake_registry import MODEL, CountingRegistry
 from tests.inference_api.test_plan import PNG as PLANNED
@@ -122,19 +120,6 @@ def test_what_is_no_outcome_is_refused_by_name_and_nothing_of_its_batch_is_kept(
 def test_a_server_without_a_folder_says_that_it_keeps_nothing(api: ApiClient) -> None:
     problem = assert_problem(api.post("/outcomes", json={"outcomes": [PLAN]}), 404, "no-outcomes")
     assert "CSPACE_OUTCOMES" in problem["remedy"]
-
-
-def test_the_client_reports_the_outcome_of_a_real_answer(keeping: Keeping, tmp_path: Path) -> None:
-    with keeping() as api:
-        into = IntoApp(api)
-        with SamplingClient("http://localhost", transport=into) as client:
-            batch = client.sample(PNG, 20, seed=7)
-        with OutcomeSender("http://localhost", transport=into) as sender:
-            sender.samples(batch, checked=20, free=19, site="cell-4")
-        assert (sender.sent, sender.dropped) == (1, 0)
-    [row] = rows_in(tmp_path)
-    assert row["request_id"] == batch.request_id is not None
-    assert (row["model"], row["checked"], row["free"]) == ("pretrained/0", 20, 19)
 
 
 def test_pictures_are_kept_only_of_plans_that_say_so_and_where_the_server_may(
