@@ -55,7 +55,7 @@ COMMANDS = (
     Command("python -m services.planner", "services.planner.__main__"),
     Command("python -m services.registry", "services.registry.__main__"),
     Command("python -m inference_api", "inference_api.__main__"),
-    Command("python -m inference_api.keys", "inference_api.keys"),
+    Command("python -m inference_api.auth", "inference_api.auth"),
 )
 
 

@@ -22,7 +22,7 @@ PROBLEM = "application/problem+json"
 
 def markdown() -> str:
     """The page."""
-    document = create_app(ApiSettings(registry_uri=None, cache_folder=Path("unused"))).openapi()
+    document = create_app(ApiSettings(registry_uri=None, model_cache=Path("unused"))).openapi()
     lines = [INTRODUCTION]
     for path, methods in document["paths"].items():
         for method in METHODS:

@@ -17,8 +17,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from cspace.simulator import Checker, Problem
 from cspace.space import JointSpace
-from cspace_client.ompl.sample_mixture import SampleMixture, StateDraws
-from cspace_client.ompl.state_space import DrawnGoal, StateAccess, make_state_space
+from cspace_client.ompl import DrawnGoal, SampleMixture, StateAccess, StateDraws, make_state_space
 from services.planner.result import CostPoint, Reason, SearchTree
 from services.planner.settings import (
     BIT_STAR,
@@ -388,7 +387,7 @@ def set_up(
     definition.addStartState(start)
     mixed = isinstance(draws, SampleMixture)
     goal = space.wrap(problem.goal).tolist()
-    definition.setGoal(DrawnGoal(information, space, goal, draws, unlimited=mixed))
+    definition.setGoal(DrawnGoal(information, goal, draws, unlimited=mixed))
     if settings.planner in OPTIMISING_PLANNERS:
         definition.setOptimizationObjective(
             make_objective(information, space, goal, settings.planner, stop_at_first=settings.stop_at_first)

@@ -18,9 +18,12 @@ from ompl import base as ob
 from cspace.errors import PlanningError
 from cspace.simulator import Checker, Problem
 from cspace.worlds import checker_of
-from cspace_client.ompl.learned_sampler import DEFAULT_UNIFORM_SHARE
-from cspace_client.ompl.sample_mixture import GoalOnly, SampleMixture, StateDraws
-from cspace_client.ompl.state_space import StateAccess
+from cspace_client.ompl import (
+    DEFAULT_UNIFORM_SHARE,
+    SampleMixture,
+    StateAccess,
+    StateDraws,
+)
 from services.planner.ompl_adapters import (
     CostRecord,
     EdgeValidator,
@@ -44,6 +47,22 @@ from services.planner.settings import (
 )
 
 __all__ = ["DEFAULT_UNIFORM_SHARE", "DrawnMilestones", "solve", "solve_by_roadmap"]
+
+
+class GoalOnly:
+    """Gives the goal; for planners that draw uniform states themselves."""
+
+    def __init__(self, goal: Sequence[float]) -> None:
+        self.goal_drawn = self.learned_drawn = self.uniform_drawn = self.state_checks = 0
+        self._goal = goal
+
+    def draw(self) -> Sequence[float]:
+        """The goal."""
+        self.goal_drawn += 1
+        return self._goal
+
+    def goal_reached(self) -> None:
+        """Nothing changes: OMPL itself stops drawing the goal."""
 
 
 class DrawnMilestones(ob.ValidStateSampler):  # type: ignore[misc]

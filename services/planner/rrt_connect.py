@@ -14,7 +14,7 @@ from cspace.query import AlternativePath
 from cspace.simulator import Checker, EdgeTest, Problem
 from cspace.space import JointSpace
 from cspace.worlds import checker_of
-from cspace_client.ompl.sample_mixture import free_first
+from cspace_client.ompl import free_first
 from services.planner.result import Counts, PlanResult, Reason, SearchTree, after, outcome
 from services.planner.settings import PlannerSettings
 

@@ -117,10 +117,7 @@ class PlanWorker:
                 plan, request_s = self._planners[sampler].plan(picture, query, world)
                 confidence = plan.confidence if plan.status == "solved" else None
                 times = 1e-3 * plan.search_ms, 1e-3 * plan.score_ms, request_s
-                paths = tuple(
-                    AlternativePath(one.path, one.confidence, one.edges) for one in plan.alternatives
-                )
-                return Found(paths, plan.status, confidence, *times)
+                return Found(plan.alternatives, plan.status, confidence, *times)
             return (
                 Found()
                 if unseen is None

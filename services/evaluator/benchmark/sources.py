@@ -13,14 +13,14 @@ import numpy as np
 from cspace.bundle import Bundle
 from cspace.bundle.verification import load_verified
 from cspace.errors import ConfigError, SamplerError, SamplerUnavailableError
-from cspace.query import Plan, PlanQuery, SampleQuery
+from cspace.query import AlternativePath, Plan, PlanQuery, SampleQuery
 from cspace.simulator import UNIFORM, Problem, Split
 from cspace.space import JointSpace
 from cspace.view_file import is_view, pack_view, unpack_view
 from cspace.world import World
 from cspace.worlds import picture_file_of, robot_digest, simulator_of
 from services.evaluator.scenes import PackedBundle
-from services.planner.client import RetryPolicy, SamplingClient, ServedPlan
+from services.planner.client import FoundPlan, SamplingClient
 from services.planner.planning import between_ends
 from services.planner.samples import BundleSampler, SampleBatch, SampleSource
 
@@ -177,7 +177,7 @@ class PlanModel:
     engine: Bundle | SamplingClient
     space: JointSpace
 
-    def plan(self, picture: bytes, query: PlanQuery, world: World) -> tuple[Plan | ServedPlan, float]:
+    def plan(self, picture: bytes, query: PlanQuery, world: World) -> tuple[Plan, float]:
         """The plan for a picture's file, and the time from the file to the answer, s.
 
         A problem that needs wider joint limits than a served model has counts as refused; a bundle takes the
@@ -195,7 +195,25 @@ class PlanModel:
             return Plan("refused", np.empty((0, self.space.dim))), 0.0
         found = self.engine.plan(picture, query, self.spec.model)
         self.spec.check(found.model.digest)
-        return found.plan, found.round_trip_s
+        return _plan_of(found), found.round_trip_s
+
+
+def _plan_of(found: FoundPlan) -> Plan:
+    """An API's plan as a bundle's."""
+    return Plan(
+        found.status,
+        found.path,
+        confidence=found.confidence,
+        edges=found.edges,
+        unseen=found.unseen,
+        length_rad=found.length_rad,
+        found=found.ways,
+        alternatives=tuple(
+            AlternativePath(one.path, one.confidence, one.edges) for one in found.alternatives or ()
+        ),
+        search_ms=found.timing_ms.search,
+        score_ms=found.timing_ms.score,
+    )
 
 
 def bundled_planner(name: str, folder: Path, world: World) -> SourceSpec:
@@ -224,7 +242,7 @@ def served_planner(name: str, model: str, url: str, world: World) -> SourceSpec:
     problem = _example(world)
     with _plan_client(url, world) as client:
         answering = client.plan(picture_file_of(problem.scenario), plan_query(problem), model).model
-    pinned = _pinned(answering.model_name, answering.model_version)
+    pinned = _pinned(answering.name, answering.version)
     return SourceSpec(name, answering.digest, with_ends=True, model=pinned, url=url)
 
 
@@ -257,8 +275,7 @@ def opened_planners(specs: Sequence[SourceSpec], world: World) -> Iterator[Mappi
 
 
 def _plan_client(url: str, world: World) -> SamplingClient:
-    policy = RetryPolicy(deadline_s=2.0 * _PATIENCE_S)
-    return SamplingClient(url, _PATIENCE_S, policy=policy, robot=robot_digest(world))
+    return SamplingClient(url, _PATIENCE_S, deadline_s=2.0 * _PATIENCE_S, robot=robot_digest(world))
 
 
 def _example(world: World) -> Problem:

@@ -8,10 +8,11 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from cspace.bundle import Bundle
 from cspace.errors import BundleIntegrityError, ConfigError, ServiceError
-from inference_api.models.cache import BundleCache, DiskCache
+from inference_api.models import ModelStore
+from inference_api.problems import ModelNotReadyError
 from inference_api.settings import ApiSettings
 from services.registry import promotion, signing
-from services.registry.ports import ModelVersion
+from services.registry.ports import ModelReference, ModelVersion
 from services.registry.signing import require_signature
 from tests.bundles import write_tiny_bundle
 from tests.fakes.registry import FakeRegistry
@@ -50,17 +51,19 @@ def test_what_was_signed_is_served_and_nothing_else(
     registry, version, public = signed
     other = key(tmp_path, "other")[1]
 
-    def load(trusted: Path, wanted: ModelVersion) -> Bundle:
-        disk = DiskCache(tmp_path / f"cache-{trusted.stem}-{len(wanted.tags)}")
-        cache = BundleCache(disk, registry, lambda path, _: Bundle.load(path), 2, trusted_key=trusted)
-        return cache.start(wanted).result(60.0)
+    def load(trusted: Path) -> Bundle:
+        settings = ApiSettings(
+            model_cache=tmp_path / "cache", pretrained_model=tmp_path / "none", trusted_key=trusted
+        )
+        store = ModelStore(settings, lambda: registry, lambda path, _: Bundle.load(path))
+        return store.get(ModelReference(version.name, version=1)).bundle
 
-    assert load(public, version).digest == version.digest
-    with pytest.raises(BundleIntegrityError, match=r"does not hold.*other\.pub.*Key mismatch"):
-        load(other, version)
-    unsigned = ModelVersion(version.name, 1, version.run_id, version.digest, (), {}, 0)
-    with pytest.raises(BundleIntegrityError, match=r"not signed.*models sign"):
-        load(public, unsigned)
+    assert load(public).digest == version.digest
+    with pytest.raises(ModelNotReadyError, match=r"does not hold.*other\.pub.*Key mismatch"):
+        load(other)
+    registry.remove_tag(version.name, 1, "signature")
+    with pytest.raises(ModelNotReadyError, match=r"not signed.*models sign"):
+        load(public)
 
 
 def test_a_changed_byte_is_told_with_its_file(
@@ -86,9 +89,10 @@ def test_a_file_that_is_no_key_is_refused(
     with pytest.raises(ConfigError, match="private key"):
         promotion.sign(registry, version, public)
     assert registry.version("arm-sampler", 1).tags == version.tags
-    with pytest.raises(ConfigError, match="CSPACE_TRUSTED_KEY"):
-        ApiSettings.from_environment({"CSPACE_TRUSTED_KEY": str(tmp_path / "none.pub")})
-    assert ApiSettings.from_environment({"CSPACE_TRUSTED_KEY": str(public)}).trusted_key == public
+    with pytest.raises(ConfigError, match="CSPACE_TRUSTED_KEY"), monkeypatch.context() as patch:
+        patch.setenv("CSPACE_TRUSTED_KEY", str(tmp_path / "none.pub"))
+        ApiSettings.from_environment()
+    assert ApiSettings(trusted_key=public).trusted_key == public
     monkeypatch.setattr(signing, "find_spec", lambda _: None)
     with pytest.raises(ServiceError, match="no model-signing"):
         require_signature(tmp_path, version.tags["signature"], public)

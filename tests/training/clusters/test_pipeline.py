@@ -135,7 +135,7 @@ def test_a_three_link_arm_runs_through_the_same_job(server, data_folder, tmp_pat
     assert result["model"] == "three-link-sampler"
     bundle = bundle_of(server, result["model"], result["version"], tmp_path / "bundle")
     settings = ApiSettings(
-        registry_uri=None, cache_folder=tmp_path / "cache", pretrained_folder=bundle.folder
+        registry_uri=None, model_cache=tmp_path / "cache", pretrained_model=bundle.folder
     )
     with running(create_app(settings, None)) as client:
         body = {"image": base64.b64encode(encode_png(WHITE)).decode(), "n": 7, "min_confidence": 0}

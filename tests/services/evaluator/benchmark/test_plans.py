@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from cspace.errors import ConfigError, DatasetError, EvaluationError, SamplerError
-from cspace.query import Plan, PlanQuery
+from cspace.query import PlanQuery
 from cspace.simulator import Split, Taken
 from cspace.view_file import unpack_view
 from cspace.worlds import examples
@@ -392,8 +392,7 @@ def test_another_model_than_the_pinned_one_is_refused():
     class Client:
         def plan(self, picture, query, model):
             head = type("Head", (), {"digest": "b" * 64})
-            found = Plan("refused", np.empty((0, 7)))
-            return type("Found", (), {"model": head, "plan": found, "round_trip_s": 0.1})
+            return type("Found", (), {"model": head, "round_trip_s": 0.1})
 
     world = examples()["panda"]
     planner = PlanModel(SourceSpec("m", "a" * 64, with_ends=True), Client(), world.space)
