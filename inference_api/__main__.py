@@ -96,6 +96,8 @@ def _listen(host: str, port: int) -> socket.socket:
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listener.bind((host, port))
+        # Who connects before the app has started waits.
+        listener.listen()
     except (OSError, OverflowError) as error:
         raise PortTakenError(
             f"cannot listen on {host}:{port}", got=str(error), remedy="choose another --port or --host"

@@ -7,7 +7,7 @@ import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from functools import cache
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from threading import Event, Thread
 
 from anyio import to_thread
@@ -49,7 +49,7 @@ def create_app(settings: ApiSettings | None = None, registry: ModelReader | None
     settings = settings or ApiSettings.from_environment()
     app = FastAPI(
         title="cspace-sampler",
-        version=version("cspace-sampler"),
+        version=_version(),
         description="A picture of a scenario goes in, collision-free joint configurations come out.",
         lifespan=_lifespan,
         docs_url=None,
@@ -132,6 +132,14 @@ async def _flush(spool: Spool) -> None:
     while True:
         await asyncio.sleep(FLUSH_S)
         await to_thread.run_sync(spool.flush)
+
+
+def _version() -> str:
+    try:
+        return version("cspace-sampler")
+    except PackageNotFoundError:
+        # Images hold the sources alone.
+        return "0"
 
 
 def _model_store(settings: ApiSettings, registry: ModelReader | None) -> ModelStore:

@@ -9,11 +9,11 @@ import ipaddress
 import time
 from collections import Counter
 from collections.abc import AsyncIterator, Iterable
-from contextlib import AsyncExitStack, asynccontextmanager
+from contextlib import AsyncExitStack
 from typing import Annotated
 from weakref import WeakValueDictionary
 
-from anyio import CancelScope, CapacityLimiter, fail_after
+from anyio import CancelScope, CapacityLimiter, WouldBlock, fail_after
 from fastapi import Depends, Request
 from prometheus_client import Gauge
 from starlette.datastructures import Headers
@@ -35,6 +35,8 @@ MAX_BODY_BYTES = 8 * 1024 * 1024
 MAX_HELD_BYTES = 8 * MAX_BODY_BYTES
 # A request that is not answered by then is refused, before a proxy in front gives up (60 s) without a reason.
 ANSWER_S = 50.0
+# A request that waits or computes for so long is ended where its client goes away.
+WATCH_AFTER_S = 0.1
 # Of places and bytes, what one client may take at most.
 CLIENT_SHARE = 0.75
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "[::1]")
@@ -248,44 +250,65 @@ class ComputePlaces:
     """
 
     def __init__(self, cores: int, waiting: Gauge) -> None:
-        self._all, self._waiting = CapacityLimiter(cores), waiting
+        self.all, self.waiting = CapacityLimiter(cores), waiting
         self._of_client = max(1, cores - 1)
         # A client's limiter is there as long as one of its requests is.
         self._clients: WeakValueDictionary[str, CapacityLimiter] = WeakValueDictionary()
 
-    @asynccontextmanager
-    async def hold(self, request: Request) -> AsyncIterator[Place]:
-        """One place, for a request whose body has been read."""
-        place = Place(request.state.deadline)
-        own = self._clients.setdefault(client_of(request.scope), CapacityLimiter(self._of_client))
-        async with AsyncExitStack() as held:
-            patience = CancelScope(deadline=asyncio.get_running_loop().time() + ANSWER_S)
-            watch = asyncio.create_task(_watch(request, place, patience))
-            held.callback(watch.cancel)
-            with patience, self._waiting.track_inprogress():
-                await held.enter_async_context(own)
-                await held.enter_async_context(self._all)
-            place.check_cancelled()
-            try:
-                yield place
-            except asyncio.CancelledError:
-                place.is_abandoned = True
-                raise
-
-
-async def _watch(request: Request, place: Place, patience: CancelScope) -> None:
-    """Abandons a place when the client goes away; what comes after a body is nothing else."""
-    while (await request.receive())["type"] != "http.disconnect":
-        pass
-    place.is_abandoned = True
-    patience.cancel()
+    def of(self, client: str) -> CapacityLimiter:
+        """The places of one client."""
+        return self._clients.setdefault(client, CapacityLimiter(self._of_client))
 
 
 async def take_place(request: Request) -> AsyncIterator[Place]:
-    """FastAPI's dependency: a place to compute, for after body and model are there."""
+    """FastAPI's dependency: a place to compute, for a request whose body and model are there."""
     places: ComputePlaces = request.app.state.places
-    async with places.hold(request) as place:
-        yield place
+    place, loop = Place(request.state.deadline), asyncio.get_running_loop()
+    patience = CancelScope(deadline=loop.time() + ANSWER_S)
+    watcher = _Watcher(request, place, patience)
+    # Most are answered before it is worth while to look whether their clients are still there.
+    begin = loop.call_later(WATCH_AFTER_S, watcher.begin)
+    async with AsyncExitStack() as held:
+        held.callback(begin.cancel)
+        held.callback(watcher.end)
+        with patience:
+            for limiter in (places.of(client_of(request.scope)), places.all):
+                try:
+                    limiter.acquire_on_behalf_of_nowait(place)
+                except WouldBlock:
+                    with places.waiting.track_inprogress():
+                        await limiter.acquire_on_behalf_of(place)
+                held.callback(limiter.release_on_behalf_of, place)
+        place.check_cancelled()
+        try:
+            yield place
+        except asyncio.CancelledError:
+            # At the server's end.
+            place.is_abandoned = True
+            raise
+
+
+class _Watcher:
+    """Abandons a place when the client goes away; what comes after a body is nothing else."""
+
+    def __init__(self, request: Request, place: Place, patience: CancelScope) -> None:
+        self._request, self._place, self._patience = request, place, patience
+        self._task: asyncio.Task[None] | None = None
+
+    def begin(self) -> None:
+        """Starts to look."""
+        self._task = asyncio.create_task(self._watch())
+
+    def end(self) -> None:
+        """Stops."""
+        if self._task is not None:
+            self._task.cancel()
+
+    async def _watch(self) -> None:
+        while (await self._request.receive())["type"] != "http.disconnect":
+            pass
+        self._place.is_abandoned = True
+        self._patience.cancel()
 
 
 # Given back before the answer is sent: whoever reads slowly holds none.

@@ -13,7 +13,7 @@ import secrets
 import time
 from collections.abc import Callable, Iterator
 from contextvars import ContextVar
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -25,7 +25,7 @@ from prometheus_client.core import GaugeMetricFamily, Metric
 from prometheus_client.multiprocess import MultiProcessCollector
 from prometheus_client.process_collector import ProcessCollector
 from prometheus_client.registry import Collector
-from starlette.datastructures import Headers, MutableHeaders
+from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from cspace.errors import ConfigError
@@ -34,6 +34,7 @@ from inference_api.limits import HEALTH, METRICS
 from inference_api.models import Reload, ServedModel
 from inference_api.problems import PROBLEMS, SHUTTING_DOWN, RequestError, problem_response
 from inference_api.settings import TRACES_ENDPOINTS
+from services.outcomes import RESULTS
 
 if TYPE_CHECKING:
     from opentelemetry.sdk.trace import TracerProvider
@@ -50,6 +51,7 @@ SECURITY_HEADERS = {
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
+_RAW_SECURITY_HEADERS = [(name.lower().encode(), value.encode()) for name, value in SECURITY_HEADERS.items()]
 LOG_FORMS: tuple[str, ...] = ("text", "json")
 _SENT_ID = re.compile(r"[A-Za-z0-9._-]{1,128}", re.ASCII)
 # From a picture that is known and a small network to a large n on a busy processor, in s.
@@ -146,6 +148,8 @@ class Metrics:
             self.failures.labels(problem.name)
         for status in get_args(Status):
             self._plans.labels(status)
+        for result in RESULTS:
+            self._outcomes.labels(result)
         for reload in get_args(Reload):
             self._reloads.labels(*_reload_labels(reload))
         ProcessCollector(registry=registry)
@@ -240,10 +244,10 @@ class Telemetry:
         async def labelled(message: Message) -> None:
             if message["type"] == "http.response.start":
                 record.status = message["status"]
-                headers = MutableHeaders(scope=message)
-                for name, value in SECURITY_HEADERS.items():
-                    headers.setdefault(name, value)
-                headers[REQUEST_ID] = record.request_id
+                headers = list(message.get("headers", ()))
+                own = {name for name, _ in headers}
+                headers += [header for header in _RAW_SECURITY_HEADERS if header[0] not in own]
+                message["headers"] = [*headers, (b"x-request-id", record.request_id.encode())]
             await send(message)
 
         token = request_record.set(record)
@@ -273,7 +277,8 @@ class Telemetry:
         if record.reason is not None:
             self._metrics.failures.labels(record.reason).inc()
         # Nothing in it is free text of the client's.
-        known = {name: value for name, value in asdict(record).items() if value is not None}
+        fields = ((name, getattr(record, name)) for name in record.__slots__)
+        known = {name: value for name, value in fields if value is not None}
         _ACCESS_LOG.info("%s %s %s", record.method, record.route, record.status, extra={"fields": known})
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from numpy.typing import ArrayLike
+from pydantic import ValidationError
 
 import cspace_client
 from cspace.errors import (
@@ -36,6 +37,7 @@ __all__ = [
     "FoundPlan",
     "SamplingClient",
     "client_plan_query",
+    "client_sample_query",
     "mapped",
     "open_local",
     "usual_api",
@@ -71,6 +73,8 @@ def mapped() -> Iterator[None]:
     except cspace_client.ClientError as error:
         kind = next(ours for theirs, ours in _KINDS if isinstance(error, theirs))
         raise kind(error.what, **error.details) from error.__cause__
+    except ValidationError as error:
+        raise SamplerError("no request has such values", got=str(error)) from error
 
 
 class ClientSource:
@@ -102,6 +106,12 @@ def open_local(folder: Path, *, robot: str | None) -> ClientSource:
         return ClientSource(LocalSampler(folder, robot=robot))
     except SamplerError as error:
         raise cspace_client.LocalError(error.what, got=error.got, remedy=error.remedy) from error
+
+
+def client_sample_query(query: SampleQuery) -> cspace_client.SampleQuery:
+    """A query of the project as the client's, which has the robot beside it."""
+    values = {one.name: getattr(query, one.name) for one in fields(query) if one.name != "robot"}
+    return as_query(cspace_client.SampleQuery, **values)
 
 
 def client_plan_query(query: PlanQuery) -> cspace_client.PlanQuery:
@@ -150,10 +160,8 @@ class SamplingClient(SampleSource):
 
     def answer(self, picture: Picture, query: SampleQuery, model: str | None = None) -> SampleBatch:
         """See :class:`services.planner.samples.SampleSource`."""
-        values = {one.name: getattr(query, one.name) for one in fields(query)}
-        robot = values.pop("robot")
         with mapped():
-            return self._client.answer(picture, as_query(cspace_client.SampleQuery, **values), model, robot)
+            return self._client.answer(picture, client_sample_query(query), model, query.robot)
 
     def validity(self, picture: Picture, configurations: ArrayLike, model: str | None = None) -> Predictions:
         """See :meth:`cspace_client.SamplingClient.validity`."""

@@ -9,8 +9,7 @@ from ompl import geometric as og
 from ompl import util as ou
 
 from cspace_client.errors import ConfigError, PlanningError
-from cspace_client.ompl.learned_sampler import feed_samples
-from cspace_client.ompl.state_space import read_configuration, read_joint_space
+from cspace_client.ompl import feed_samples, read_configuration, read_joint_space
 
 
 def circle():
@@ -168,7 +167,7 @@ def test_other_planners_are_refused(planner):
     [
         (np.zeros((3, 3)), "do not fit"),
         ([0.0, 0.0], "do not fit"),
-        ([[math.nan, 0.0]], "do not fit"),
+        ([[math.nan, 0.0]], "outside the bounds"),
         ([[0.0, 2.5], [0.0, 1.0]], "outside the bounds.*1 others"),
     ],
 )

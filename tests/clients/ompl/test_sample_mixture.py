@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
-from cspace_client.ompl.sample_mixture import SampleMixture
+from cspace_client.ompl import SampleMixture
 
 GOAL = [9.0, 9.0]
 SAMPLES = np.stack([np.linspace(-1.0, 1.0, 500), np.full(500, 0.25)], axis=-1)

@@ -8,7 +8,7 @@ import pytest
 from cspace.simulator import Split
 from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.problems import Family, draw_problem
-from services.planner.client import RetryPolicy, SamplingClient
+from services.planner.client import SamplingClient
 from services.planner.ompl_planner import solve
 from services.planner.planning import plan_with_api
 from services.planner.settings import LEARNED_PLANNERS, RRT, RRT_STAR, PlannerSettings
@@ -74,7 +74,7 @@ def dead_address():
 @pytest.mark.parametrize("planner", LEARNED_PLANNERS)
 def test_a_dead_server_costs_no_solution(solved_by_uniform_rrt, planner, dead_address):
     settings = PlannerSettings(planner, max_iterations=BUDGET, time_limit_s=60.0)
-    with SamplingClient(dead_address, policy=RetryPolicy(attempts=1)) as client:
+    with SamplingClient(dead_address, retries=0) as client:
         for problem in solved_by_uniform_rrt:
             plan = plan_with_api(problem, client, settings)
             assert plan.batch is None

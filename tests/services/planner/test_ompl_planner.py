@@ -62,7 +62,7 @@ def test_without_samples_the_planner_is_ompl_s_own_rrt(blocked):
     from ompl import geometric as og
     from ompl import util as ou
 
-    from cspace_client.ompl.state_space import StateAccess, make_state_space
+    from cspace_client.ompl import StateAccess, make_state_space
     from services.planner.ompl_adapters import _ompl_seed
 
     ours = solve(blocked, SETTINGS)

@@ -8,7 +8,7 @@ import pytest
 from ompl import base as ob
 
 from cspace.worlds.planar.arm import THREE_LINK, PlanarArm
-from cspace_client.ompl.state_space import StateAccess, make_state_space
+from cspace_client.ompl import StateAccess, make_state_space
 from services.planner.ompl_adapters import TorusLengthByGoal, make_objective
 from services.planner.ompl_planner import solve
 from services.planner.settings import (

@@ -35,7 +35,7 @@ def path_bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def handler(path_bundle, tmp_path):
     """The API's own handler in this process."""
     settings = ApiSettings(
-        registry_uri=None, cache_folder=tmp_path / "cache", poll_s=3600.0, pretrained_folder=path_bundle
+        registry_uri=None, model_cache=tmp_path / "cache", model_poll_s=3600.0, pretrained_model=path_bundle
     )
     with running(create_app(settings, None)) as api:
         yield api
