@@ -38,6 +38,7 @@ def test_a_scene_is_sampled_planned_and_changed(page: Page, address: str) -> Non
     open_viewer(page, address)
     # The first scene shows what the arm can do, the other example what it refuses to do.
     assert re.search(r"Confidence \d+%. In the true scene the path is collision-free.", plan_in_viewer(page))
+    page.get_by_text("show what the model expects").click()
     page.get_by_role("button", name="hard bin").click()
     expect(page.get_by_role("combobox", name="family")).to_have_value("bin")
     page.get_by_role("button", name="Plan a path").click()
@@ -61,7 +62,7 @@ def test_the_page_opens_with_its_token_only(page: Page, address: str) -> None:
     })"""
     url = address.replace("http://", "ws://").rstrip("/")
     assert page.evaluate(foreign, url) == "open"
-    page.goto(address.replace("127.0.0.1", "localhost"))
+    page.goto("about:blank")
     # Knowing the token does not help a page of another origin.
     assert page.evaluate(foreign, url) == "refused"
 

@@ -9,14 +9,11 @@ from contextlib import contextmanager
 
 from playwright.sync_api import Page, expect
 
-from services.local.processes import free_ports
-
 
 @contextmanager
 def viewer_at(api: str, *options: str) -> Iterator[str]:
     """Run ``python -m services.planner.viewer`` on an API; yields its address."""
-    (port,) = free_ports(1)
-    command = [sys.executable, "-m", "services.planner.viewer", f"--api={api}", f"--port={port}", *options]
+    command = [sys.executable, "-m", "services.planner.viewer", f"--api={api}", "--port=0", *options]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=dict(os.environ)) as process:
         assert process.stdout is not None
         try:

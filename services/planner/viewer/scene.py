@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from services.planner.viewer.app import Viewer
 
 GREY, START, GOAL = (150, 150, 155), (70, 120, 200), (60, 160, 90)
-UNSEEN = (200, 190, 230)
+UNSEEN, EXPECTED = (200, 190, 230), (120, 60, 200)
 LOW, HIGH = np.array([200, 40, 40]), np.array([40, 170, 80])
 SAMPLES_AT_MOST = 200
 NOVEL = 0.95
@@ -51,7 +51,9 @@ class ScenePanel:
             self.message = gui.add_html("")
             gui.add_html(as_text("Click an obstacle or a camera to move it."))
             self.unseen: Any = gui.add_checkbox("show unknown space", initial_value=False)
+            self.expected: Any = gui.add_checkbox("show what the model expects", initial_value=False)
         self.sliders = {name: self._joint_sliders(name) for name in ("start", "goal")}
+        self.expected.on_update(lambda _: guarded(self._show_expected))
         example.on_click(lambda event: guarded(partial(self._show_example, event.target.value)))
         for handle in (self.family, self.seed):
             handle.on_update(partial(self._by_hand, self._draw))
@@ -167,24 +169,35 @@ class ScenePanel:
             lines.append("The pictures are unlike those of the training: trust the answer less.")
         self.shares.content = as_text("\n".join(lines))
         self.message.content = ""
+        # Last, for not every model can tell.
+        self._show_expected()
 
     def _show_unseen(self) -> None:
         points = self.state.unseen_m() if self.unseen.value else np.empty((0, 3))
         self.server.scene.add_point_cloud("/scene/unseen", points, UNSEEN, point_size=0.004)
+
+    def _show_expected(self) -> None:
+        """Translucent cells, the more probable the less so."""
+        with suppress(KeyError):
+            self.server.scene.remove_by_name("/scene/expected")
+        if self.expected.value:
+            centres, probability, cell_m = self.state.expected()
+            opacities = (0.5 * probability).astype(np.float32)
+            look: dict[str, Any] = {"batched_colors": EXPECTED, "batched_opacities": opacities}
+            look |= {"cast_shadow": False, "receive_shadow": False, "flat_shading": True}
+            self._show_copies("/scene/expected", trimesh.creation.box((cell_m,) * 3), centres, **look)
 
     def show_arm(
         self, name: str, configuration: Floats, colour: tuple[int, int, int], opacity: float | None = None
     ) -> None:
         """Draws the arm's spheres."""
         arm, ball = self.state.arm, trimesh.creation.icosphere(subdivisions=1)
-        centres = arm.sphere_centres_m(configuration[None])[0].astype(np.float32)
-        self.server.scene.add_batched_meshes_simple(
-            name,
-            ball.vertices.astype(np.float32),
-            ball.faces.astype(np.uint32),
-            np.tile(np.array([1.0, 0.0, 0.0, 0.0], np.float32), (len(centres), 1)),
-            centres,
-            batched_scales=arm.spheres_m()[:, 3].astype(np.float32),
-            batched_colors=colour,
-            opacity=opacity,
-        )
+        look = {"batched_scales": arm.spheres_m()[:, 3].astype(np.float32), "opacity": opacity}
+        centres = arm.sphere_centres_m(configuration[None])[0]
+        self._show_copies(name, ball, centres, batched_colors=colour, **look)
+
+    def _show_copies(self, name: str, mesh: trimesh.Trimesh, centres_m: Floats, **look: Any) -> None:
+        upright = np.tile(np.array([1.0, 0.0, 0.0, 0.0], np.float32), (len(centres_m), 1))
+        vertices, faces = mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32)
+        places = upright, centres_m.astype(np.float32)
+        self.server.scene.add_batched_meshes_simple(name, vertices, faces, *places, **look)

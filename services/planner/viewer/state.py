@@ -15,7 +15,7 @@ from cspace_client import DepthPictures, FoundPlan, PlanQuery, SamplingClient
 Floats = NDArray[np.float64]
 # For the shipped model: a collision-free plan, and a refused one.
 EXAMPLES = {"table-top": ("table", 4), "hard bin": ("bin", 17)}
-CHECK_RAD, POINTS_AT_MOST = 0.005, 8000
+CHECK_RAD, POINTS_AT_MOST, EXPECTED_FROM = 0.005, 8000, 0.5
 
 
 class Samples(NamedTuple):
@@ -95,6 +95,11 @@ class SceneState:
     def unseen_m(self) -> Floats:
         """The unknown space in reach, (N, 3) m in the base frame, thinned out."""
         return _thinned(cast("Any", self.world).unseen_m(self.view))
+
+    def expected(self) -> tuple[Floats, NDArray[np.float32], float]:
+        """Centres (N, 3) m of cells in which something is expected, its probability (N,), a cell's side."""
+        found = self.api.belief(self.pictures(), self.model)
+        return found.centres_m(EXPECTED_FROM), found.cells[found.cells >= EXPECTED_FROM], found.cell_m
 
     def findings(self) -> str:
         """What the doctor says of the pictures."""
