@@ -78,12 +78,11 @@ class Uploads:
         self._gui: Any = server.gui
         self._arriving: dict[str, Any] = self._gui._current_file_upload_states  # noqa: SLF001 - as above
         self._refused = refused
-        for kind, own in (
-            (messages.FileTransferStartUpload, self._start),
-            (messages.FileTransferPart, self._part),
-        ):
+        own: dict[Any, Any]
+        own = {messages.FileTransferStartUpload: self._start, messages.FileTransferPart: self._part}
+        for kind, handler in own.items():
             server._connection.unregister_handler(kind)  # noqa: SLF001 - as above
-            server._connection.register_handler(kind, own)  # noqa: SLF001 - as above
+            server._connection.register_handler(kind, handler)  # noqa: SLF001 - as above
 
     def _start(self, client: Any, message: messages.FileTransferStartUpload) -> None:
         sizes = [*self.reading, *(one["total_bytes"] for one in self._arriving.values()), message.size_bytes]

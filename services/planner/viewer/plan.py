@@ -1,15 +1,12 @@
 """Shows a planned path, and whether it is free in the true scene."""
 
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from cspace.planning.paths import spread_points
 from services.planner.viewer.scene import as_text
-
-if TYPE_CHECKING:
-    from services.planner.viewer.app import Viewer
 
 ALONG, COLLISION = (230, 150, 40), (220, 30, 30)
 FRAMES = 200
@@ -18,7 +15,7 @@ FRAMES = 200
 class PlanPanel:
     """Controls and drawing of a path."""
 
-    def __init__(self, viewer: "Viewer") -> None:
+    def __init__(self, viewer: Any) -> None:
         self.viewer, self.state, self.server = viewer, viewer.state, viewer.server
         gui = self.server.gui
         self.path = np.empty((0, self.state.world.space.dim))
@@ -43,7 +40,7 @@ class PlanPanel:
         found, verdict = self.state.plan(float(self.least.value))
         self.verdict.content = as_text(verdict)
         if found.contact is not None:
-            place = found.contact.position_m
+            place = np.asarray(found.contact.position_m)
             self.server.scene.add_icosphere("/path/contact", 0.03, COLLISION, position=place)
         if len(found.path) < 2:
             return

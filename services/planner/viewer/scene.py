@@ -4,7 +4,7 @@ import html
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -12,9 +12,6 @@ import viser
 import viser.transforms as vtf
 
 from services.planner.viewer.state import EXAMPLES, Floats
-
-if TYPE_CHECKING:
-    from services.planner.viewer.app import Viewer
 
 GREY, START, GOAL = (150, 150, 155), (70, 120, 200), (60, 160, 90)
 UNSEEN, EXPECTED = (200, 190, 230), (120, 60, 200)
@@ -38,7 +35,7 @@ def _placed(pose: Any) -> dict[str, Any]:
 class ScenePanel:
     """Controls and drawing of the scene."""
 
-    def __init__(self, viewer: "Viewer") -> None:
+    def __init__(self, viewer: Any) -> None:
         self.viewer, self.state, self.server = viewer, viewer.state, viewer.server
         gui, guarded = self.server.gui, viewer.guarded
         with gui.add_folder("Scene"):
@@ -109,8 +106,9 @@ class ScenePanel:
             size_m = 2.0 * np.asarray(box.half_m)
             self._movable(scene.add_box(f"/scene/box {at}", GREY, size_m, **_placed(box.pose)), "boxes", at)
         for at, one in enumerate(obstacles.cylinders if is_drawn else ()):
-            name, size_m = f"/scene/cylinder {at}", (one.radius_m, 2.0 * one.half_length_m)
-            self._movable(scene.add_cylinder(name, *size_m, GREY, **_placed(one.pose)), "cylinders", at)
+            name, height_m = f"/scene/cylinder {at}", 2.0 * one.half_length_m
+            round_ = scene.add_cylinder(name, one.radius_m, height_m, GREY, **_placed(one.pose))
+            self._movable(round_, "cylinders", at)
         for at, camera in enumerate(state.view.cameras):
             field, aspect = 2.0 * np.arctan2(camera.height / 2.0, camera.fy), camera.width / camera.height
             frustum = scene.add_camera_frustum(

@@ -35,7 +35,9 @@ class SceneState:
         self.api, self.world, self.model = api, world, model
         self.simulator, self.arm = simulator_of(world), cast("Any", world).body
         self.families = tuple(name for name in self.simulator.families.names if name != UNIFORM)
-        self.draw(*EXAMPLES["table-top"])
+        self.opened: Any = None
+        family, seed = EXAMPLES["table-top"]
+        self.problem = self.simulator.problem(family, Split.DEMO, seed)
 
     @property
     def scene(self) -> Any:
@@ -55,7 +57,7 @@ class SceneState:
 
     def draw(self, family: str, seed: int) -> None:
         """Takes the problem of a family and a seed."""
-        self.opened: Any = None
+        self.opened = None
         self.problem = self.simulator.problem(family, Split.DEMO, seed)
 
     def change(self, **parts: Any) -> None:

@@ -7,16 +7,13 @@ import sys
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cspace.errors import CspaceError, InputError
 from cspace.world import World
 from cspace_client import ClientError
 from services.planner.viewer.doors import UPLOAD_BYTES, UPLOADS
 from services.planner.viewer.scene import as_text
-
-if TYPE_CHECKING:
-    from services.planner.viewer.app import Viewer
 
 RECORDINGS, IMPORT_S = (".mcap", ".db3"), 120
 REFUSED = f"Refused: at most {UPLOADS} files of {UPLOAD_BYTES >> 20} MiB in all are read at a time."
@@ -33,7 +30,7 @@ DROP_ZONE = """
 class UploadPanel:
     """Controls of uploaded files."""
 
-    def __init__(self, viewer: "Viewer") -> None:
+    def __init__(self, viewer: Any) -> None:
         self.viewer, self.state = viewer, viewer.state
         self.views: list[bytes] = []
         gui = viewer.server.gui
