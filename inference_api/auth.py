@@ -14,6 +14,7 @@ import secrets
 import stat
 import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 from starlette.datastructures import Headers
@@ -143,11 +144,10 @@ def check_exposure(host: str, keys_file: Path | None, *, allowed: bool) -> None:
 
 
 def _is_loopback(host: str) -> bool:
-    try:
+    # A name may mean any address.
+    with suppress(ValueError):
         return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        # A name may mean any address.
-        return host == "localhost"
+    return host == "localhost"
 
 
 def digest_of(token: str) -> str:

@@ -41,7 +41,7 @@ WATCH_AFTER_S = 0.1
 CLIENT_SHARE = 0.75
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "[::1]")
 HEALTH = ("/health/live", "/health/ready")
-METRICS = "/metrics"
+METRICS, SEARCH = "/metrics", "/plan"
 WORKBENCH_FILES = "/workbench/files"
 # What one subscriber is usually given of IPv6; single addresses of it are free to choose.
 _SUBSCRIBER_BITS = 64
@@ -75,7 +75,11 @@ class KnownDoors:
     """
 
     def __init__(self, app: ASGIApp, hosts: Iterable[str], origins: Iterable[str]) -> None:
-        self._app, self._hosts, self._origins = app, {*LOOPBACK_NAMES, *hosts}, frozenset(origins)
+        self._app, self._hosts, self._origins = (
+            app,
+            {*LOOPBACK_NAMES, *map(str.lower, hosts)},
+            frozenset(map(str.lower, origins)),
+        )
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Passes a request on, or refuses it."""
@@ -251,6 +255,10 @@ class ComputePlaces:
 
     def __init__(self, cores: int, waiting: Gauge) -> None:
         self.all, self.waiting = CapacityLimiter(cores), waiting
+        # Searches take long: they never hold the last place together, either.
+        self.searches = CapacityLimiter(max(1, cores - 1))
+        # The JSON parser holds up all other threads, so one at a time is enough.
+        self.parsing = CapacityLimiter(1)
         self._of_client = max(1, cores - 1)
         # A client's limiter is there as long as one of its requests is.
         self._clients: WeakValueDictionary[str, CapacityLimiter] = WeakValueDictionary()
@@ -263,16 +271,20 @@ class ComputePlaces:
 async def take_place(request: Request) -> AsyncIterator[Place]:
     """FastAPI's dependency: a place to compute, for a request whose body and model are there."""
     places: ComputePlaces = request.app.state.places
+    limiters = [places.of(client_of(request.scope)), places.all]
+    if request.url.path == SEARCH:
+        limiters.insert(1, places.searches)
     place, loop = Place(request.state.deadline), asyncio.get_running_loop()
     patience = CancelScope(deadline=loop.time() + ANSWER_S)
-    watcher = _Watcher(request, place, patience)
-    # Most are answered before it is worth while to look whether their clients are still there.
-    begin = loop.call_later(WATCH_AFTER_S, watcher.begin)
     async with AsyncExitStack() as held:
-        held.callback(begin.cancel)
-        held.callback(watcher.end)
+
+        def watch() -> None:
+            held.callback(asyncio.create_task(_watch(request, place, patience)).cancel)
+
+        # Most are answered before it is worth while to look whether their clients are still there.
+        held.callback(loop.call_later(WATCH_AFTER_S, watch).cancel)
         with patience:
-            for limiter in (places.of(client_of(request.scope)), places.all):
+            for limiter in limiters:
                 try:
                     limiter.acquire_on_behalf_of_nowait(place)
                 except WouldBlock:
@@ -288,27 +300,12 @@ async def take_place(request: Request) -> AsyncIterator[Place]:
             raise
 
 
-class _Watcher:
+async def _watch(request: Request, place: Place, patience: CancelScope) -> None:
     """Abandons a place when the client goes away; what comes after a body is nothing else."""
-
-    def __init__(self, request: Request, place: Place, patience: CancelScope) -> None:
-        self._request, self._place, self._patience = request, place, patience
-        self._task: asyncio.Task[None] | None = None
-
-    def begin(self) -> None:
-        """Starts to look."""
-        self._task = asyncio.create_task(self._watch())
-
-    def end(self) -> None:
-        """Stops."""
-        if self._task is not None:
-            self._task.cancel()
-
-    async def _watch(self) -> None:
-        while (await self._request.receive())["type"] != "http.disconnect":
-            pass
-        self._place.is_abandoned = True
-        self._patience.cancel()
+    while (await request.receive())["type"] != "http.disconnect":
+        pass
+    place.is_abandoned = True
+    patience.cancel()
 
 
 # Given back before the answer is sent: whoever reads slowly holds none.

@@ -71,7 +71,7 @@ REMEMBERED, LISTED_MODELS, LOOKUPS = 1024, 100, 16
 # Of pictures that are kept: a dozen arrays of space, or all the flat ones.
 MAX_PICTURES_BYTES = 20 * 2**20
 MAX_DESCRIPTION_BYTES = 2**20
-_CHAMPION, _TEMPORARY = "champion.json", ".download-"
+_CHAMPION, _TEMPORARY, _LEFT_OVER_S = "champion.json", ".download-", 3600.0
 _DESCRIPTION = TypeAdapter(ModelVersion)
 _LOG = logging.getLogger(__name__)
 _Key = tuple[str, int, str, str]
@@ -166,11 +166,8 @@ class ShippedModels:
                     # It comes with the program, or the operator chose it: its graphs are trusted.
                     bundle = Bundle.load(self._folders[name], check=False, replay=True)
                 except BundleError as error:
-                    raise ModelNotReadyError(
-                        f"the shipped model {name} cannot be served",
-                        expected="a sound bundle",
-                        got=error.what,
-                    ) from error
+                    what = f"the shipped model {name} cannot be served"
+                    raise ModelNotReadyError(what, expected="a sound bundle", got=error.what) from error
                 found = ServedModel(bundle, name, PRETRAINED_VERSION)
                 self._found[name] = Shipped(name, bundle.spec, bundle.digest, found)
             return found
@@ -201,34 +198,27 @@ class BundleFolders:
         return self._folder / version.name / f"{version.number}-{version.digest[:16]}"
 
     def fetch(self, version: ModelVersion, download: Callable[[ModelVersion, Path], Path]) -> Path:
-        """The folder of a version's bundle, downloaded where it is not there.
-
-        Raises:
-            RegistryError: it cannot be downloaded.
-            StorageError: the folder cannot be written.
-        """
+        """The folder of a version's bundle, downloaded where it is not there."""
         place = self.place(version)
         try:
             if not place.exists():
                 place.parent.mkdir(parents=True, exist_ok=True)
                 with tempfile.TemporaryDirectory(prefix=_TEMPORARY, dir=place.parent) as temporary:
                     whole = download(version, Path(temporary) / "bundle")
+                    whole.touch()
                     try:
                         whole.rename(place)
                     except OSError:
                         # Unless another process was first.
                         if not place.exists():
                             raise
-                place.touch()
                 self._prune(version, place)
+            # When it was used last.
             place.touch()
         except OSError as error:
-            raise StorageError(
-                "the model cache cannot be written",
-                expected="room and rights in CSPACE_MODEL_CACHE",
-                got=error.strerror or type(error).__name__,
-                remedy="free some space, or set CSPACE_MODEL_CACHE to another folder",
-            ) from None
+            remedy = "free some space, or set CSPACE_MODEL_CACHE to another folder"
+            got = error.strerror or type(error).__name__
+            raise StorageError("the model cache cannot be written", got=got, remedy=remedy) from None
         return place
 
     def remove(self, version: ModelVersion) -> None:
@@ -253,13 +243,15 @@ class BundleFolders:
             _LOG.warning("the champion will not be remembered over a restart: %s", error.strerror)
 
     def _prune(self, version: ModelVersion, newest: Path) -> None:
-        """Deletes the versions used least recently, and what dead processes have left."""
+        """Deletes the versions used least recently, and what processes have left that died in between."""
         champion = self.last_champion(version.name)
         safe = {newest} if champion is None else {newest, self.place(champion)}
         with suppress(OSError):
-            used = {path: path.stat().st_mtime_ns for path in newest.parent.iterdir() if path.is_dir()}
-            for path in sorted(used, key=used.__getitem__, reverse=True)[self._stored :]:
-                if path not in safe:
+            used = {path: path.stat().st_mtime for path in newest.parent.iterdir() if path.is_dir()}
+            left = {path for path in used if path.name.startswith(_TEMPORARY)}
+            versions = sorted(used.keys() - left, key=used.__getitem__, reverse=True)
+            for path in (*versions[self._stored :], *left):
+                if path not in safe and (path not in left or time.time() - used[path] > _LEFT_OVER_S):
                     _delete(path)
 
 
@@ -274,14 +266,9 @@ def _delete(place: Path) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """A picture for a bundle, and what it took.
+    """A decoded and encoded picture for a bundle, what that took, and what answers say of the picture.
 
-    Args:
-        picture: decoded and encoded.
-        decode_ms: 0 for one that was known.
-        encode_ms: 0 for one that was known.
-        findings: what answers say of the picture.
-        without_state: whether it is not known where the robot stands in it.
+    Both times are 0 for a known picture. Without state nobody knows where the robot stands in it.
     """
 
     picture: Picture
@@ -309,22 +296,17 @@ class PlannerStart:
     def require(self) -> None:
         """Raise RequestError while the search is being loaded."""
         if self.state == "loading":
-            raise RequestError(
-                STARTING,
-                "the search of plans is being loaded",
-                expected="a server whose /health/ready says 200",
-                got="one that was started a moment ago",
-                remedy="ask again in some seconds; without kernels on disk compiling takes about a minute",
-            )
+            remedy = "ask again in some seconds; without kernels on disk compiling takes about a minute"
+            raise RequestError(STARTING, "the search of plans is being loaded", remedy=remedy)
 
     def _load(self) -> None:
         try:
             load_examples()
         except ImportError:
             _LOG.info("this server does not plan: the packages of the extra plan are not installed")
-        except Exception:  # noqa: BLE001 - samples can be asked for all the same
-            _LOG.exception("the search of plans could not be loaded; requests will try again")
-        self.state = "loaded"
+        finally:
+            # Samples can be asked for all the same, and plans try again.
+            self.state = "loaded"
 
 
 @dataclass(slots=True)
@@ -437,12 +419,9 @@ class ModelStore:
             return self._bundles.get(_key_of(version))
 
     def prepared(self, bundle: Bundle, key: bytes, make: Callable[[], Prepared]) -> Prepared:
-        """A picture for a bundle: one of those asked for last, so that a robot that replans pays once.
+        """A picture for a bundle: one of those asked for last, or else what ``make`` reads and encodes.
 
-        Args:
-            bundle: that takes it.
-            key: digest of the picture and all that was sent with it.
-            make: reads and encodes it.
+        A robot that replans thus pays once. ``key`` is a digest of the picture and all that was sent with it.
         """
         with self._lock:
             known = self._pictures.get((bundle.digest, key))
@@ -463,15 +442,13 @@ class ModelStore:
 
     async def resolve(self, reference: ModelReference) -> ServedModel:
         """As :meth:`get`, off the event loop where it has to wait."""
-        return self.peek(reference) or await to_thread.run_sync(self.get, reference, limiter=self._lookups)
+        found = self.peek(reference)
+        if found is not None:
+            return found
+        return await to_thread.run_sync(self.get, reference, limiter=self._lookups)
 
     def peek(self, reference: ModelReference) -> ServedModel | None:
-        """The model that a reference names, from memory alone; None when :meth:`get` has to be asked.
-
-        Raises:
-            ModelNotFoundError: there is no such model, or there was none a moment ago.
-            ModelNotReadyError: no model answers by default.
-        """
+        """The model that a reference names, from memory alone; None when :meth:`get` has to be asked."""
         if reference.name in self.shipped:
             if not reference.is_bare:
                 raise _unknown(reference)
@@ -479,12 +456,10 @@ class ModelStore:
         if reference == ModelReference(self.model_name):
             default = self.default
             if default is None:
-                raise ModelNotReadyError(
-                    "no model is ready",
-                    expected=f"a champion of {self.model_name}, or a shipped model of its robot",
-                    got=f"none (registry: {self.registry_state})",
-                    remedy="train and promote a model, or ask again when the registry is back",
-                )
+                expected = f"a champion of {self.model_name}, or a shipped model of its robot"
+                got = f"none (registry: {self.registry_state})"
+                remedy = "train and promote a model, or ask again when the registry is back"
+                raise ModelNotReadyError("no model is ready", expected=expected, got=got, remedy=remedy)
             return default
         if self._champion is not None and reference == ModelReference(self.model_name, ALIAS_CHAMPION):
             return self.default

@@ -10,7 +10,7 @@ from functools import cache, lru_cache
 from typing import Annotated, Any
 
 import numpy as np
-from fastapi import Depends, Header
+from fastapi import Depends, Request
 from fastapi.responses import Response
 from numpy.typing import NDArray
 from pydantic import BaseModel
@@ -195,8 +195,11 @@ def json_response(answer: BaseModel) -> Response:
     return Response(answer.model_dump_json(), media_type="application/json")
 
 
-async def _prefers_npy(accept: Annotated[str, Header(include_in_schema=False)] = "") -> bool:
+async def _prefers_npy(request: Request) -> bool:
     """Whether an ``Accept`` header ranks ``.npy`` above JSON; it has to name it."""
+    accept = request.headers.get("accept", "")
+    if NPY not in accept.lower():
+        return False
     ranks = {NPY: 0.0, "application/json": 0.0}
     for entry in accept.split(","):
         media_type, *parameters = (part.strip().lower() for part in entry.split(";"))

@@ -2,7 +2,6 @@
 
 import ipaddress
 import os
-import re
 from collections.abc import Iterator, Mapping
 from importlib.util import find_spec
 from pathlib import Path
@@ -23,8 +22,9 @@ MIB = 1024 * 1024
 PRETRAINED_FOLDER = Path(__file__).parent / "pretrained"
 # Where `make docs` of a checkout builds it.
 GUIDE_FOLDER = Path(__file__).parents[1] / "build" / "docs"
-_HOST = re.compile(r"\*|[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*|\[[0-9A-Fa-f:.]+\]", re.ASCII)
-_ORIGIN = re.compile(r"https?://(?:[A-Za-z0-9_.-]+|\[[0-9A-Fa-f:.]+\])(?::[0-9]{1,5})?", re.ASCII)
+# As they stand in headers, hosts without a port.
+_HOST = r"^(\*|[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*|\[[0-9A-Fa-f:.]+\])$"
+_ORIGIN = r"^https?://([A-Za-z0-9_.-]+|\[[0-9A-Fa-f:.]+\])(:[0-9]{1,5})?$"
 
 
 def usable_cores() -> int:
@@ -51,18 +51,6 @@ def _parts(value: object) -> object:
     return [part.strip() for part in value.split(",") if part.strip()] if isinstance(value, str) else value
 
 
-def _host(text: str) -> str:
-    if not _HOST.fullmatch(bracketed(text)):
-        raise ValueError("names or addresses without ports, or *, separated by commas")
-    return bracketed(text).lower()
-
-
-def _origin(text: str) -> str:
-    if not _ORIGIN.fullmatch(text):
-        raise ValueError("origins such as https://site.example:8443, separated by commas")
-    return text.lower()
-
-
 def _network(text: str) -> str:
     try:
         return str(ipaddress.ip_network(text))
@@ -83,8 +71,8 @@ def _trusted_key(path: Path) -> Path:
     return path
 
 
-_Host = Annotated[str, AfterValidator(_host)]
-_Origin = Annotated[str, AfterValidator(_origin)]
+_Host = Annotated[str, AfterValidator(bracketed), Field(pattern=_HOST)]
+_Origin = Annotated[str, Field(pattern=_ORIGIN)]
 _Network = Annotated[str, AfterValidator(_network)]
 
 

@@ -113,19 +113,22 @@ def add_guide(app: FastAPI, folder: Path) -> None:
         # Relative, for a proxy may have put the API below a path of its own.
         return RedirectResponse("guide/")
 
-    site = _GuideFiles(directory=folder, html=True, check_dir=False)
-    # A folder that is not there is an answer, not an error of the server.
-    site.config_checked = True
-    app.mount(PAGE, site, name="guide")
+    app.mount(PAGE, _GuideFiles(folder), name="guide")
 
 
 class _GuideFiles(StaticFiles):
+    def __init__(self, folder: Path) -> None:
+        super().__init__(directory=folder, html=True, check_dir=False)
+        self._first_page = folder / "index.html"
+        # A folder that is not there is an answer, not an error of the server.
+        self.config_checked = True
+
     async def get_response(self, path: str, scope: Scope) -> Response:
         """A file, or the reason why there is none."""
         try:
             answer = await super().get_response(path, scope)
         except HTTPException as error:
-            if error.status_code == NOT_FOUND.status and not (Path(self.directory) / "index.html").is_file():
+            if error.status_code == NOT_FOUND.status and not self._first_page.is_file():
                 raise RequestError(
                     NOT_FOUND,
                     "the guide is not built here",

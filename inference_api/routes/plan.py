@@ -137,7 +137,7 @@ def _query_of(request: PlanRequest, view: View) -> PlanQuery:
         next_view=request.next_view or bool(request.view),
         views=tuple(one.model_dump() for one in request.view),
         alternatives=request.alternatives,
-        seen_by=tuple(view.cameras),
+        seen_by=tuple(view.cameras),  # type: ignore[arg-type] # read as cameras by now
         seen_state=view.state,
         explain=request.explain,
         goal_pose=None if pose is None else pose.model_dump(),

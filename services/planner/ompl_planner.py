@@ -20,7 +20,6 @@ from cspace.simulator import Checker, Problem
 from cspace.worlds import checker_of
 from cspace_client.ompl import (
     DEFAULT_UNIFORM_SHARE,
-    GoalOnly,
     SampleMixture,
     StateAccess,
     StateDraws,
@@ -48,6 +47,22 @@ from services.planner.settings import (
 )
 
 __all__ = ["DEFAULT_UNIFORM_SHARE", "DrawnMilestones", "solve", "solve_by_roadmap"]
+
+
+class GoalOnly:
+    """Gives the goal; for planners that draw uniform states themselves."""
+
+    def __init__(self, goal: Sequence[float]) -> None:
+        self.goal_drawn = self.learned_drawn = self.uniform_drawn = self.state_checks = 0
+        self._goal = goal
+
+    def draw(self) -> Sequence[float]:
+        """The goal."""
+        self.goal_drawn += 1
+        return self._goal
+
+    def goal_reached(self) -> None:
+        """Nothing changes: OMPL itself stops drawing the goal."""
 
 
 class DrawnMilestones(ob.ValidStateSampler):  # type: ignore[misc]

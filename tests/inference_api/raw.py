@@ -1,19 +1,16 @@
 """Plain sockets to a server, for what no client library would send, and what its process holds."""
 
 import re
-import select
 import socket
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from pathlib import Path
 from urllib.parse import urlsplit
 
 import httpx
 
 PATIENCE_S = 20.0
 LOOK_S = 0.05
-HEALTH = b"GET /health/live HTTP/1.1\r\nHost: localhost\r\n\r\n"
 
 
 def connect(address: str, source: str | None = None) -> socket.socket:
@@ -51,11 +48,6 @@ def one_answer(link: socket.socket) -> bytes:
     return answer
 
 
-def is_quiet(link: socket.socket) -> bool:
-    """Whether the server has neither closed nor sent anything that was not read."""
-    return not select.select([link], [], [], 0.0)[0]
-
-
 def until(holds: Callable[[], bool], patience_s: float = PATIENCE_S) -> float:
     """Wait for something to hold; how long it took, in s."""
     began = time.monotonic()
@@ -65,22 +57,9 @@ def until(holds: Callable[[], bool], patience_s: float = PATIENCE_S) -> float:
     return time.monotonic() - began
 
 
-def lives(address: str) -> bool:
-    """Whether a connection of its own is answered at once."""
-    return httpx.get(f"{address}/health/live", timeout=5.0).status_code == 200
-
-
 def metric(address: str, name: str, headers: dict[str, str] | None = None) -> float:
     """The value of a metric without labels."""
     text = httpx.get(f"{address}/metrics", headers=headers, timeout=30).text
     found = re.search(rf"^{name} (\S+)$", text, re.MULTILINE)
     assert found, text
     return float(found[1])
-
-
-def peak_mib(process_id: int) -> float:
-    """The most memory that a process has had, in MiB."""
-    status = Path(f"/proc/{process_id}/status").read_text(encoding="ascii")
-    found = re.search(r"^VmHWM:\s+(\d+) kB$", status, re.MULTILINE)
-    assert found
-    return int(found[1]) / 1024

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from cspace.bundle import Bundle
-from cspace.errors import BundleError, CspaceError, ModelNotFoundError, RegistryError, StorageError
+from cspace.errors import CspaceError, ModelNotFoundError, RegistryError, StorageError
 from inference_api.models import IN_USE_S, BundleFolders, ModelStore, Prepared
 from inference_api.problems import ModelNotReadyError
 from inference_api.settings import ApiSettings
@@ -173,16 +173,6 @@ def test_a_champion_that_is_deleted_is_logged_and_counted_once_and_the_shipped_m
     assert (found.name, found.fallback) == ("pretrained", True)
     with pytest.raises(ModelNotFoundError):
         served(store, f"{MODEL}@champion")
-
-
-def test_a_champion_without_a_digest_is_refused(
-    store: ModelStore, registry: CountingRegistry, bundles: dict[str, Path]
-) -> None:
-    registry.add(bundles["plain"], "champion", digest="")
-    store.refresh()
-    assert served(store) == ("pretrained", 0)
-    with pytest.raises(ModelNotReadyError, match="digest"):
-        served(store, f"{MODEL}/1")
 
 
 def test_a_registry_that_was_set_up_again_is_not_answered_from_the_old_ones_cache(
@@ -369,23 +359,6 @@ def test_a_cache_that_cannot_be_written_is_an_error_in_the_systems_words(
     assert str(tmp_path) not in str(caught.value)
     answer = start_api(registry).post("/sample", files={"image": png}, data={"model": f"{MODEL}/1"})
     assert (answer.status_code, answer.json()["type"].rpartition(":")[2]) == (503, "storage-unavailable")
-
-
-def test_a_version_that_nobody_could_verify_is_not_refused(
-    tmp_path: Path, registry: CountingRegistry, bundles: dict[str, Path]
-) -> None:
-    verified: list[str] = []
-
-    def refuse(folder: Path, digest: str) -> None:
-        verified.append(digest)
-        raise BundleError("loops")
-
-    registry.add(bundles["plain"])
-    store = make_store(tmp_path, registry, bundles, refuse)
-    for _ in range(3):
-        with pytest.raises(ModelNotReadyError, match="refused"):
-            served(store, f"{MODEL}/1")
-    assert len(verified) == 1
 
 
 def test_known_pictures_come_back_and_the_least_recently_used_are_dropped(

@@ -59,4 +59,3 @@ def model_of(address: str, png: bytes, model: str) -> dict[str, Any]:
 
 def wait_for_version(address: str, png: bytes, number: int) -> None:
     until(lambda: bool(model_of(address, png, NAME)["version"] == number), 60.0)
-

@@ -9,7 +9,6 @@ import httpx
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from PIL import Image
 
 from cspace.bundle import Bundle
 from cspace.png import encode_png
@@ -107,32 +106,6 @@ def test_npy_carries_the_samples_alone_and_the_rest_in_headers(api: ApiClient, p
     assert names == ["decode", "encode", "generate", "total"]
 
 
-def test_each_epsilon_gets_its_share_in_the_order_given(
-    api: ApiClient, png: bytes, bundles: dict[str, Path]
-) -> None:
-    fields = {"n": "11", "seed": "3", "epsilon_sigma": ["0", "2", "0.5"]}
-    found = samples_of(ask(api, png, **fields))
-    bundle = Bundle.load(bundles["plain"])
-    image = decode_png(png, 48)
-    # The draws depend on the number of latents alone, so each share can be looked up on its own.
-    for rows, epsilon in ((slice(0, 5), 0.0), (slice(5, 8), 2.0), (slice(8, 11), 0.5)):
-        alone = bundle.sample(image, 11, 3, epsilon_sigma=(epsilon,)).samples
-        np.testing.assert_allclose(found[rows], alone[rows], atol=1e-5)
-
-
-def test_more_are_drawn_for_those_that_miss_the_confidence(api: ApiClient, png: bytes) -> None:
-    fields = {"n": "200", "seed": "3", "model": "cspace-sampler@scored"}
-    whole = ask(api, png, min_confidence="0", **fields).json()
-    part = ask(api, png, min_confidence="0.4", **fields).json()
-    assert len(whole["confidence"]) == len(whole["samples"]) == len(part["samples"]) == 200
-    assert min(whole["confidence"]) < 0.4 <= min(part["confidence"])
-    assert (whole["shortfall"], whole["acceptance"], part["shortfall"]) == (0, 1.0, 0)
-    share = np.mean(np.array(whole["confidence"]) >= 0.4)
-    assert part["acceptance"] == pytest.approx(share, abs=0.12)
-    headers = ask(api, png, NPY, min_confidence="0.4", **fields).headers
-    assert float(headers["x-acceptance"]) == pytest.approx(part["acceptance"], abs=1e-5)
-
-
 def test_too_few_within_the_budget_are_told_and_never_padded(
     api: ApiClient, png: bytes, bundles: dict[str, Path]
 ) -> None:
@@ -188,15 +161,6 @@ def test_path_models_take_start_and_goal_and_wrap_them(api: ApiClient, png: byte
     other = samples_of(ask(api, png, **fields, start="[1, 2]", goal="[0.5, -1.0]"))
     np.testing.assert_allclose(turned, here, atol=1e-5)
     assert not np.allclose(other, here)
-
-
-def test_a_picture_of_another_size_or_mode_is_brought_to_the_models(api: ApiClient) -> None:
-    small = Image.fromarray(picture())
-    buffer = io.BytesIO()
-    small.resize((480, 480), Image.Resampling.NEAREST).convert("RGBA").save(buffer, "PNG")
-    # Ten times the size by repetition averages back to the same picture.
-    large = ask(api, buffer.getvalue(), n="10", seed="1").json()
-    assert large["samples"] == ask(api, encode_png(picture()), n="10", seed="1").json()["samples"]
 
 
 @pytest.mark.parametrize(

@@ -48,16 +48,6 @@ def test_models_of_other_robots_are_listed_where_an_alias_names_them(
     assert_problem(own_api.get("/models", params={"name": "../x"}), 422, "invalid-value")
 
 
-def test_the_list_without_the_registry_is_that_of_the_cache(
-    own_api: ApiClient, registry: CountingRegistry, bundles: dict[str, Path]
-) -> None:
-    registry.add(bundles["other"], "champion", name="arm-sampler")
-    assert own_api.post("/sample", files={"image": PNG}, data={"model": "arm-sampler"}).status_code == 200
-    registry.away = True
-    assert own_api.get("/models").json()["registry"] == "unreachable"
-    assert references(own_api) == ["cspace-sampler/1", "arm-sampler/1", "pretrained"]
-
-
 def test_no_model_at_all_is_503_and_not_ready_but_alive(
     start_api: StartApi, registry: CountingRegistry
 ) -> None:
@@ -88,6 +78,8 @@ def test_a_registry_that_is_away_is_503_for_versions_that_are_not_here(
     registry.away = True
     answer = own_api.post("/sample", files={"image": PNG}, data={"model": "cspace-sampler/2"})
     assert_problem(answer, 503, "registry-unavailable")
+    assert own_api.get("/models").json()["registry"] == "unreachable"
+    assert references(own_api) == ["pretrained"]
     assert_answers(own_api)
 
 

@@ -3,7 +3,6 @@
 import asyncio
 import json
 import logging
-import logging.config
 import sys
 from collections.abc import Iterator, Mapping
 from datetime import datetime
@@ -19,7 +18,7 @@ from cspace.errors import ConfigError
 from inference_api.app import create_app
 from inference_api.problems import PROBLEMS
 from inference_api.settings import ApiSettings
-from inference_api.telemetry import SECURITY_HEADERS, STAGES, LineFormatter, Metrics, Telemetry, log_settings
+from inference_api.telemetry import SECURITY_HEADERS, STAGES, LineFormatter, Metrics, Telemetry
 from tests.inference_api.answers import PNG, assert_answers, assert_problem
 from tests.inference_api.client import ApiClient
 from tests.inference_api.conftest import StartApi
@@ -259,26 +258,6 @@ def test_a_plain_id_is_kept_and_another_one_replaced_by_a_fresh_one(api: ApiClie
         found = {api.get("/health/live", headers=headers).headers["x-request-id"] for _ in range(2)}
         assert {len(one) for one in found} == {32}
         assert len(found) == 2
-
-
-@pytest.mark.parametrize("form", ["text", "json"])
-def test_the_settings_of_the_log_are_settings(form: str, capfd: pytest.CaptureFixture[str]) -> None:
-    names = (None, *log_settings(form)["loggers"])
-    kept = [(logging.getLogger(name), logging.getLogger(name).level) for name in names]
-    handlers = logging.getLogger().handlers[:]
-    try:
-        logging.config.dictConfig(log_settings(form))
-        logging.getLogger("inference_api.test").info("%d models", 3)
-        logging.getLogger("elsewhere").info("not told")
-        line = capfd.readouterr().err
-    finally:
-        for logger, level in kept:
-            logger.setLevel(level)
-        logging.getLogger().handlers[:] = handlers
-    if form == "json":
-        assert json.loads(line)["message"] == "3 models"
-    else:
-        assert line == "INFO:     3 models\n"
 
 
 def test_every_answer_has_the_security_headers(api: ApiClient) -> None:

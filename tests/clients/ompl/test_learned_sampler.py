@@ -2,8 +2,6 @@
 
 import importlib.util
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -166,12 +164,6 @@ def test_the_example_shows_its_own_scene_and_its_checker_knows_it():
     rows = TWO_LINK.space.sample_uniform(np.random.default_rng(0), 2000)
     truth = CollisionChecker(scene).valid_batch(rows)
     assert [script.is_free(row) for row in rows] == truth.tolist()
-
-
-def test_the_example_says_how_it_is_called():
-    command = [sys.executable, str(EXAMPLES / "plan_among_discs.py"), "--help"]
-    shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    assert "http://127.0.0.1:8000" in shown
 
 
 def test_a_plan_with_samples_of_the_shipped_bundle_is_free_in_truth():

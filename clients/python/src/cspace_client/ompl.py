@@ -48,22 +48,6 @@ class StateDraws(Protocol):
         ...
 
 
-class GoalOnly:
-    """Gives the goal; for planners that draw uniform states themselves."""
-
-    def __init__(self, goal: Sequence[float]) -> None:
-        self.goal_drawn = self.learned_drawn = self.uniform_drawn = self.state_checks = 0
-        self._goal = goal
-
-    def draw(self) -> Sequence[float]:
-        """The goal."""
-        self.goal_drawn += 1
-        return self._goal
-
-    def goal_reached(self) -> None:
-        """Nothing changes: OMPL itself stops drawing the goal."""
-
-
 class SampleMixture:
     """Draws the goal by its bias, else a learned sample or, by their share, a uniform one.
 
