@@ -2,11 +2,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from mlflow import MlflowClient
 from playwright.sync_api import Page
 
 from tests.browser.chromium import browser_page
-from tests.browser.small_job import SmallJob, write_small_job
 from tests.contracts.mlflow_server import mlflow_server
 
 
@@ -15,16 +13,6 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """The address of a real MLflow server."""
     with mlflow_server(tmp_path_factory.mktemp("mlflow")) as url:
         yield url
-
-
-@pytest.fixture(scope="session")
-def job(server: str, tmp_path_factory: pytest.TempPathFactory) -> SmallJob:
-    return write_small_job(server, tmp_path_factory.mktemp("job"))
-
-
-@pytest.fixture(scope="session")
-def experiment_id(server: str, job: SmallJob) -> str:
-    return str(MlflowClient(server).get_run(job.parent).info.experiment_id)
 
 
 @pytest.fixture(scope="module")

@@ -6,6 +6,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
+import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
@@ -15,7 +16,7 @@ from cspace.errors import InputError
 from cspace.simulator import Split
 from cspace.worlds import examples, simulator_of
 from cspace.worlds.spatial.view import write_view
-from services.planner.viewer import world_of
+from services.planner.viewer.app import world_of
 from services.registry.mlflow_registry import MlflowRegistry
 from services.registry.mlflow_tracking import MlflowTracking
 from tests.browser.viewer import drop_file, open_viewer, plan_in_viewer, viewer_at
@@ -38,40 +39,43 @@ def test_a_scene_is_sampled_planned_and_changed(page: Page, address: str) -> Non
     # The first scene shows what the arm can do, the other example what it refuses to do.
     assert re.search(r"Confidence \d+%. In the true scene the path is collision-free.", plan_in_viewer(page))
     page.get_by_text("show what the model expects").click()
-    page.get_by_text("Known beside the pictures").click()
-    for what in ("add", "hold"):
-        page.get_by_role("button", name=what, exact=True).click()
-        # What is known changes the answer, so that the path is no more.
-        expect(page.get_by_text("No path yet.")).to_be_visible()
-    plan_in_viewer(page)
-    page.get_by_role("button", name="forget").click()
     page.get_by_role("button", name="hard bin").click()
     expect(page.get_by_role("combobox", name="family")).to_have_value("bin")
     page.get_by_role("button", name="Plan a path").click()
     expect(page.get_by_text("refused")).to_be_visible()
-    table = page.locator("table")
-    before = table.text_content() or ""
+    figures = page.get_by_text("confidence of the samples")
+    before = figures.text_content() or ""
     page.get_by_role("textbox", name="seed").fill("3")
-    expect(table).not_to_have_text(before)
+    expect(figures).not_to_have_text(before)
     expect(page.get_by_text("Error")).to_have_count(0)
     # Another scene has another path.
     expect(page.get_by_text("In the true scene the path is")).to_have_count(0)
 
 
-def test_figures_say_what_they_mean_and_do_not_outlive_their_scene(page: Page, tmp_path: Path) -> None:
+def test_the_page_opens_with_its_token_only(page: Page, address: str) -> None:
+    page.goto(address.rsplit("/", 2)[0])
+    expect(page.get_by_text("it holds a token")).to_be_visible()
+    foreign = """(url) => new Promise((done) => {
+        const socket = new WebSocket(url, "viser-v1.1.1");
+        socket.onopen = () => done("open");
+        socket.onerror = () => done("refused");
+    })"""
+    url = address.replace("http://", "ws://").rstrip("/")
+    assert page.evaluate(foreign, url) == "open"
+    page.goto("about:blank")
+    # Knowing the token does not help a page of another origin.
+    assert page.evaluate(foreign, url) == "refused"
+
+
+def test_figures_do_not_outlive_their_scene(page: Page, tmp_path: Path) -> None:
     with ExitStack() as served:
         address = served.enter_context(api_server(tmp_path, {}))
         with viewer_at(address) as shown:
             open_viewer(page, shown)
-            rows = page.locator("table tr")
-            titles = [row.get_attribute("title") or "" for row in rows.all()]
-            assert len(titles) == 4
-            assert min(map(len, titles)) > 20
-            # An API that has gone says nothing of the next scene.
             served.close()
             page.get_by_role("textbox", name="seed").fill("3")
             expect(page.get_by_text("Error")).to_be_visible()
-            expect(rows).to_have_count(0)
+            expect(page.get_by_text("confidence of the samples")).to_have_count(0)
 
 
 @pytest.mark.slow
@@ -94,21 +98,18 @@ def test_a_view_file_or_a_recording_is_dropped_on_the_page(page: Page, address: 
 
 
 @pytest.mark.slow
-def test_the_model_of_an_own_arm_is_chosen_and_shown(page: Page, server: str, tmp_path: Path) -> None:
+def test_the_model_of_an_own_arm_is_shown(page: Page, server: str, tmp_path: Path) -> None:
     own = replace(SPEC.world, body=replace(SPEC.world.body, name="bench-arm"))
     folder = write_bundle(tmp_path / "bundle", replace(SPEC, world=own), space_graphs())
     with MlflowTracking(server).start("own-arm", "training") as run:
         digest, registry = read_files(folder).digest, MlflowRegistry(server)
         registry.register("bench-arm-sampler", folder, run.run_id, digest, {}, alias="champion")
     with api_server(tmp_path, {"MLFLOW_TRACKING_URI": server}) as api:
-        with viewer_at(api) as address:
-            open_viewer(page, address)
-            model = page.get_by_role("combobox", name="model")
-            model.click()
-            page.get_by_role("option", name="bench-arm-sampler/1").click()
-            expect(page.get_by_role("combobox", name="model")).to_have_value("bench-arm-sampler/1")
-            expect(page.get_by_text("confidence of the samples")).to_be_visible()
-        # A name alone is its champion.
+        # A model's world is listed once it is loaded.
+        httpx.post(f"{api}/sample", json={"model": "bench-arm-sampler", "image": "AA=="}, timeout=60)
         assert world_of(api, "bench-arm-sampler") == world_of(api, "bench-arm-sampler@champion") == own
-        with pytest.raises(InputError, match="no such model"):
+        with pytest.raises(InputError, match="cannot show the model"):
             world_of(api, "bench-arm-sampler/2")
+        with viewer_at(api, "--model=bench-arm-sampler/1") as address:
+            open_viewer(page, address)
+            expect(page.get_by_text("Model: bench-arm-sampler/1")).to_be_visible()

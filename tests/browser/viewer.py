@@ -9,14 +9,11 @@ from contextlib import contextmanager
 
 from playwright.sync_api import Page, expect
 
-from services.local.stack import free_ports
-
 
 @contextmanager
-def viewer_at(api: str) -> Iterator[str]:
+def viewer_at(api: str, *options: str) -> Iterator[str]:
     """Run ``python -m services.planner.viewer`` on an API; yields its address."""
-    (port,) = free_ports(1)
-    command = [sys.executable, "-m", "services.planner.viewer", f"--api={api}", f"--port={port}"]
+    command = [sys.executable, "-m", "services.planner.viewer", f"--api={api}", "--port=0", *options]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=dict(os.environ)) as process:
         assert process.stdout is not None
         try:
@@ -32,7 +29,7 @@ def open_viewer(page: Page, address: str) -> None:
     page.goto(address)
     # Chromium without a GPU draws in software, which viser says over the scene.
     page.get_by_role("alert").get_by_role("button").click()
-    expect(page.get_by_text("confidence of the samples")).to_be_visible()
+    expect(page.get_by_text("confidence of the samples")).to_be_visible(timeout=90_000)
 
 
 def plan_in_viewer(page: Page) -> str:
