@@ -148,10 +148,9 @@ def pick(variants: Sequence[Variant], wanted: Sequence[str]) -> tuple[Variant, .
     Raises:
         ConfigError: a name is unknown.
     """
-    groups = {variant.group for variant in variants}
-    if unknown := set(wanted) - {variant.name for variant in variants} - groups:
+    if unknown := set(wanted) - {variant.name for variant in variants} - set(Group):
         raise ConfigError(
-            "there is no such variant or group", expected=", ".join(sorted(groups)), got=", ".join(unknown)
+            "there is no such variant or group", expected=", ".join(Group), got=", ".join(unknown)
         )
     found = [variant for variant in variants if {variant.name, variant.group} & set(wanted)]
     chosen = {name for variant in found for name in (variant.name, variant.base)}
