@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from cspace.errors import CspaceError, InputError
-from cspace.query import DEFAULT_PATHS, PLAIN, PlanQuery, SampleQuery
+from cspace.query import DEFAULT_PATHS, PlanQuery, SampleQuery
 from cspace.simulator import Problem, Split
 from cspace.strict_json import parse_json
 from cspace.world import World
@@ -26,7 +26,7 @@ from cspace_client import OutcomeSender
 from services.command_errors import finite, report_error
 from services.planner.client import DEFAULT_TIMEOUT_S, SamplingClient, usual_api
 from services.planner.ompl_planner import DEFAULT_UNIFORM_SHARE
-from services.planner.planning import DEFAULT_SAMPLES, PAPER_SCHEDULE, SampleRequest
+from services.planner.planning import DEFAULT_SAMPLES, SampleRequest
 from services.planner.plotting import check_figure_path, plot_plan, save_figure
 from services.planner.report import (
     ask_for_plan,
@@ -79,9 +79,7 @@ def parse_command(arguments: Sequence[str] | None = None) -> Command:
         max_iterations=options.max_iterations,
         seed=options.seed if options.planner_seed is None else options.planner_seed,
     )
-    query = SampleQuery.checked(
-        options.n, settings.seed, options.epsilon_sigma, min_confidence=options.min_confidence
-    )
+    query = SampleQuery.checked(options.n, settings.seed, min_confidence=options.min_confidence)
     request = SampleRequest(query, options.model, with_ends=options.path_model)
     if scene is not None:
         request = request.of_robot(world, scene.name)
@@ -121,15 +119,6 @@ def make_parser() -> argparse.ArgumentParser:
         help="name, name@alias, name/version or pretrained; default the API's, with a scene file its robot's",
     )
     samples.add_argument("--n", type=_count, default=DEFAULT_SAMPLES, help="default %(default)s")
-    samples.add_argument(
-        "--epsilon-sigma",
-        type=finite,
-        nargs="+",
-        default=PLAIN,
-        metavar="E",
-        help="raise the encoder's standard deviation by each, in equal shares and in this order: the epsilon "
-        f"schedule of algorithm 3, for example {' '.join(f'{value:g}' for value in PAPER_SCHEDULE)}",
-    )
     samples.add_argument(
         "--min-confidence", type=finite, help="of the model's validity head (default: the model's own)"
     )

@@ -17,8 +17,6 @@ from services.planner.settings import PlannerSettings
 from services.scene_files import read_scene_file
 
 DEFAULT_SAMPLES = 300
-PAPER_SCHEDULE = (0.0, 0.25, 0.5, 1.0)
-"""The epsilon schedule of algorithm 3 in the MultiWGAN-GP paper, of which the paper gives no values."""
 # The percentile of novelty up to which a picture counts as one like those of the training.
 ORDINARY = 0.95
 

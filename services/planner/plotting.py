@@ -202,12 +202,7 @@ def outcome_title(problem: Problem, result: PlanResult) -> str:
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure; the format is the file name's suffix.
-
-    Raises:
-        ConfigError: the suffix names no format.
-        StorageError: the file can not be written.
-    """
+    """Write a figure in the format of the file name's suffix."""
     check_figure_path(path)
     try:
         figure.savefig(path)
@@ -218,11 +213,7 @@ def save_figure(figure: Figure, path: Path) -> None:
 
 
 def check_figure_path(path: Path) -> None:
-    """Whether a figure could be written there, before it costs anything to find out.
-
-    Raises:
-        ConfigError: the suffix names no format, or the folder does not exist.
-    """
+    """Raises ConfigError where the suffix names no format or the folder does not exist."""
     if path.suffix.lower().removeprefix(".") not in FORMATS:
         raise ConfigError(
             "the figure's format is unknown",

@@ -120,17 +120,10 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
 
 
 def _run(result: PlanResult) -> dict[str, Any]:
-    names = (
-        "solved", "iterations", "edge_checks", "state_checks", "learned_drawn", "uniform_drawn",
-        "solve_time_s",
-    )  # fmt: skip
-    return {name: getattr(result, name) for name in names} | {
-        "reason": str(result.reason),
-        "resolution_rad": _number(result.resolution_rad),
-        "length_rad": _number(result.length_rad),
-        "costs": [asdict(point) for point in result.costs],
-        "path": result.path.tolist(),
-    }
+    values = asdict(replace(result, tree=None))
+    del values["tree"]
+    numbers = {name: _number(values[name]) for name in ("resolution_rad", "length_rad")}
+    return values | numbers | {"reason": str(result.reason), "path": result.path.tolist()}
 
 
 def _number(value: float) -> float | None:

@@ -179,7 +179,7 @@ def exact(paired: Paired, variant: Variant) -> Measures:
         yield f"{column}_ms_mean", Estimate(float(values_ms.mean()))
     if solved.any():
         yield "length_rad_mean", Estimate(float(paired.values(name, "length_rad")[solved].mean()))
-    if variant.group is Group.PATHS:
+    if variant.group is Group.PATHS and variant.name != UNIFORM_CONNECT:
         yield "as_is", Estimate(float(paired.values(name, "as_is").mean()))
 
 

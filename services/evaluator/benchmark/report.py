@@ -17,7 +17,6 @@ from services.evaluator.benchmark.estimates import (
     Estimate,
     Paired,
     against,
-    confidence_curve,
     converge,
     exact,
     safety,
@@ -26,7 +25,6 @@ from services.evaluator.benchmark.runs import NO_PROBLEM
 from services.evaluator.benchmark.variants import Group, Protocol, Setting, Variant
 
 HARD = "the hard ones"
-SHARES = (0.2, 0.4, 0.6, 0.8, 1.0)
 # The measures that become metrics of the tracking run; its table of variants holds all of them.
 METRICS = (
     "solved", "iterations_median", "close_iterations_median", "edge_checks_median",
@@ -172,22 +170,7 @@ class Results:
                 table = table.reindex(columns=[name for name in measures if name in table])
                 if table.size:
                     found[f"{heading}: {group}"] = table.rename_axis("variant").reset_index()
-            models = [one.name for one in self.variants if one.group is Group.PLANS and one.sampler]
-            rows = [row for one in models for row in self._by_confidence(group, one)]
-            if rows:
-                found[f"By min_confidence: {group}"] = pd.DataFrame(rows)
         return found
-
-    def _by_confidence(self, group: str, model: str) -> Iterator[dict[str, object]]:
-        runs = self.groups[group]
-        curve = confidence_curve(runs[runs["variant"] == model])
-        for most in SHARES:
-            # Up to rounding of k / n.
-            for _, last in curve[curve["answered"] <= most + 1e-9].tail(1).iterrows():
-                numbers = {
-                    name: round(float(last[name]), 3) for name in ("answered", "confidence", "collide")
-                }
-                yield {"model": model, "answered, at most": most, **numbers}
 
     def headline(self) -> str:
         """From which cost of an edge check on learned samples pay, or how often plans collide."""

@@ -34,14 +34,14 @@ COLUMNS = {
     "cost_iterations": "object", "cost_edge_checks": "object", "cost_s": "object",
     "cost_length_rad": "object", "solve_s": "float64", "state_check_s": "float64",
     "request_s": "float64", "server_s": "float64", "total_s": "float64",
-    "confidence": "float64", "clearance_m": "float64", "meshes_free": "boolean", "unseen": "float64",
+    "confidence": "float64", "clearance_m": "float64", "meshes_free": "boolean",
     "search_s": "float64", "score_s": "float64", "as_is": "boolean", "bottleneck_rad": "float64",
 }  # fmt: skip
 # Status of a problem whose start or goal collides; it is left out.
 NO_PROBLEM = "start or goal collides"
-# Spacing of the states at which a path is checked, and at which its unseen share is measured.
-LOOK_RAD, UNSEEN_RAD = 0.01, 0.1
-_EDGES, _REPEATS = 1000, 3
+# Spacing of the states at which a path is checked.
+LOOK_RAD = 0.01
+_STATES, _REPEATS = 5000, 5
 
 
 class Worker:
@@ -124,18 +124,15 @@ class _Case:
         row: Row = {"bottleneck_rad": bottleneck_rad if math.isfinite(bottleneck_rad) else None}
         if variant.group is Group.PLANS:
             paths, times = self.paths(variant.sampler, variant.unseen)
-            return row | times | self._evaluated(paths, self.unit.pictures > 0)
+            return row | times | self._evaluated(paths)
         settings = self.setting.planner(variant, self.unit.index, run)
-        row["state_check_s"] = _state_check_s(self.problem, settings.range_rad, settings.resolution_rad)
-        if variant.group is Group.PATHS:
-            result, times = solve(self.problem, settings), {}
-            if variant.sampler is not None or variant.unseen is not None:
-                paths, times = self.paths(variant.sampler, variant.unseen)
-                result = solve_with_paths(self.problem, settings, paths)
-            as_is = result.solved and result.iterations == 0
-            row |= times | {"as_is": as_is}
-        elif variant.sampler is None:
+        row["state_check_s"] = _state_check_s(self.problem)
+        if variant.sampler is None and variant.unseen is None:
             result = solve(self.problem, settings)
+        elif variant.group is Group.PATHS:
+            paths, times = self.paths(variant.sampler, variant.unseen)
+            result = solve_with_paths(self.problem, settings, paths)
+            row |= times | {"as_is": result.solved and result.iterations == 0}
         else:
             batch = self.batch(variant.sampler, variant.query(settings.seed))
             result = solve(self.problem, settings, batch.samples, 1.0 - variant.share)
@@ -164,7 +161,7 @@ class _Case:
             }
         assert self.seen is not None and unseen is not None  # noqa: S101, PT018 - of the protocol plans only
         problem, checkers = self.problem, self.seen.checkers(self.problem, self.image, unseen)
-        load_kernels(checkers[0], problem.start, UNSEEN_RAD)
+        load_kernels(checkers[0], problem.start, LOOK_RAD)
         began, until_s = time.perf_counter(), time.thread_time() + limit_s
         found = find_paths(checkers, problem.start, problem.goal, DEFAULT_PATHS, self.setting.seed, until_s)
         spent_s = time.perf_counter() - began
@@ -173,7 +170,7 @@ class _Case:
         status = "solved" if paths else "timeout" if found.late else "refused"
         return paths, {"status": status, "search_s": spent_s, "request_s": spent_s}
 
-    def _evaluated(self, paths: Sequence[AlternativePath], pictured: bool) -> Row:
+    def _evaluated(self, paths: Sequence[AlternativePath]) -> Row:
         """The first path in the true scene."""
         if not paths:
             return {"solved": False}
@@ -186,8 +183,6 @@ class _Case:
         }
         if self.meshes is not None:
             row["meshes_free"] = bool(self.meshes.valid_batch(states).all())
-        if pictured and self.seen is not None:
-            row["unseen"] = float(self.seen.unseen(self.image, spaced(path, space, UNSEEN_RAD)).mean())
         return row
 
 
@@ -208,24 +203,15 @@ def _of_result(result: PlanResult) -> Row:
 
 
 @lru_cache(maxsize=4)
-def _state_check_s(problem: Problem, range_rad: float, resolution_rad: float) -> float:
-    """Seconds for one state check, the fastest of some compiled loops over 1000 edges.
+def _state_check_s(problem: Problem) -> float:
+    """Seconds for one state check, the fastest of some compiled loops over uniform states.
 
-    An edge leads from a free configuration towards a uniform one, as far as the planner's range, as in a
-    growing tree. The step from OMPL to Python does not count: it is the planner's.
+    The step from OMPL to Python does not count: it is the planner's.
     """
-    checker, space, rng = checker_of(problem.scenario), problem.space, np.random.default_rng(0)
-    sampled = space.sample_uniform(rng, _EDGES)
-    starts = np.concatenate([np.stack([problem.start, problem.goal]), sampled[checker.valid_batch(sampled)]])
-    starts = starts[rng.integers(0, len(starts), _EDGES)]
-    gaps = space.difference(starts, space.sample_uniform(rng, _EDGES))
-    lengths = np.abs(gaps).sum(axis=1, keepdims=True)
-    ends = space.wrap(starts + gaps * np.minimum(1.0, range_rad / np.maximum(lengths, 1e-12)))
-    edge_test = checker.edge_test(resolution_rad)
-    looked = sum(int(edge_test(start, end)[1]) for start, end in zip(starts, ends, strict=True))
-    taken = []
+    checker, taken = checker_of(problem.scenario), []
+    states = problem.space.sample_uniform(np.random.default_rng(0), _STATES)
     for _ in range(_REPEATS):
         began = time.perf_counter()
-        checker.edge_batch(starts, ends, resolution_rad)
+        checker.valid_batch(states)
         taken.append(time.perf_counter() - began)
-    return min(taken) / looked
+    return min(taken) / _STATES

@@ -108,7 +108,6 @@ def test_a_wrong_value_returns_2_and_is_named(arguments, capsys):
     "arguments",
     [
         *(["--family", "wide"], ["--planner", "RRTConnect"], ["--uniform-share", "2"], ["--timeout", "inf"]),
-        ["--epsilon-sigma", "1", "inf"],
     ],
     ids=" ".join,
 )

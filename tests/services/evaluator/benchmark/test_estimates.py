@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cspace.errors import EvaluationError
-from services.evaluator.benchmark.estimates import break_even_us, ratios
+from services.evaluator.benchmark.estimates import break_even_us, confidence_curve, ratios
 from services.evaluator.benchmark.runs import NO_PROBLEM
 from services.evaluator.benchmark.variants import Protocol
 
@@ -170,8 +170,8 @@ def test_plans_collide_by_paths_and_are_compared_where_both_solve(four):
     assert model["calibration_error"].value == pytest.approx(0.5 / 3)
     assert model["surer_half_collide"].value == 0.0
     assert set(four.groups) == {GROUP, "motionbench_table_pick, 1"}
-    curve = four.tables[f"By min_confidence: {GROUP}"]
-    assert curve[["answered", "confidence", "collide"]].to_numpy().tolist()[-1] == [0.75, 0.2, 0.333]
+    curve = confidence_curve(four.runs[four.runs["variant"] == MODEL])
+    np.testing.assert_allclose(curve["collide"], [0.0, 0.0, 1 / 3])
     assert "1 problems are left out" in four.markdown([])
 
 
