@@ -237,7 +237,7 @@ def _plan_problems(options: argparse.Namespace, setting: Setting, folder: Path |
         raise ConfigError("no model plans", remedy="name one with --bundle, or with --api and --model")
     known = [family for families in seen.sources.values() for family in families]
     known = list(seen.grasping) if options.held else known
-    problems = {}
+    problems: dict[str, int] = {}
     for family in _wanted(options, known, known):
         most = seen.count(family, setting.split)
         if most is not None and not problems:

@@ -243,7 +243,7 @@ def safety(paired: Paired, variant: Variant, rng: np.random.Generator) -> Measur
         yield "deep", share(paths["clearance_m"] <= -DEEP_M)
     if (looked := paths["meshes_free"].dropna()).size:
         yield "meshes", share(~looked.to_numpy(dtype=bool))
-    if variant.name != variant.base and variant.base in paired:
+    if variant.base is not None and variant.name != variant.base and variant.base in paired:
         base = paired.of(variant.base)
         both = own["solved"].to_numpy() & base["solved"].to_numpy()
         if both.any():

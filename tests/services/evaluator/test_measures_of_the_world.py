@@ -43,11 +43,6 @@ def test_the_planner_of_an_evaluation_is_the_worlds(other):
 
 
 def test_the_planners_of_the_benchmark_are_the_worlds(other, tmp_path):
-    request = make_request(parser().parse_args(["--out", str(tmp_path), "--arms", "uniform"]))
-    ranges = {arm.name: arm.range_rad for arm in request.arms if arm.name.startswith("RRT, uniform")}
-    assert ranges == {
-        "RRT, uniform": 0.4,
-        "RRT, uniform, range 0.2": 0.2,
-        "RRT, uniform, range 0.8": 0.8,
-    }
-    assert request.setting.planner(request.arms[0], 0, 0).resolution_rad == 0.02
+    request = make_request(parser().parse_args(["--out", str(tmp_path), "--variants", "uniform"]))
+    settings = request.setting.planner(request.variants[0], 0, 0)
+    assert (settings.range_rad, settings.resolution_rad) == (0.4, 0.02)
