@@ -1,15 +1,15 @@
-"""Pictures with the cameras that took them and where the robot was, as one file: what a request carries.
+"""Pictures with the cameras that took them and where the robot was: a value, and a file that holds it.
 
 A view file is a line and the pictures' files behind it, one after the other. The line is the word
 ``cspace-view``, the version 1, and an object in JSON with ``pictures`` (their sizes in bytes), ``cameras``
 (each in a form of :func:`cspace.worlds.spatial.camera_info.read_pinhole`; ``link`` and ``stamp_s`` may stand
 beside it), ``state`` (rad, or null where the robot is in no picture, or a list with one or the other for each
 picture) and, where the unit of the pictures is another, ``depth_scale_m`` (metres per unit); ``known`` is the
-size in bytes of a planning scene in JSON behind the pictures, where there is one; with it a single picture
-needs no camera, as that of a plane has none. Here it is only packed and unpacked, and stamps are read; the
-rest is checked by the world that takes such pictures.
+size in bytes of a planning scene in JSON behind the pictures, where there is one. The world that takes the
+pictures decodes and checks them.
 """
 
+import hashlib
 import json
 import sys
 from collections.abc import Mapping, Sequence
@@ -34,22 +34,44 @@ _AHEAD_S = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ViewFile:
-    """What a view file holds; nothing but the counts is checked.
+class View:
+    """Untrusted pictures of one scene, and what was sent beside them.
 
     Args:
-        pictures: one to four files.
+        pictures: files.
         cameras: plain values of JSON, one for each picture.
         state: likewise, for all pictures or a list with one for each; None where the robot is in no picture.
         depth_scale_m: likewise, metres per unit of the pictures; None for mm.
         known: JSON of a planning scene; None without one.
     """
 
-    pictures: list[bytes]
-    cameras: list[object]
-    state: object
+    pictures: Sequence[bytes]
+    cameras: Sequence[object] = ()
+    state: object = None
     depth_scale_m: object = None
     known: bytes | None = None
+
+    @classmethod
+    def of(cls, data: "bytes | View") -> "View":
+        """A view file's contents; any other file is a picture alone."""
+        if isinstance(data, View):
+            return data
+        return unpack_view(data) if is_view(data) else cls((data,))
+
+    def digest(self) -> bytes:
+        """SHA-256 of all of it."""
+        sizes = [len(one) for one in self.pictures]
+        rest = json.dumps([sizes, list(self.cameras), self.state, self.depth_scale_m])
+        found = hashlib.sha256(rest.encode())
+        for part in (*self.pictures, self.known or b""):
+            found.update(part)
+        return found.digest()
+
+    def packed(self) -> bytes:
+        """The file: a view file, or the picture where it is alone."""
+        if len(self.pictures) == 1 and not self.cameras and self.state is None and self.known is None:
+            return self.pictures[0]
+        return pack_view(self.pictures, self.cameras, self.state, self.depth_scale_m, self.known)
 
 
 def is_view(data: bytes) -> bool:
@@ -64,7 +86,7 @@ def pack_view(
     depth_scale_m: object = None,
     known: bytes | None = None,
 ) -> bytes:
-    """A view file of files and plain values, which :class:`ViewFile` tells of.
+    """A view file of what a :class:`View` holds.
 
     Raises:
         ImageError: the counts do not fit.
@@ -82,39 +104,21 @@ def pack_view(
     return b"".join((_MAGIC, line, b"\n", *pictures, known or b""))
 
 
-def unpack_view(data: bytes) -> ViewFile:
+def unpack_view(data: bytes) -> View:
     """What an untrusted view file holds, as :func:`pack_view` takes it.
 
     Raises:
         ImageError: it is none, or the counts do not fit.
     """
     if not is_view(data):
-        raise ImageError(
-            "the picture comes without its camera",
-            expected="camera for each image: fx, fy, cx, cy and pose, 4 x 4, camera in base",
-            got="a picture alone",
-            remedy="send a camera beside each picture, in the same order",
-        )
+        raise no_view(f"a file that begins with {_MAGIC.decode()!r}", data[:20])
     header, rest = _line_of(data)
     _check_parts(len(header.pictures), len(header.cameras), header.known)
     sizes = [*header.pictures, header.known or 0]
     if sum(sizes) != len(rest):
         raise no_view(f"parts of {sizes!r} bytes"[:200], f"{len(rest)} bytes")
     *files, known = (rest[begin:end] for begin, end in pairwise(accumulate(sizes, initial=0)))
-    return ViewFile(files, header.cameras, header.state, header.depth_scale_m, known or None)
-
-
-def without_stamps(data: bytes) -> tuple[bytes, list[float | None]]:
-    """A view file without its stamps, and these as :func:`unstamped` has them.
-
-    Raises:
-        ImageError: it is none, the counts do not fit, or a stamp is no finite number.
-    """
-    file = unpack_view(data)
-    cameras, stamps = unstamped(file.cameras)
-    if stamps.count(None) == len(stamps):
-        return data, stamps
-    return pack_view(file.pictures, cameras, file.state, file.depth_scale_m, file.known), stamps
+    return View(files, header.cameras, header.state, header.depth_scale_m, known or None)
 
 
 def unstamped(cameras: Sequence[object]) -> tuple[list[object], list[float | None]]:

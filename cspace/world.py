@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cspace.errors import ConfigError, ScenarioError
 from cspace.space import JointSpace
+from cspace.view_file import View
 
 Image = NDArray[np.uint8]
 Arrays = Mapping[str, NDArray[Any]]
@@ -71,25 +72,6 @@ class Body(Protocol):
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
-
-
-@dataclass(frozen=True, slots=True)
-class TensorInput:
-    """An array by which a picture, or several, can be told without a file.
-
-    Args:
-        name: of the input.
-        dtype: numpy's name of its type.
-        shape: of sizes, and letters where any will do; an axis has one size wherever its letter stands.
-        most: of its first axis, where that has a letter.
-        optional: whether it may be left out.
-    """
-
-    name: str
-    dtype: str
-    shape: tuple[int | str, ...]
-    most: int = 1
-    optional: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -323,19 +305,11 @@ class World(ABC):
         """d, number of joints."""
         return self.body.dim
 
-    @abstractmethod
-    def pixels_of(self, data: bytes) -> int:
-        """How many pixels an untrusted file says that it has, by its headers alone.
-
-        Raises:
-            ImageError: it does not begin as one that is accepted.
-        """
-
-    def read_picture(self, data: bytes, check_cancelled: CheckCancelled | None = None) -> Image:
-        """An untrusted file as a picture.
+    def read_picture(self, data: bytes | View, check_cancelled: CheckCancelled | None = None) -> Image:
+        """An untrusted picture, or several with their cameras, as the array that models take.
 
         Args:
-            data: the file.
+            data: a file, or what a view file holds.
             check_cancelled: called between the parts of the work; may raise to stop, which passes through.
 
         Raises:
@@ -345,7 +319,7 @@ class World(ABC):
         return np.asarray(self.examine_picture(data, check_cancelled).images[0])
 
     @abstractmethod
-    def examine_picture(self, data: bytes, check_cancelled: CheckCancelled | None = None) -> Examined:
+    def examine_picture(self, data: bytes | View, check_cancelled: CheckCancelled | None = None) -> Examined:
         """:meth:`read_picture`, one image, with its findings.
 
         Raises:
@@ -353,25 +327,8 @@ class World(ABC):
             InputError: likewise.
         """
 
-    @property
-    @abstractmethod
-    def tensors(self) -> tuple[TensorInput, ...]:
-        """The arrays that :meth:`examine_tensors` takes."""
-
-    @abstractmethod
-    def examine_tensors(self, tensors: Arrays, check_cancelled: CheckCancelled | None = None) -> Examined:
-        """Pictures (b, ...) of arrays that follow :attr:`tensors`, with their findings.
-
-        Args:
-            tensors: by name.
-            check_cancelled: as of :meth:`read_picture`.
-
-        Raises:
-            ImageError: their contents are none that are accepted.
-        """
-
-    def diagnosis(self, data: bytes, check_cancelled: CheckCancelled | None = None) -> Diagnosis:
-        """A closer look at the file of a picture than :meth:`examine_picture` takes, some 100 ms.
+    def diagnosis(self, data: bytes | View, check_cancelled: CheckCancelled | None = None) -> Diagnosis:
+        """A closer look at a picture than :meth:`examine_picture` takes, some 100 ms.
 
         Raises:
             ImageError: it is none that can be read.

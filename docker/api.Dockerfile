@@ -2,6 +2,7 @@
 FROM python:3.11-slim-bookworm AS requirements
 WORKDIR /src
 COPY pyproject.toml docker/requirements.py ./
+COPY clients/python/pyproject.toml clients/python/
 RUN python requirements.py api plan tracing > /requirements.txt
 
 FROM python:3.11-slim-bookworm
@@ -12,6 +13,7 @@ RUN pip install --no-cache-dir --only-binary :all: -c /tmp/constraints.txt pip \
 
 RUN useradd --uid 1000 --create-home cspace \
  && install -d -o cspace -g cspace /var/lib/cspace/models /var/lib/outcomes /opt/cspace/kernels
+COPY clients/python/src/cspace_client /app/cspace_client
 COPY cspace /app/cspace
 COPY services /app/services
 COPY inference_api /app/inference_api

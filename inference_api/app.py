@@ -1,49 +1,42 @@
 """The application: settings in, a FastAPI app out; models are loaded when it starts, not when it is made."""
 
+import asyncio
+import gc
+import os
+import sys
 from collections.abc import AsyncIterator
-from contextlib import AbstractAsyncContextManager, asynccontextmanager, nullcontext
+from contextlib import asynccontextmanager
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from threading import Event, Thread
 
 from anyio import to_thread
 from fastapi import FastAPI
-from fastapi.openapi.utils import get_openapi
+from fastapi.middleware.cors import CORSMiddleware
 
 from cspace.bundle import Bundle, verification
-from inference_api.limits import HEALTH, add_limits
-from inference_api.models.cache import BundleCache, DiskCache
-from inference_api.models.pictures import PictureCache
-from inference_api.models.served import ShippedModels
-from inference_api.models.store import ModelStore, following
-from inference_api.models.worker import RegistryWorker
-from inference_api.problem_types import add_problem_handlers
-from inference_api.process import few_arenas, repeated, settle, trimmed
-from inference_api.requests import Service
-from inference_api.routes import belief, doctor, models, open_inference, outcomes, plan, sample, validity
-from inference_api.routes.documentation import add_docs_page, add_guide
-from inference_api.scheduler import Lookups, Scheduler
-from inference_api.schemas import Problem
-from inference_api.settings import ApiSettings
-from inference_api.shadow import Shadow
-from inference_api.telemetry import Metrics, Telemetry
-from inference_api.tensors import InferenceRequest
-from inference_api.tracing import TracedMetrics, add_tracing, otlp_provider
+from inference_api.auth import ApiKeys, RequireKey
+from inference_api.limits import HEALTH, WORKBENCH_FILES, ComputePlaces, KnownDoors, LimitRequests
+from inference_api.models import ModelStore
+from inference_api.problems import add_problem_handlers
+from inference_api.routes import belief, doctor, models, outcomes, plan, sample, validity
+from inference_api.routes.documentation import add_docs_page, add_guide, document
+from inference_api.settings import MIB, ApiSettings
+from inference_api.telemetry import Metrics, Telemetry, add_tracing
 from inference_api.workbench.routes import add_workbench
 from services.outcomes import Spool
-from services.registry.ports import PRETRAINED, ModelReader
+from services.registry.ports import ModelReader
 
-if TYPE_CHECKING:
-    from opentelemetry.sdk.trace import TracerProvider
-
-# Long enough for a registry nearby, short enough for a health check's patience.
+# For the first look at the registry: long enough for one nearby, short enough for a health check's patience.
 FIRST_LOOK_S = 20.0
-# Between two files of outcomes, which is what a killed process loses.
+# Between two files of outcomes.
 FLUSH_S = 10.0
+# Threads that compute come back to the interpreter after every graph, and would wait for 5 ms each time.
+SWITCH_S = 0.00005
 
 
 def create_app(settings: ApiSettings | None = None, registry: ModelReader | None = None) -> FastAPI:
-    """The API.
+    """The API; its state holds ``settings``, ``models``, ``metrics``, ``places`` and ``spool``.
 
     Args:
         settings: from the environment when None.
@@ -54,121 +47,115 @@ def create_app(settings: ApiSettings | None = None, registry: ModelReader | None
             of scenes are asked for and their packages are not there.
     """
     settings = settings or ApiSettings.from_environment()
-    store = _make_store(settings, registry)
-    provider = otlp_provider() if settings.traces else None
-    metrics = _make_metrics(settings, store, provider)
-
-    @asynccontextmanager
-    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        # Before the first thread has an arena.
-        few_arenas()
-        app.state.store, app.state.service = store, _make_service(settings, store, metrics)
-        spool = app.state.service.spool
-        flushed: AbstractAsyncContextManager[None] = nullcontext()
-        if spool is not None:
-            flushed = repeated(spool.flush, FLUSH_S, at_end=True)
-        async with trimmed(), flushed, following(store, settings.poll_s, FIRST_LOOK_S):
-            settle()
-            if app.state.loads_planner:
-                store.planner.begin()
-            yield
-        if app.state.traces is not None:
-            # Sends what is still waiting.
-            await to_thread.run_sync(app.state.traces.shutdown)
-
     app = FastAPI(
         title="cspace-sampler",
         version=_version(),
         description="A picture of a scenario goes in, collision-free joint configurations come out.",
-        lifespan=lifespan,
+        lifespan=_lifespan,
         docs_url=None,
         redoc_url=None,
     )
-    for routes in (sample, validity, plan, belief, doctor, outcomes, models, open_inference):
+    store = _model_store(settings, registry)
+    metrics = Metrics(lambda: store.default, settings.metrics_folder)
+    store.on_reload = metrics.reloaded
+    app.state.settings, app.state.models, app.state.metrics = settings, store, metrics
+    app.state.places = ComputePlaces(settings.api_threads, metrics.waiting)
+    app.state.spool = None
+    if settings.outcomes is not None:
+        app.state.spool = Spool(settings.outcomes, int(MIB * settings.outcomes_mib), metrics.outcomes)
+    # Servers load the search when they start; an app in another process with its first plan.
+    app.state.loads_planner = False
+    for routes in (sample, validity, plan, belief, doctor, outcomes, models):
         app.include_router(routes.router)
     add_docs_page(app)
-    add_guide(app, settings.guide_folder)
-    add_workbench(app, truth=settings.workbench, mlflow_pages=settings.mlflow_pages)
+    add_guide(app, settings.api_guide)
+    add_workbench(app, truth=settings.api_workbench)
     add_problem_handlers(app)
-    add_limits(app, settings.protection)
-    app.add_middleware(Telemetry, metrics=metrics, routes=app.router.routes)
-    app.state.metrics, app.state.traces = metrics, provider
-    # Servers do; an app that is used in another process loads the search with its first plan.
-    app.state.loads_planner = False
-    if provider is not None:
-        add_tracing(app, provider)
+    _add_middleware(app, settings)
+    app.state.traces = add_tracing(app) if settings.traces else None
     app.openapi = lambda: document(app, settings.model_name)  # type: ignore[method-assign]
     return app
 
 
-def document(app: FastAPI, default_model: str) -> dict[str, Any]:
-    """The OpenAPI document, made once: FastAPI's, with what it cannot see of the app.
-
-    Args:
-        app: whose routes are described.
-        default_model: that answers requests which name none.
-    """
-    if app.openapi_schema is None:
-        made = get_openapi(
-            title=app.title, version=app.version, description=app.description, routes=app.routes
-        )
-        components = made.setdefault("components", {})
-        components["securitySchemes"] = {"key": {"type": "http", "scheme": "bearer"}}
-        # Either none or a key, for whoever runs the server decides.
-        made["security"] = [{}, {"key": []}]
-        for path in HEALTH:
-            made["paths"][path]["get"]["security"] = []
-        for path in ("/sample", "/validity", "/plan", "/belief", "/doctor"):
-            for body in made["paths"][path]["post"]["requestBody"]["content"].values():
-                body["schema"]["properties"]["model"]["default"] = default_model
-        schemas = components.setdefault("schemas", {})
-        for unseen in (Problem, InferenceRequest, outcomes.OutcomesRequest):
-            schema = unseen.model_json_schema(ref_template="#/components/schemas/{model}")
-            schemas.update(schema.pop("$defs", {}))
-            schemas[unseen.__name__] = schema
-        app.openapi_schema = made
-    return app.openapi_schema
+def create_server_app() -> FastAPI:
+    """The app of a server's process, see :mod:`inference_api.__main__`."""
+    app = create_app()
+    app.state.loads_planner = app.state.settings.api_load_planner
+    return app
 
 
-def _make_store(settings: ApiSettings, registry: ModelReader | None) -> ModelStore:
-    # A registry that is given is known to behave: what comes from it is verified in this process.
-    verify = verification.verify if registry is None else _verify_here
-    source = RegistryWorker(settings.registry_uri) if registry is None and settings.registry_uri else registry
-    disk = DiskCache(settings.cache_folder, settings.stored_bundles)
-    return ModelStore(
-        source,
-        BundleCache(disk, source, verify, settings.loaded_bundles, trusted_key=settings.trusted_key),
-        ShippedModels({PRETRAINED: settings.pretrained_folder, **settings.further_folders}),
-        settings.model_name,
-        settings.poll_s,
-        pictures=PictureCache(settings.cached_pictures),
+def _add_middleware(app: FastAPI, settings: ApiSettings) -> None:
+    """What is added last is asked first."""
+    app.add_middleware(
+        LimitRequests, max_in_flight=settings.api_max_in_flight, body_timeout_s=settings.api_body_timeout_s
     )
+    if settings.api_keys_file is not None:
+        open_paths = (*HEALTH, "/", f"{WORKBENCH_FILES}/")
+        app.add_middleware(RequireKey, keys=ApiKeys.read(settings.api_keys_file), open_paths=open_paths)
+    if settings.api_origins:
+        app.add_middleware(
+            CORSMiddleware,
+            allow_origins=settings.api_origins,
+            allow_methods=["GET", "POST"],
+            allow_headers=["*"],
+            expose_headers=["*"],
+        )
+    app.add_middleware(KnownDoors, hosts=settings.api_hosts, origins=settings.api_origins)
+    app.add_middleware(Telemetry, metrics=app.state.metrics)
 
 
-def _make_metrics(settings: ApiSettings, store: ModelStore, provider: "TracerProvider | None") -> Metrics:
-    if provider is None:
-        metrics = Metrics(lambda: store.default, settings.metrics_folder)
-    else:
-        metrics = TracedMetrics(provider, lambda: store.default, settings.metrics_folder)
-    store.on_champion = metrics.followed
-    return metrics
+@asynccontextmanager
+async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
+    sys.setswitchinterval(SWITCH_S)
+    store, spool, looked = app.state.models, app.state.spool, Event()
+    # Daemons, for a look may wait and nobody waits for it.
+    Thread(target=store.follow, args=(looked,), name="poll", daemon=True).start()
+    await to_thread.run_sync(store.load_shipped)
+    await to_thread.run_sync(looked.wait, FIRST_LOOK_S, abandon_on_cancel=True)
+    if app.state.loads_planner:
+        store.planner.begin()
+    # What the start has made stays anyway: later collections, which stop all threads, leave it out.
+    gc.collect()
+    gc.freeze()
+    flushing = None if spool is None else asyncio.create_task(_flush(spool))
+    yield
+    store.close()
+    if flushing is not None:
+        flushing.cancel()
+        await to_thread.run_sync(spool.flush)
+    if app.state.traces is not None:
+        # Sends what is still waiting.
+        await to_thread.run_sync(app.state.traces.shutdown)
 
 
-def _make_service(settings: ApiSettings, store: ModelStore, metrics: Metrics) -> Service:
-    scheduler, lookups = Scheduler(settings.threads, metrics.waiting), Lookups()
-    folder, most_bytes = settings.outcomes_folder, settings.outcomes_bytes
-    spool = None if folder is None else Spool(folder, most_bytes, metrics.outcomes)
-    shadow = Shadow(store, scheduler, lookups, spool, metrics.compared)
-    keep_s = 86_400.0 * settings.kept_pictures_days
-    return Service(store, scheduler, lookups, metrics, shadow, spool, keep_s)
-
-
-def _verify_here(folder: Path, digest: str) -> None:
-    Bundle.load(folder, digest=digest)
+async def _flush(spool: Spool) -> None:
+    while True:
+        await asyncio.sleep(FLUSH_S)
+        await to_thread.run_sync(spool.flush)
 
 
 def _version() -> str:
     try:
         return version("cspace-sampler")
     except PackageNotFoundError:
+        # Images hold the sources alone.
         return "0"
+
+
+def _model_store(settings: ApiSettings, registry: ModelReader | None) -> ModelStore:
+    if registry is not None:
+        # One that is given is known to behave: what comes from it is verified in this process.
+        return ModelStore(
+            settings, lambda: registry, lambda folder, digest: Bundle.load(folder, digest=digest)
+        )
+    uri = settings.registry_uri
+    return ModelStore(settings, cache(lambda: _mlflow(uri)) if uri else None, verification.verify)
+
+
+def _mlflow(uri: str) -> ModelReader:
+    from services.registry.mlflow_errors import lower_patience  # noqa: PLC0415 - MLflow takes seconds
+
+    lower_patience(os.environ)
+    from services.registry.mlflow_registry import MlflowRegistry  # noqa: PLC0415 - as above
+
+    return MlflowRegistry(uri)

@@ -1,50 +1,84 @@
-"""What is known of requests afterwards: Prometheus metrics, and the middleware that counts and logs them.
+"""What is known of requests afterwards: Prometheus metrics, log lines, and OpenTelemetry's traces.
 
 Every label of a metric has a bounded set of values: templates of routes, problem types, the methods of HTTP,
 statuses that the server itself chooses, one model.
 """
 
 import asyncio
+import json
 import logging
+import os
 import re
+import secrets
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
+from contextvars import ContextVar
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
-from fastapi.routing import iter_route_contexts
+from fastapi import Depends, FastAPI, Request
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 from prometheus_client.core import GaugeMetricFamily, Metric
 from prometheus_client.multiprocess import MultiProcessCollector
 from prometheus_client.process_collector import ProcessCollector
 from prometheus_client.registry import Collector
 from starlette.datastructures import Headers
-from starlette.responses import Response
-from starlette.routing import BaseRoute, Mount, compile_path
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from cspace.errors import ConfigError
 from cspace.query import Status
-from inference_api.drift import CollisionDrift
-from inference_api.limits import RAW_SECURITY_HEADERS
-from inference_api.logs import RequestRecord, choose_request_id, log_request, request_record
-from inference_api.models.served import ServedModel
-from inference_api.models.store import Refusal
-from inference_api.problem_types import PROBLEMS, SHUTTING_DOWN, failure_response, problem_response
+from inference_api.limits import HEALTH, METRICS
+from inference_api.models import Reload, ServedModel
+from inference_api.problems import PROBLEMS, SHUTTING_DOWN, RequestError, problem_response
+from inference_api.settings import TRACES_ENDPOINTS
 from services.outcomes import RESULTS
+
+if TYPE_CHECKING:
+    from opentelemetry.sdk.trace import TracerProvider
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 REQUEST_ID = "X-Request-ID"
 STAGES = ("decode", "encode", "generate", "total")
 METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS", "TRACE", "CONNECT"})
-# The name of paths without a route in metrics and log.
-UNKNOWN = "unknown"
-_NO_REASON = "none"
+# After OWASP's REST Security Cheat Sheet. A page that needs more, /docs, brings a policy of its own.
+SECURITY_HEADERS = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": "default-src 'none'; frame-ancestors 'none'",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
+_RAW_SECURITY_HEADERS = [(name.lower().encode(), value.encode()) for name, value in SECURITY_HEADERS.items()]
+LOG_FORMS: tuple[str, ...] = ("text", "json")
+_SENT_ID = re.compile(r"[A-Za-z0-9._-]{1,128}", re.ASCII)
 # From a picture that is known and a small network to a large n on a busy processor, in s.
 _STAGE_BUCKETS_S = (0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0)
 _ACCEPTANCE_BUCKETS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0)
-_LOG = logging.getLogger(__name__)
+_LOG, _ACCESS_LOG = logging.getLogger(__name__), logging.getLogger("inference_api.access")
+
+
+@dataclass(slots=True)
+class RequestRecord:
+    """What the log says of one request; ``client`` is the name of the key that it came with."""
+
+    request_id: str
+    client: str | None = None
+    method: str | None = None
+    route: str | None = None
+    status: int | None = None
+    duration_ms: float | None = None
+    reason: str | None = None
+    model: str | None = None
+    n: int | None = None
+    seed: str | None = None
+    shortfall: int | None = None
+
+
+# The record of the request that is being answered, in its threads, too; None outside of one.
+request_record: ContextVar[RequestRecord | None] = ContextVar("request_record", default=None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,20 +120,14 @@ class Metrics:
         self._registry = registry = CollectorRegistry()
         counter, histogram = partial(Counter, registry=registry), partial(Histogram, registry=registry)
         gauge = partial(Gauge, registry=registry, multiprocess_mode="livesum")
-        self._requests = counter(
+        self.requests = counter(
             "cspace_requests", "Requests answered, by template of the route.", ("route", "method", "status")
         )
-        self._failures = counter(
-            "cspace_failures", "Answers that were problems, by problem type.", ("reason",)
-        )
+        self.failures = counter("cspace_failures", "Answers that were problems, by type.", ("reason",))
         self.in_flight = gauge("cspace_requests_in_flight", "Requests being answered.")
-        self.waiting = gauge("cspace_requests_waiting", "Requests that wait for their turn to be computed.")
-        self.connections = gauge("cspace_connections", "Connections that are open.")
-        stages = histogram(
-            "cspace_stage_seconds",
-            "Time in each stage of an answer with samples.",
-            ("stage",),
-            buckets=_STAGE_BUCKETS_S,
+        self.waiting = gauge("cspace_requests_waiting", "Requests that wait for a place to compute.")
+        self._stages = histogram(
+            "cspace_stage_seconds", "Time in each stage of samples.", ("stage",), buckets=_STAGE_BUCKETS_S
         )
         self._acceptance = histogram(
             "cspace_acceptance_ratio",
@@ -110,34 +138,20 @@ class Metrics:
         self._returned = counter("cspace_samples_returned", "Samples returned.")
         self._scored = counter("cspace_configurations_scored", "Configurations scored by POST /validity.")
         self._plans = counter("cspace_plans", "Answers of POST /plan, by status.", ("status",))
-        self._fallbacks = counter(
-            "cspace_fallback_answers", "Answers of the shipped model in a champion's stead."
-        )
+        self._fallbacks = counter("cspace_fallback_answers", "Answers of a shipped model in another's stead.")
         self._reloads = counter(
-            "cspace_model_reloads", "Champions put into service, or refused.", ("outcome", "reason")
-        )
-        self._drift = CollisionDrift()
-        self._evidence = Gauge(
-            "cspace_collision_evidence",
-            "How clearly plans collide more often than stated, a power of ten; alarm from 6.",
-            registry=registry,
-            multiprocess_mode="livemax",
+            "cspace_model_reloads", "Champions served, refused or removed.", ("outcome", "reason")
         )
         self._outcomes = counter("cspace_outcomes", "Outcomes written to disk, or lost.", ("result",))
-        self._shadow = counter("cspace_shadow", "Plans compared with a shadow's predictions.", ("result",))
         # Else a rate over the first event of a kind would see no rise.
-        for result in RESULTS:
-            self._outcomes.labels(result)
-        for compared in ("compared", "dropped", "failed"):
-            self._shadow.labels(compared)
         for problem in PROBLEMS:
-            self._failures.labels(problem.name)
+            self.failures.labels(problem.name)
         for status in get_args(Status):
             self._plans.labels(status)
-        self._stage = {stage: stages.labels(stage) for stage in STAGES}
-        self._reloads.labels("served", _NO_REASON)
-        for reason in get_args(Refusal):
-            self._reloads.labels("refused", reason)
+        for result in RESULTS:
+            self._outcomes.labels(result)
+        for reload in get_args(Reload):
+            self._reloads.labels(*_reload_labels(reload))
         ProcessCollector(registry=registry)
         registry.register(self._model)
 
@@ -147,7 +161,7 @@ class Metrics:
             self._fallbacks.inc()
         if answer.kind == "samples":
             for stage, seconds in answer.stages_s.items():
-                self._stage[stage].observe(seconds)
+                self._stages.labels(stage).observe(seconds)
             self._acceptance.observe(answer.acceptance or 0.0)
             self._requested.inc(answer.n or 0)
             self._returned.inc((answer.n or 0) - (answer.shortfall or 0))
@@ -157,32 +171,17 @@ class Metrics:
             self._plans.labels(answer.status).inc()
         record = request_record.get()
         if record is not None:
-            record.model, record.n = str(answer.served), answer.n
-            record.seed, record.shortfall = answer.seed, answer.shortfall
+            record.model, record.n, record.shortfall = str(answer.served), answer.n, answer.shortfall
+            # JSON's numbers end at 53 bits.
+            record.seed = None if answer.seed is None else str(answer.seed)
 
-    def followed(self, refusal: Refusal | None) -> None:
-        """Counts a champion that was put into service, or was not for a reason."""
-        outcome = "served" if refusal is None else "refused"
-        self._reloads.labels(outcome, refusal or _NO_REASON).inc()
-
-    def plans_reported(self, site: str, plans: Sequence[tuple[float, bool]]) -> None:
-        """Weighs what became of plans, see :meth:`inference_api.drift.CollisionDrift.add`."""
-        self._evidence.set(self._drift.add(site, plans))
+    def reloaded(self, reload: Reload) -> None:
+        """Counts a champion that was put into service, refused, or removed."""
+        self._reloads.labels(*_reload_labels(reload)).inc()
 
     def outcomes(self, result: str, count: int) -> None:
         """Counts outcomes that were written, or are lost."""
         self._outcomes.labels(result).inc(count)
-
-    def compared(self, result: str) -> None:
-        """Counts a plan that was compared with a shadow's prediction, or could not be."""
-        self._shadow.labels(result).inc()
-
-    def finished(self, route: str, method: str, status: int, record: RequestRecord) -> None:
-        """Counts a request."""
-        known = method if method in METHODS else "other"
-        self._requests.labels(route, known, str(status)).inc()
-        if record.reason is not None:
-            self._failures.labels(record.reason).inc()
 
     def render(self) -> bytes:
         """All metrics in Prometheus' text format; of several processes their sums, and this one's model."""
@@ -192,6 +191,10 @@ class Metrics:
         MultiProcessCollector(together, path=str(self._shared))  # type: ignore[no-untyped-call]
         together.register(self._model)
         return generate_latest(together)
+
+
+def _reload_labels(reload: Reload) -> tuple[str, str]:
+    return (reload, "none") if reload in ("served", "removed") else ("refused", reload)
 
 
 class _ModelCollector(Collector):
@@ -222,72 +225,159 @@ class _ModelCollector(Collector):
 class Telemetry:
     """ASGI middleware round all others: id, security headers, metrics and log line of every request.
 
-    It is the last resort, too: an error that nobody caught is logged and answered with 500, and a request
-    that is cancelled at the server's end is told so with 503 and stays cancelled.
-
-    Args:
-        app: what is watched.
-        metrics: of the app.
-        routes: of the app, whose templates name paths; looked at with the first request.
+    An error that nobody foresaw is answered with 500 here, inside of these, and a request that is cancelled
+    at the server's end with 503.
     """
 
-    def __init__(self, app: ASGIApp, metrics: Metrics, routes: Sequence[BaseRoute]) -> None:
-        self._app, self._metrics, self._routes = app, metrics, routes
+    def __init__(self, app: ASGIApp, metrics: Metrics) -> None:
+        self._app, self._metrics = app, metrics
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Passes a request on."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        record = RequestRecord(choose_request_id(Headers(scope=scope).get(REQUEST_ID)), scope["path"])
-        began, status = time.perf_counter(), 0
+        sent = Headers(scope=scope).get(REQUEST_ID, "")
+        record = RequestRecord(sent if _SENT_ID.fullmatch(sent) else secrets.token_hex(16))
+        began = time.perf_counter()
 
         async def labelled(message: Message) -> None:
-            nonlocal status
             if message["type"] == "http.response.start":
-                status, headers = message["status"], list(message.get("headers", ()))
-                own = {name.lower() for name, _ in headers}
-                headers += [header for header in RAW_SECURITY_HEADERS if header[0] not in own]
-                message["headers"] = [*headers, (REQUEST_ID.lower().encode(), record.request_id.encode())]
+                record.status = message["status"]
+                headers = list(message.get("headers", ()))
+                own = {name for name, _ in headers}
+                headers += [header for header in _RAW_SECURITY_HEADERS if header[0] not in own]
+                message["headers"] = [*headers, (b"x-request-id", record.request_id.encode())]
             await send(message)
 
         token = request_record.set(record)
-        self._metrics.in_flight.inc()
         try:
-            await self._app(scope, receive, labelled)
+            with self._metrics.in_flight.track_inprogress():
+                await self._app(scope, receive, labelled)
         except asyncio.CancelledError:
-            if not status:
-                await _cut_off()(scope, receive, labelled)
+            if record.status is None:
+                await problem_response(_SHUT_DOWN)(scope, receive, labelled)
             raise
         except Exception as error:
-            if status:
+            if record.status is not None:
                 raise
-            _LOG.exception("an error that nobody foresaw")
-            await failure_response(error)(scope, receive, labelled)
+            await problem_response(error)(scope, receive, labelled)
         finally:
-            self._metrics.in_flight.dec()
-            route, method = self._route(record.path), scope["method"]
-            self._metrics.finished(route, method, status, record)
-            log_request(record, method, route, status, time.perf_counter() - began)
+            self._finish(scope, record, 1e3 * (time.perf_counter() - began))
             request_record.reset(token)
 
-    def _route(self, path: str) -> str:
-        return next((name for pattern, name in self._patterns if pattern.match(path)), UNKNOWN)
+    def _finish(self, scope: Scope, record: RequestRecord, duration_ms: float) -> None:
+        state = scope.get("state", {})
+        record.reason = state.get("problem")
+        # Of mounted files it is the folder.
+        record.route = getattr(scope.get("route"), "path", scope.get("root_path")) or "unknown"
+        record.method = scope["method"] if scope["method"] in METHODS else "other"
+        record.duration_ms = round(duration_ms, 3)
+        self._metrics.requests.labels(record.route, record.method, str(record.status or 0)).inc()
+        if record.reason is not None:
+            self._metrics.failures.labels(record.reason).inc()
+        # Nothing in it is free text of the client's.
+        fields = ((name, getattr(record, name)) for name in record.__slots__)
+        known = {name: value for name, value in fields if value is not None}
+        _ACCESS_LOG.info("%s %s %s", record.method, record.route, record.status, extra={"fields": known})
 
-    @cached_property
-    def _patterns(self) -> list[tuple[re.Pattern[str], str]]:
-        patterns = []
-        for route in iter_route_contexts(self._routes):
-            path = route.path or ""
-            whole = f"{path}/{{path:path}}" if isinstance(route.original_route, Mount) else path
-            patterns.append((compile_path(whole)[0], path))
-        return patterns
+
+_SHUT_DOWN = RequestError(
+    SHUTTING_DOWN,
+    "the server was told to end before this request was answered",
+    remedy="ask again: another process may answer by then",
+    headers={"Connection": "close", "Retry-After": "1"},
+)
 
 
-def _cut_off() -> Response:
-    return problem_response(
-        SHUTTING_DOWN,
-        "the server was told to end before this request was answered",
-        remedy="ask again: another process may answer by then",
-        headers={"Connection": "close", "Retry-After": "1"},
+class LineFormatter(logging.Formatter):
+    """``LEVEL:     message name=value ...``, or an object of JSON; a line inside a request has its id."""
+
+    def __init__(self, form: str) -> None:
+        super().__init__("%(levelname)s:     %(message)s%(tail)s")
+        self._is_json = form == "json"
+
+    def format(self, record: logging.LogRecord) -> str:
+        """The line."""
+        request = request_record.get()
+        fields: dict[str, Any] = {} if request is None else {"request_id": request.request_id}
+        fields |= getattr(record, "fields", {})
+        if not self._is_json:
+            record.tail = "".join(
+                f" {name}={value}"
+                for name, value in fields.items()
+                if name not in ("method", "route", "status")
+            )
+            return super().format(record)
+        line = {
+            "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
+            "level": record.levelname.lower(),
+            "logger": record.name,
+            "message": record.getMessage(),
+            **fields,
+        }
+        if record.exc_info:
+            line["exception"] = self.formatException(record.exc_info)
+        return json.dumps(line, default=str)
+
+
+def log_settings(form: str) -> dict[str, Any]:
+    """For :func:`logging.config.dictConfig`: all to standard error, the project's own from INFO on."""
+    return {
+        "version": 1,
+        "disable_existing_loggers": False,
+        "formatters": {"line": {"()": f"{__name__}.LineFormatter", "form": form}},
+        "handlers": {"standard-error": {"class": "logging.StreamHandler", "formatter": "line"}},
+        "root": {"level": "WARNING", "handlers": ["standard-error"]},
+        "loggers": {
+            "inference_api": {"level": "INFO"},
+            "uvicorn": {"level": "INFO"},
+            # What the parser thinks of a client's bytes is told to the client.
+            "python_multipart": {"level": "ERROR"},
+            # Their warnings name the registry's address.
+            "mlflow": {"level": "ERROR"},
+            "urllib3": {"level": "ERROR"},
+        },
+    }
+
+
+def add_tracing(app: FastAPI) -> "TracerProvider":
+    """Sends a span for every request but those that only watch, by OpenTelemetry's own variables.
+
+    Raises:
+        ConfigError: the packages are not installed.
+    """
+    try:
+        from opentelemetry.exporter.otlp.proto.http.trace_exporter import OTLPSpanExporter  # noqa: PLC0415
+        from opentelemetry.instrumentation.fastapi import FastAPIInstrumentor  # noqa: PLC0415
+        from opentelemetry.sdk.resources import Resource  # noqa: PLC0415
+        from opentelemetry.sdk.trace import TracerProvider  # noqa: PLC0415
+        from opentelemetry.sdk.trace.export import BatchSpanProcessor  # noqa: PLC0415
+    except ModuleNotFoundError as error:
+        raise ConfigError(
+            "traces cannot be sent",
+            expected="the packages of the extra tracing",
+            got=str(error),
+            remedy=f"pip install 'cspace-sampler[tracing]', or unset {' and '.join(TRACES_ENDPOINTS)}",
+        ) from error
+    named = "OTEL_SERVICE_NAME" in os.environ
+    provider = TracerProvider(
+        resource=Resource.create({} if named else {"service.name": "cspace-sampler-api"})
     )
+    provider.add_span_processor(BatchSpanProcessor(OTLPSpanExporter()))
+    FastAPIInstrumentor.instrument_app(
+        app,
+        tracer_provider=provider,
+        excluded_urls=",".join(f"{path}$" for path in (*HEALTH, METRICS)),
+        exclude_spans=["receive", "send"],
+    )
+    return provider
+
+
+async def _metrics_of(request: Request) -> Metrics:
+    metrics: Metrics = request.app.state.metrics
+    return metrics
+
+
+# What routes take.
+Metered = Annotated[Metrics, Depends(_metrics_of)]

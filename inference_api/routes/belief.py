@@ -1,64 +1,69 @@
-"""``POST /belief``: what a model takes the whole scene to be, seen or not."""
+"""``POST /belief``: how likely something is in each cell of space, seen or not."""
 
 import base64
-import math
 import time
-from functools import partial
+from typing import Annotated
 
 import numpy as np
-from fastapi import APIRouter, Request
+from fastapi import APIRouter, Depends
 from fastapi.responses import Response
 
 from cspace.bundle.samples import require_robot
-from inference_api.models.served import ServedModel
-from inference_api.requests import Service, Serving, both_bodies
-from inference_api.routes.sample import answer_responses, prepared_picture
-from inference_api.scheduler import Job, rows_of
-from inference_api.schemas import BeliefAnswer, SceneFields, ScoreTimingMs, about, warnings_of
-from inference_api.telemetry import Answered
-
-# Voxels that cost as much as one configuration.
-_VOXELS_A_ROW = 128
+from cspace_client.wire import BeliefAnswer, BeliefRequest, ScoreTimingMs
+from inference_api.body import body_of, both_bodies
+from inference_api.limits import ComputePlace
+from inference_api.models import Models, ServedModel
+from inference_api.scene import (
+    about,
+    answer_responses,
+    json_response,
+    prepare,
+    robot_of,
+    served_for,
+    view_of,
+    warnings_of,
+)
+from inference_api.telemetry import Answered, Metered
 
 router = APIRouter()
 
 
 @router.post(
     "/belief",
-    summary="Show what a model takes the whole scene to be",
-    openapi_extra=both_bodies(SceneFields),
+    summary="Estimate what is in each cell of space",
+    openapi_extra=both_bodies(BeliefRequest),
     responses=answer_responses(BeliefAnswer),
 )
-async def belief(request: Request, service: Serving) -> Response:
-    """How likely something is in each cell of space, also where no camera looks. Of arms in space alone."""
-    work = partial(_answer, service, began=time.perf_counter())
-    return await service.answer(request, SceneFields, work)
-
-
-def _answer(
-    service: Service, request: SceneFields, served: ServedModel, job: Job, *, began: float
+def belief(
+    request: Annotated[BeliefRequest, Depends(body_of(BeliefRequest))],
+    served: Annotated[ServedModel, Depends(served_for(BeliefRequest))],
+    place: ComputePlace,
+    models: Models,
+    metrics: Metered,
 ) -> Response:
-    bundle, spec, image = served.bundle, served.bundle.spec, request.picture()
-    require_robot(request.robot, spec)
+    """How likely something is in each cell of space, also where no camera looks. Of arms in space alone."""
+    began = time.perf_counter()
+    bundle, spec = served.bundle, served.bundle.spec
+    require_robot(robot_of(request), spec)
     bundle.require_belief()
-    job.spend(rows_of(rows=math.prod(spec.world.sensor.picture_shape[:3]) / _VOXELS_A_ROW))
-    prepared = prepared_picture(service.store, bundle, image, job)
+    prepared = prepare(models, bundle, view_of(request), place.check_cancelled)
     asked = time.perf_counter()
-    found = bundle.belief(prepared.picture, job.check_cancelled)
+    found = bundle.belief(prepared.picture, place.check_cancelled)
     ended = time.perf_counter()
-    service.metrics.answered(Answered("belief", served))
+    metrics.answered(Answered("belief", served))
     warnings = warnings_of(prepared.findings_with(spec.world, colliding=0.0))
-    body = BeliefAnswer(
-        low_m=list(found.low_m),
-        cell_m=found.cell_m,
-        counts=list(found.occupied.shape),
-        occupied=base64.b64encode(np.rint(255.0 * found.occupied).astype(np.uint8).tobytes()).decode(),
-        timing_ms=ScoreTimingMs(
-            decode=prepared.decode_ms,
-            encode=prepared.encode_ms,
-            score=1e3 * (ended - asked),
-            total=1e3 * (ended - began),
-        ),
-        **about(served, prepared.picture.novelty, warnings),
+    return json_response(
+        BeliefAnswer.model_construct(
+            low_m=list(found.low_m),
+            cell_m=found.cell_m,
+            counts=list(found.occupied.shape),
+            occupied=base64.b64encode(np.rint(255.0 * found.occupied).astype(np.uint8).tobytes()).decode(),
+            timing_ms=ScoreTimingMs(
+                decode=prepared.decode_ms,
+                encode=prepared.encode_ms,
+                score=1e3 * (ended - asked),
+                total=1e3 * (ended - began),
+            ),
+            **about(served, prepared.picture.novelty, warnings),
+        )
     )
-    return Response(body.model_dump_json(), media_type="application/json")

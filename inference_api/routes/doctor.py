@@ -1,27 +1,34 @@
 """``POST /doctor``: what is wrong with pictures, cameras and state, and what to do."""
 
 import time
-from functools import partial
+from typing import Annotated
 
-from fastapi import APIRouter, Request
+from fastapi import APIRouter, Depends
 from fastapi.responses import Response
 
 from cspace.bundle.samples import require_robot
 from cspace.errors import ImageError
-from inference_api.models.served import ServedModel
-from inference_api.requests import Service, Serving, both_bodies
-from inference_api.routes.sample import answer_responses, prepared_picture
-from inference_api.scheduler import Job, rows_of
-from inference_api.schemas import (
+from cspace_client.wire import (
     DoctorAnswer,
+    DoctorRequest,
     DoctorTimingMs,
     ScenarioInfo,
-    SceneFields,
-    SuggestedPoseInfo,
+    SuggestedPose,
     Verdict,
-    model_info,
 )
-from inference_api.telemetry import Answered
+from inference_api.body import body_of, both_bodies
+from inference_api.limits import ComputePlace
+from inference_api.models import Models, ServedModel
+from inference_api.scene import (
+    answer_responses,
+    json_response,
+    model_info,
+    prepare,
+    robot_of,
+    served_for,
+    view_of,
+)
+from inference_api.telemetry import Answered, Metered
 
 router = APIRouter()
 
@@ -29,45 +36,43 @@ router = APIRouter()
 @router.post(
     "/doctor",
     summary="Find what is wrong with depth pictures, cameras and state",
-    openapi_extra=both_bodies(SceneFields),
+    openapi_extra=both_bodies(DoctorRequest),
     responses=answer_responses(DoctorAnswer),
 )
-async def doctor(request: Request, service: Serving) -> Response:
+def doctor(
+    request: Annotated[DoctorRequest, Depends(body_of(DoctorRequest))],
+    served: Annotated[ServedModel, Depends(served_for(DoctorRequest))],
+    place: ComputePlace,
+    models: Models,
+    metrics: Metered,
+) -> Response:
     """Warnings of other answers, and tests that take longer: the arm rendered at `state` against the picture.
 
     Views that others refuse for seeing nothing in reach are answered. Of a plane only the novelty is given.
     """
-    work = partial(_answer, service, began=time.perf_counter())
-    return await service.answer(request, SceneFields, work)
-
-
-def _answer(
-    service: Service, request: SceneFields, served: ServedModel, job: Job, *, began: float
-) -> Response:
-    bundle, image = served.bundle, request.picture()
-    world = bundle.spec.world
-    require_robot(request.robot, bundle.spec)
-    # Fits last long, and are paid for as they compute.
-    job.spend(rows_of(pixels=world.pixels_of(image), searches=True))
-    found = world.diagnosis(image, job.check_cancelled)
+    began = time.perf_counter()
+    bundle, view = served.bundle, view_of(request)
+    require_robot(robot_of(request), bundle.spec)
+    found = bundle.spec.world.diagnosis(view, place.check_cancelled)
     diagnosed = time.perf_counter()
     try:
-        novelty = prepared_picture(service.store, bundle, image, job).picture.novelty
+        novelty = prepare(models, bundle, view, place.check_cancelled).picture.novelty
     except ImageError:
         # Nothing in reach, which is among the verdicts.
         novelty = None
     found, ended = found.with_novelty(novelty), time.perf_counter()
-    service.metrics.answered(Answered("diagnosis", served))
-    body = DoctorAnswer(
-        verdicts=[Verdict.model_validate(one, from_attributes=True) for one in found.findings],
-        notes=list(found.notes),
-        poses=[SuggestedPoseInfo.model_validate(one, from_attributes=True) for one in found.poses],
-        scenario=ScenarioInfo(novelty=novelty),
-        model=model_info(served),
-        timing_ms=DoctorTimingMs(
-            diagnose=1e3 * (diagnosed - began),
-            novelty=1e3 * (ended - diagnosed),
-            total=1e3 * (ended - began),
-        ),
+    metrics.answered(Answered("diagnosis", served))
+    return json_response(
+        DoctorAnswer(
+            verdicts=[Verdict.model_validate(one) for one in found.findings],
+            notes=list(found.notes),
+            poses=[SuggestedPose.model_validate(one) for one in found.poses],
+            scenario=ScenarioInfo(novelty=novelty),
+            model=model_info(served),
+            timing_ms=DoctorTimingMs(
+                diagnose=1e3 * (diagnosed - began),
+                novelty=1e3 * (ended - diagnosed),
+                total=1e3 * (ended - began),
+            ),
+        )
     )
-    return Response(body.model_dump_json(), media_type="application/json")

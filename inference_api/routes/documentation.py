@@ -1,33 +1,86 @@
-"""``/docs`` and ``/guide``: documentation from files of the server itself."""
+"""``/docs``, ``/guide`` and the OpenAPI document."""
 
 import base64
 import hashlib
 import re
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 from fastapi import FastAPI
 from fastapi.openapi.docs import get_swagger_ui_html
+from fastapi.openapi.utils import get_openapi
 from fastapi.responses import HTMLResponse, RedirectResponse, Response
 from fastapi.staticfiles import StaticFiles
+from pydantic.json_schema import models_json_schema
 from starlette.exceptions import HTTPException
 from starlette.types import Scope
 
-from inference_api.problem_types import NOT_FOUND, RequestError
+from cspace_client.wire import (
+    BeliefRequest,
+    DoctorRequest,
+    OutcomesRequest,
+    PlanRequest,
+    Problem,
+    SampleRequest,
+    SceneFields,
+    ValidityRequest,
+)
+from inference_api.body import FORM
+from inference_api.limits import HEALTH
+from inference_api.problems import NOT_FOUND, RequestError
 
-_ASSETS = "/docs/assets"
-_INLINE_SCRIPT = re.compile(rb"<script>(.*?)</script>", re.DOTALL)
 PAGE = "/guide"
-# Scripts and search index are files of the site. Drawings of the theme have style attributes.
-POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; "
+_INLINE_SCRIPT = re.compile(rb"<script>(.*?)</script>", re.DOTALL)
+# Style attributes and small pictures are parts of Swagger UI and of the site's theme.
+_POLICY = (
+    "default-src 'none'; script-src 'self'{scripts}; style-src 'self' 'unsafe-inline'; img-src 'self' data:; "
     "connect-src 'self'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
+)
+# Which FastAPI does not see in the signatures of routes.
+_UNSEEN = (
+    Problem,
+    OutcomesRequest,
+    SampleRequest,
+    ValidityRequest,
+    PlanRequest,
+    BeliefRequest,
+    DoctorRequest,
 )
 
 
+def document(app: FastAPI, default_model: str) -> dict[str, Any]:
+    """The OpenAPI document, made once: FastAPI's, with models and keys that it cannot see.
+
+    Args:
+        app: whose routes are described.
+        default_model: that answers requests which name none.
+    """
+    if app.openapi_schema is None:
+        made = get_openapi(
+            title=app.title, version=app.version, description=app.description, routes=app.routes
+        )
+        components = made.setdefault("components", {})
+        components["securitySchemes"] = {"key": {"type": "http", "scheme": "bearer"}}
+        # Either none or a key, for whoever runs the server decides.
+        made["security"] = [{}, {"key": []}]
+        for path in HEALTH:
+            made["paths"][path]["get"]["security"] = []
+        _, found = models_json_schema(
+            [(kind, "validation") for kind in _UNSEEN], ref_template="#/components/schemas/{model}"
+        )
+        components["schemas"] = components.get("schemas", {}) | found["$defs"]
+        for kind in SceneFields.__subclasses__():
+            body = made["paths"][f"/{kind.__name__.removesuffix('Request').lower()}"]["post"]["requestBody"]
+            form = body["content"][FORM]["schema"]
+            for schema in (form, components["schemas"][kind.__name__]):
+                schema["properties"]["model"]["default"] = default_model
+        app.openapi_schema = made
+    return app.openapi_schema
+
+
 def add_docs_page(app: FastAPI) -> None:
-    """Serve ``/docs`` and the assets that it needs."""
-    folder = Path(str(files("fastapi_offline") / "static"))
+    """Serve ``/docs`` from files of the server itself."""
     page = get_swagger_ui_html(
         openapi_url="openapi.json",
         title=f"{app.title} API",
@@ -37,64 +90,37 @@ def add_docs_page(app: FastAPI) -> None:
         # The default asks a validator on the internet what it thinks of the document.
         swagger_ui_parameters={"validatorUrl": None},
     )
-
-    page.headers["Content-Security-Policy"] = policy(bytes(page.body))
+    hashes = (
+        base64.b64encode(hashlib.sha256(script).digest()).decode()
+        for script in _INLINE_SCRIPT.findall(page.body)
+    )
+    page.headers["Content-Security-Policy"] = _POLICY.format(
+        scripts="".join(f" 'sha256-{one}'" for one in hashes)
+    )
 
     @app.get("/docs", include_in_schema=False)
     def docs() -> HTMLResponse:
         return page
 
-    app.mount(_ASSETS, StaticFiles(directory=folder), name="docs-assets")
-
-
-def policy(html: bytes) -> str:
-    """The content security policy of a page: files of the server, and its inline scripts as they are now."""
-    hashes = [
-        f"'sha256-{base64.b64encode(hashlib.sha256(script).digest()).decode()}'"
-        for script in _INLINE_SCRIPT.findall(html)
-    ]
-    return "; ".join(
-        (
-            "default-src 'none'",
-            f"script-src 'self' {' '.join(hashes)}".rstrip(),
-            # Swagger UI writes style attributes and pictures of its own into the page.
-            "style-src 'self' 'unsafe-inline'",
-            "img-src 'self' data:",
-            "connect-src 'self'",
-            "base-uri 'none'",
-            "form-action 'none'",
-            "frame-ancestors 'none'",
-        )
-    )
+    app.mount("/docs/assets", StaticFiles(directory=Path(str(files("fastapi_offline") / "static"))))
 
 
 def add_guide(app: FastAPI, folder: Path) -> None:
-    """Serve ``/guide`` and all below it.
-
-    Args:
-        app: that serves it.
-        folder: of the built site; it may come and go while the app runs.
-    """
+    """Serve ``/guide`` and all below it; the folder of the site may come and go while the app runs."""
 
     @app.get(PAGE, include_in_schema=False)
     def guide() -> RedirectResponse:
         # Relative, for a proxy may have put the API below a path of its own.
         return RedirectResponse("guide/")
 
-    app.mount(PAGE, GuideFiles(folder), name="guide")
+    app.mount(PAGE, _GuideFiles(folder), name="guide")
 
 
-class GuideFiles(StaticFiles):
-    """The site's files, with the policy that its pages need.
-
-    Args:
-        folder: of the built site.
-    """
-
+class _GuideFiles(StaticFiles):
     def __init__(self, folder: Path) -> None:
         super().__init__(directory=folder, html=True, check_dir=False)
         self._first_page = folder / "index.html"
-        # A folder that is not there is told by an answer, not by an error of the server.
+        # A folder that is not there is an answer, not an error of the server.
         self.config_checked = True
 
     async def get_response(self, path: str, scope: Scope) -> Response:
@@ -109,5 +135,5 @@ class GuideFiles(StaticFiles):
                     remedy="run make docs beside the server, or have its CSPACE_API_GUIDE name a built one",
                 ) from error
             raise
-        answer.headers["Content-Security-Policy"] = POLICY
+        answer.headers["Content-Security-Policy"] = _POLICY.format(scripts="")
         return answer

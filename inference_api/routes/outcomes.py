@@ -1,18 +1,17 @@
 """``POST /outcomes``: what became of earlier answers, kept until it is uploaded."""
 
 import time
-from collections.abc import Sequence
-from functools import partial
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Request
+import numpy as np
+from fastapi import APIRouter, Depends, Request
 from fastapi.responses import Response
-from pydantic import BaseModel, Field, Strict, ValidationInfo, field_validator
+from numpy.typing import NDArray
 
-from cspace.query import MAX_SAMPLES
-from inference_api.limits import client_of
-from inference_api.logs import REQUEST_ID, request_record
-from inference_api.problem_types import (
+from cspace_client.wire import OutcomesAnswer, OutcomesRequest
+from inference_api.body import JSON, body_of
+from inference_api.models import ServedModel
+from inference_api.problems import (
     BODY_TOO_LARGE,
     GUARD_PROBLEMS,
     INTERNAL_ERROR,
@@ -22,124 +21,23 @@ from inference_api.problem_types import (
     OUT_OF_RESOURCES,
     REQUEST_TIMEOUT,
     UNSUPPORTED_MEDIA_TYPE,
-    FieldProblem,
     RequestError,
+    problem_responses,
 )
-from inference_api.requests import Serving, load_object, problem_responses, read_body
-from inference_api.routes.sample import REQUEST_ID_HEADER
-from inference_api.scheduler import Job, rows_of
-from inference_api.schemas import Confidence, Expected, RequestFields, Site
-from inference_api.telemetry import Metrics
-from services.outcomes import Spool
-
-MAX_OUTCOMES = 1000
-_Seconds = Annotated[
-    Annotated[float, Field(ge=0.0, le=1e10, allow_inf_nan=False)] | None,
-    Expected("seconds, not negative, or null"),
-]
-_Flag = Annotated[bool | None, Expected("true, false or null")]
-_Count = Annotated[int, Field(ge=0, le=MAX_SAMPLES)]
+from inference_api.scene import REQUEST_ID_HEADER
+from inference_api.telemetry import request_record
+from services.outcomes import Spool, view_row
 
 
-class _OutcomeFields(RequestFields):
-    """What both kinds of outcome have."""
-
-    request_id: Annotated[
-        str,
-        Field(pattern=f"^{REQUEST_ID.pattern}$"),
-        Expected("the X-Request-ID of the answer: 1 to 128 letters, digits, dots, dashes and underscores"),
-    ] = Field(description="The `X-Request-ID` of the answer that this is about.")
-    model: Annotated[
-        str,
-        Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}/[0-9]{1,9}$"),
-        Expected("name/version, as the answer has them"),
-    ] = Field(description="The model that answered, as `name/version`.")
-    stamp_s: _Seconds = Field(
-        None, description="When this outcome was known, in seconds since 1970-01-01 UTC."
-    )
-    confidence: Confidence = Field(None, description="That the answer stated; null where it stated none.")
-    novelty: Confidence = Field(None, description="That the answer stated; null where it stated none.")
-    site: Site = Field(None, description="A short name of the place, such as a cell's.")
-
-
-class PlanOutcome(_OutcomeFields):
-    """What became of an answer of `POST /plan`."""
-
-    kind: Literal["plan"]
-    success: Annotated[bool, Expected("true or false")] = Field(
-        description="Whether the answer served its purpose: its path was free, or was executed to its end."
-    )
-    executed: _Flag = Field(None, description="Whether a robot moved along the path.")
-    collided: _Flag = Field(
-        None, description="Whether the path collides, in the world or for an exact check; null if not known."
-    )
-    collided_at: Annotated[
-        Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False)] | None,
-        Expected("a share from 0 to 1 of the path's length where collided is true, else null"),
-    ] = Field(None, description="Where it collides first: the share of the path's length from its start.")
-    time_s: _Seconds = Field(None, description="From the request to this outcome.")
-    calibration: Annotated[
-        Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}/[0-9]{1,9}$")] | None,
-        Expected("name/version, as the answer has it, or null"),
-    ] = Field(None, description="That the answer's confidence was by, as the answer names it.")
-
-    @field_validator("collided_at")
-    @classmethod
-    def _only_of_collisions(cls, value: float | None, info: ValidationInfo) -> float | None:
-        if value is not None and info.data.get("collided", True) is not True:
-            raise ValueError("the path does not collide")
-        return value
-
-
-class SamplesOutcome(_OutcomeFields):
-    """What became of an answer of `POST /sample`."""
-
-    kind: Literal["samples"]
-    checked: Annotated[_Count, Expected(f"a whole number from 0 to {MAX_SAMPLES}")] = Field(
-        description="How many of the samples were checked exactly."
-    )
-    free: Annotated[_Count, Expected("a whole number from 0 to checked")] = Field(
-        description="How many of those were free."
-    )
-
-    @field_validator("free")
-    @classmethod
-    def _of_those_checked(cls, value: int, info: ValidationInfo) -> int:
-        if value > info.data.get("checked", MAX_SAMPLES):
-            raise ValueError("more than were checked")
-        return value
-
-
-class OutcomesRequest(RequestFields):
-    """A batch of outcomes."""
-
-    KINDS: ClassVar[dict[str, type[RequestFields]]] = {"plan": PlanOutcome, "samples": SamplesOutcome}
-
-    outcomes: Annotated[
-        list[Annotated[PlanOutcome | SamplesOutcome, Field(discriminator="kind")]],
-        Field(min_length=1, max_length=MAX_OUTCOMES),
-        Strict(strict=False),
-        Expected(f"1 to {MAX_OUTCOMES} objects"),
-    ]
-
-    @classmethod
-    def problem_at(cls, kind: str, location: tuple[int | str, ...], value: object) -> FieldProblem:
-        """Names the outcome and its field, not the list alone."""
-        found = super().problem_at(kind, location, value)
-        if len(location) < 2:
-            return found
-        place = f"{location[0]}[{location[1]}]"
-        if len(location) < 4:
-            words = "an object whose kind is plan or samples"
-            return found.model_copy(update={"field": place, "expected": words})
-        inner = cls.KINDS[str(location[2])].problem_at(kind, location[3:], value)
-        return inner.model_copy(update={"field": f"{place}.{inner.field}"})
-
-
-class OutcomesAnswer(BaseModel):
-    """What was done with a batch."""
-
-    kept: int = Field(description="Outcomes that were taken: all, or 0 if the disk does not keep up.")
+async def _spool(request: Request) -> Spool:
+    spool: Spool | None = request.app.state.spool
+    if spool is None:
+        raise RequestError(
+            NO_OUTCOMES,
+            "this server keeps no outcomes",
+            remedy="set CSPACE_OUTCOMES to a folder where the server runs",
+        )
+    return spool
 
 
 router = APIRouter()
@@ -150,7 +48,7 @@ _SCHEMA = {"$ref": "#/components/schemas/OutcomesRequest"}
     "/outcomes",
     status_code=202,
     summary="Report what became of earlier answers",
-    openapi_extra={"requestBody": {"required": True, "content": {"application/json": {"schema": _SCHEMA}}}},
+    openapi_extra={"requestBody": {"required": True, "content": {JSON: {"schema": _SCHEMA}}}},
     responses={
         202: {
             "description": "They wait to be written.",
@@ -170,39 +68,26 @@ _SCHEMA = {"$ref": "#/components/schemas/OutcomesRequest"}
         ),
     },
 )
-async def outcomes(request: Request, service: Serving) -> Response:
+def outcomes(
+    spool: Annotated[Spool, Depends(_spool)],
+    request: Annotated[OutcomesRequest, Depends(body_of(OutcomesRequest, JSON))],
+) -> Response:
     """Keeps the outcomes in a bounded folder of the server. An outcome that is sent twice counts once."""
-    if service.spool is None:
-        raise RequestError(
-            NO_OUTCOMES,
-            "this server keeps no outcomes",
-            remedy="set CSPACE_OUTCOMES to a folder where the server runs",
-        )
-    text = (await read_body(request)).text
-    if text is None:
-        raise RequestError(
-            UNSUPPORTED_MEDIA_TYPE, "outcomes come as JSON", expected="application/json", got="a form"
-        )
-    work = partial(_keep, service.spool, service.metrics, text)
-    return await service.scheduler.run(work, client_of(request.scope))
+    taken = spool.add([one.model_dump(exclude_none=True) | _received() for one in request.outcomes])
+    body = OutcomesAnswer(kept=len(request.outcomes) if taken else 0)
+    return Response(body.model_dump_json(), 202, media_type=JSON)
 
 
-def _keep(spool: Spool, metrics: Metrics, text: bytes, job: Job) -> Response:
-    job.spend(rows_of(json_bytes=len(text)))
-    found = OutcomesRequest.read(load_object(text)).outcomes
+def keep_plan(request: Request, served: ServedModel, view: bytes, path: NDArray[np.float64]) -> bool:
+    """Whether a plan's pictures and path are taken for the upload of outcomes, to train on."""
+    spool: Spool | None = request.app.state.spool
+    record, keep_s = request_record.get(), 86_400.0 * request.app.state.settings.outcomes_keep_days
+    if spool is None or record is None or not keep_s:
+        return False
+    asked = {"request_id": record.request_id, **_received()}
+    return spool.add([asked | view_row(served, served.bundle.robot, view, path, keep_s)])
+
+
+def _received() -> dict[str, Any]:
     record = request_record.get()
-    received = {"client": record.client if record else None, "received_s": round(time.time(), 3)}
-    taken = spool.add([one.model_dump(exclude_none=True) | received for one in found])
-    for site, plans in _checked(found).items():
-        metrics.plans_reported(site, plans)
-    body = OutcomesAnswer(kept=len(found) if taken else 0)
-    return Response(body.model_dump_json(), 202, media_type="application/json")
-
-
-def _checked(found: Sequence[PlanOutcome | SamplesOutcome]) -> dict[str, list[tuple[float, bool]]]:
-    """Confidence of plans, and whether they collided where that is known, by site."""
-    plans: dict[str, list[tuple[float, bool]]] = {}
-    for one in found:
-        if isinstance(one, PlanOutcome) and one.confidence is not None and one.collided is not None:
-            plans.setdefault(one.site or "", []).append((one.confidence, one.collided))
-    return plans
+    return {"client": None if record is None else record.client, "received_s": round(time.time(), 3)}

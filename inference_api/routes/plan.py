@@ -3,41 +3,43 @@
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
+from typing import Annotated
 
-import numpy as np
-from fastapi import APIRouter, Request
+from fastapi import APIRouter, Depends, Request
 from fastapi.responses import Response
-from numpy.typing import NDArray
 
-from cspace.bundle import BundleSpec
 from cspace.bundle.samples import fitted_plan, fitted_problem, require_robot
 from cspace.errors import InputError
-from cspace.planning.cost import confidence_of_cost
 from cspace.query import Plan, PlanQuery, random_seed
-from cspace.world import ARM_IN_PICTURE, LITTLE_IN_REACH, Finding
-from inference_api.logs import request_record
-from inference_api.models.pictures import Prepared
-from inference_api.models.served import ServedModel
-from inference_api.problem_types import NO_PLANNER, SAMPLE_PROBLEMS, STARTING
-from inference_api.requests import Service, Serving, both_bodies, problem_responses
-from inference_api.routes.sample import answer_responses, prepared_picture
-from inference_api.scheduler import Job
-from inference_api.schemas import (
+from cspace.view_file import View
+from cspace.world import ARM_IN_PICTURE, LITTLE_IN_REACH, Finding, World
+from cspace_client.wire import (
     Alternative,
-    ContactInfo,
+    Contact,
     LeastSure,
-    NextViewInfo,
+    NextView,
     PlanAnswer,
     PlanRequest,
     PlanTimingMs,
+)
+from inference_api.body import body_of, both_bodies
+from inference_api.limits import ComputePlace
+from inference_api.models import Models, Prepared, ServedModel
+from inference_api.problems import NO_PLANNER, SAMPLE_PROBLEMS, STARTING, problem_responses
+from inference_api.routes.outcomes import keep_plan
+from inference_api.scene import (
     about,
+    answer_responses,
+    has_known,
+    json_response,
+    needs_kernels,
+    prepare,
+    robot_of,
+    served_for,
+    view_of,
     warnings_of,
 )
-from inference_api.shadow import Offer
-from inference_api.telemetry import Answered
-from services.names import ALIAS_CHAMPION
-from services.outcomes import view_row
+from inference_api.telemetry import Answered, Metered
 
 # Findings by which a plan is refused.
 _WHY = (ARM_IN_PICTURE, LITTLE_IN_REACH)
@@ -51,144 +53,106 @@ router = APIRouter()
     openapi_extra=both_bodies(PlanRequest),
     responses=answer_responses(PlanAnswer) | problem_responses(*SAMPLE_PROBLEMS, NO_PLANNER, STARTING),
 )
-async def plan(request: Request, service: Serving) -> Response:
+def plan(
+    request: Annotated[PlanRequest, Depends(body_of(PlanRequest))],
+    served: Annotated[ServedModel, Depends(served_for(PlanRequest))],
+    place: ComputePlace,
+    models: Models,
+    metrics: Metered,
+    http: Request,
+) -> Response:
     """Returns, of several paths through what the picture shows, the one with the least cost.
 
     The search treats unknown space as free; the model estimates how likely it is free.
     """
-    offers: list[Offer] = []
-    work = partial(_answer, service, offers, began=time.perf_counter())
-    answer = await service.answer(request, PlanRequest, work)
-    for offer in offers:
-        service.shadow.take(offer)
-    return answer
-
-
-def _answer(
-    service: Service,
-    offers: list[Offer],
-    request: PlanRequest,
-    served: ServedModel,
-    job: Job,
-    *,
-    began: float,
-) -> Response:
-    store = service.store
-    store.planner.require()
-    bundle, spec, image = served.bundle, served.bundle.spec, request.picture()
-    given = query_of(request)
+    began = time.perf_counter()
+    models.planner.require()
+    bundle, spec, view = served.bundle, served.bundle.spec, view_of(request)
+    given = _query_of(request, view)
     query = fitted_plan(spec, given)
-    require_robot(request.robot, spec)
+    require_robot(robot_of(request), spec)
     if not bundle.has_validity:
         raise InputError("the model has no validity head", remedy="name a model that has one")
-    fitted_problem(spec, given)
-    with job.searching() as check_cancelled:
-        prepared = prepared_picture(store, bundle, image, job)
-        warnings = _warnings(spec, prepared, request.start)
-        if given.min_confidence is None and any(one.code == LITTLE_IN_REACH for one in warnings):
+    with needs_kernels():
+        # Before the pictures: a wrong start costs nothing.
+        fitted_problem(spec, given)
+        prepared = prepare(models, bundle, view, place.check_cancelled)
+        findings = _findings(spec.world, prepared, query)
+        if given.min_confidence is None and any(one.code == LITTLE_IN_REACH for one in findings):
             # The calibration of other scenes does not hold here, so that paths are refused by default.
             query = replace(query, min_confidence=1.0)
-        local = None if request.site is None else store.calibration(request.site, served)
-        usual = spec.calibration_for(prepared.picture.pictures)
-        calibration = None if local is None else local[0].after(usual)
-        found = bundle.plan(prepared.picture, query, check_cancelled, calibration)
-    service.metrics.answered(Answered("plan", served, status=found.status, seed=query.seed))
-    record = request_record.get()
-    if record is not None and found.status == "solved" and served.alias == ALIAS_CHAMPION:
-        own = float(confidence_of_cost(np.array(found.cost), usual))
-        offers.append(Offer(record.request_id, record.client, served, image, found.path, own))
+        found = bundle.plan(prepared.picture, query, place.check_cancelled)
+    metrics.answered(Answered("plan", served, status=found.status, seed=query.seed))
     kept = None
     if request.keep:
         kept = (
-            found.status == "solved" and not request.has_known and _keep(service, served, image, found.path)
+            found.status == "solved"
+            and not has_known(request)
+            and keep_plan(http, served, view.packed(), found.path)
         )
-    least, view = found.least, found.next_view
-    body = PlanAnswer.model_construct(
-        status=found.status,
-        reason=_reason(found, query, warnings),
-        path=found.path.tolist(),
-        confidence=found.confidence,
-        calibration=None if local is None else local[1],
-        kept=kept,
-        edges=found.edges.tolist(),
-        unseen=None if found.unseen is None else found.unseen.tolist(),
-        length_rad=found.length_rad,
-        ways=found.found,
-        least_sure=None
-        if least is None
-        else LeastSure(
-            configuration=least.configuration.tolist(),
-            confidence=least.confidence,
-            unseen=least.unseen,
-            along=least.along,
-        ),
-        alternatives=[
-            Alternative(path=one.path.tolist(), confidence=one.confidence, edges=one.edges.tolist())
-            for one in found.alternatives
-        ]
-        if request.alternatives
-        else None,
-        contact=ContactInfo.of(found.contact),
-        next_view=None if view is None else NextViewInfo.model_validate(view, from_attributes=True),
-        seed=str(query.seed),
-        timing_ms=PlanTimingMs(
-            decode=prepared.decode_ms,
-            encode=prepared.encode_ms,
-            search=found.search_ms,
-            score=found.score_ms,
-            total=1e3 * (time.perf_counter() - began),
-        ),
-        **about(served, prepared.picture.novelty, warnings_of(warnings)),
+    return json_response(
+        PlanAnswer.model_construct(
+            status=found.status,
+            reason=_reason(found, query, findings),
+            path=found.path,
+            confidence=found.confidence,
+            kept=kept,
+            edges=found.edges,
+            unseen=found.unseen,
+            length_rad=found.length_rad,
+            ways=found.found,
+            least_sure=None if found.least is None else LeastSure.model_validate(found.least),
+            alternatives=[Alternative.model_validate(one) for one in found.alternatives]
+            if request.alternatives
+            else None,
+            contact=None if found.contact is None else Contact.model_validate(found.contact),
+            next_view=None if found.next_view is None else NextView.model_validate(found.next_view),
+            seed=query.seed,
+            timing_ms=PlanTimingMs(
+                decode=prepared.decode_ms,
+                encode=prepared.encode_ms,
+                search=found.search_ms,
+                score=found.score_ms,
+                total=1e3 * (time.perf_counter() - began),
+            ),
+            **about(served, prepared.picture.novelty, warnings_of(findings)),
+        )
     )
-    return Response(body.model_dump_json(), media_type="application/json")
 
 
-def _keep(service: Service, served: ServedModel, image: bytes, path: NDArray[np.float64]) -> bool:
-    """Whether pictures and path are taken for the upload of outcomes."""
-    record = request_record.get()
-    if record is None or service.spool is None or not service.keep_s:
-        return False
-    asked = {"request_id": record.request_id, "client": record.client, "received_s": round(time.time(), 3)}
-    row = view_row(served, served.bundle.robot, image, path, service.keep_s)
-    return service.spool.add([asked | row])
-
-
-def query_of(request: PlanRequest) -> PlanQuery:
-    """The planner's query of a request.
-
-    Raises:
-        InputError: it has both ``min_confidence`` and ``max_risk``.
-    """
+def _query_of(request: PlanRequest, view: View) -> PlanQuery:
     least = request.min_confidence
     if request.max_risk is not None:
         if least is not None:
             raise InputError("max_risk comes with min_confidence", expected="one of them", got="both")
         least = 1.0 - request.max_risk
+    pose, upright = request.goal_pose, request.upright
     return PlanQuery(
-        request.start,
-        request.goal,
-        random_seed(request.seed),
-        least,
-        request.time_limit_s,
-        request.ways,
-        request.next_view or bool(request.view),
-        request.view,
-        request.alternatives,
-        request.camera,
-        request.state,
-        request.explain,
-        request.goal_pose,
-        request.limits,
-        request.upright,
-        request.unwrapped,
+        start=tuple(request.start),
+        goal=None if request.goal is None else tuple(request.goal),
+        seed=random_seed(request.seed),
+        min_confidence=least,
+        time_limit_s=request.time_limit_s,
+        ways=request.ways,
+        next_view=request.next_view or bool(request.view),
+        views=tuple(one.model_dump() for one in request.view),
+        alternatives=request.alternatives,
+        seen_by=tuple(view.cameras),  # type: ignore[arg-type] # read as cameras by now
+        seen_state=view.state,
+        explain=request.explain,
+        goal_pose=None if pose is None else pose.model_dump(),
+        limits=None
+        if request.limits is None
+        else tuple(None if one is None else (one[0], one[1]) for one in request.limits),
+        upright=None if upright is None else upright.model_dump(),
+        unwrapped=request.unwrapped,
     )
 
 
-def _warnings(spec: BundleSpec, prepared: Prepared, start: tuple[float, ...]) -> tuple[Finding, ...]:
+def _findings(world: World, prepared: Prepared, query: PlanQuery) -> tuple[Finding, ...]:
     if not prepared.without_state:
         return prepared.findings
-    image = prepared.picture.image
-    return prepared.findings_with(spec.world, image=image, start=start)
+    return prepared.findings_with(world, image=prepared.picture.image, start=query.start)
 
 
 def _reason(found: Plan, query: PlanQuery, warnings: Sequence[Finding]) -> str | None:

@@ -1,39 +1,51 @@
 """``POST /validity``: which of the client's own configurations are free in a picture's scenario."""
 
 import time
-from functools import partial
+from collections.abc import Sequence
 from itertools import chain
+from typing import Annotated
 
 import numpy as np
-from fastapi import APIRouter, Request
+from fastapi import APIRouter, Depends
 from fastapi.responses import Response
 from numpy.typing import NDArray
 
-from cspace.bundle import Picture
 from cspace.bundle.samples import fitted_configurations, require_robot
 from cspace.errors import InputError
 from cspace.files import read_npy
-from cspace.query import MAX_SAMPLES
-from cspace.world import World
-from inference_api.models.served import ServedModel
-from inference_api.requests import Service, Serving, both_bodies, prefers_npy
-from inference_api.routes.sample import model_headers, npy_response, npy_responses, prepared_picture
-from inference_api.scheduler import Job, rows_of
-from inference_api.schemas import (
+from cspace_client.wire import (
     MAX_EXPLAINED,
-    ContactInfo,
+    MAX_SAMPLES,
+    Contact,
     ScoreTimingMs,
     ValidityAnswer,
     ValidityRequest,
+)
+from inference_api.body import body_of, both_bodies
+from inference_api.limits import ComputePlace
+from inference_api.models import Models, ServedModel
+from inference_api.scene import (
+    WantsNpy,
     about,
+    has_known,
+    json_response,
+    npy_response,
+    npy_responses,
+    prepare,
+    robot_of,
+    served_for,
+    view_of,
     warnings_of,
 )
-from inference_api.telemetry import Answered
+from inference_api.telemetry import Answered, Metered
 
 # Fewer configurations may well all collide.
 MANY_ROWS = 20
 HALF = 0.5
-_TYPES = ("<f4", "<f8")
+_HEADERS = {
+    "X-Threshold": "The confidence that training recommends, for models that have one.",
+    "Server-Timing": "decode, encode, score and total, in ms.",
+}
 
 router = APIRouter()
 
@@ -45,30 +57,25 @@ router = APIRouter()
     responses=npy_responses(
         ValidityAnswer,
         "float32 array (configurations, 2): confidence and unseen, NaN for null",
-        {
-            "X-Threshold": "The confidence that training recommends, for models that have one.",
-            "Server-Timing": "decode, encode, score and total, in ms.",
-        },
+        _HEADERS,
     ),
 )
-async def validity(request: Request, service: Serving) -> Response:
+def validity(
+    request: Annotated[ValidityRequest, Depends(body_of(ValidityRequest))],
+    served: Annotated[ServedModel, Depends(served_for(ValidityRequest))],
+    place: ComputePlace,
+    models: Models,
+    metrics: Metered,
+    npy: WantsNpy,
+) -> Response:
     """The validity head's confidence for each of the configurations, whatever they were drawn by.
 
     With `Accept: application/x-npy` the answer is a float32 `.npy` of two columns, the rest in headers.
     """
-    npy, began = prefers_npy(request.headers.get("accept")), time.perf_counter()
-    work = partial(_answer, service, npy=npy, began=began)
-    return await service.answer(request, ValidityRequest, work)
-
-
-def _answer(
-    service: Service, request: ValidityRequest, served: ServedModel, job: Job, *, npy: bool, began: float
-) -> Response:
-    store, bundle, spec = service.store, served.bundle, served.bundle.spec
-    image, given = request.picture(), _array_of(request.configurations)
-    require_robot(request.robot, spec)
-    configurations = fitted_configurations(given, spec)
-    job.spend(rows_of(rows=len(configurations)))
+    began = time.perf_counter()
+    bundle, spec = served.bundle, served.bundle.spec
+    require_robot(robot_of(request), spec)
+    configurations = fitted_configurations(_rows(request.configurations), spec)
     if request.explain and len(configurations) > MAX_EXPLAINED:
         raise InputError(
             "there are too many configurations to explain",
@@ -76,11 +83,11 @@ def _answer(
             got=str(len(configurations)),
             remedy="send those alone that you want to have explained",
         )
-    if request.explain or request.has_known:
-        store.planner.require()
-    prepared = prepared_picture(store, bundle, image, job)
-    scoring = time.perf_counter()
-    confidence, unseen = bundle.predict(prepared.picture, configurations, job.check_cancelled)
+    if request.explain or has_known(request):
+        models.planner.require()
+    prepared = prepare(models, bundle, view_of(request), place.check_cancelled)
+    picture, scoring = prepared.picture, time.perf_counter()
+    confidence, unseen = bundle.predict(picture, configurations, place.check_cancelled)
     ended = time.perf_counter()
     timing = ScoreTimingMs(
         decode=prepared.decode_ms,
@@ -90,46 +97,35 @@ def _answer(
     )
     colliding = float((confidence < HALF).mean()) if len(confidence) >= MANY_ROWS else 0.0
     warnings = warnings_of(prepared.findings_with(spec.world, colliding=colliding))
-    novelty = prepared.picture.novelty
-    service.metrics.answered(Answered("scores", served, n=len(confidence)))
+    metrics.answered(Answered("scores", served, n=len(confidence)))
     if npy:
         columns = np.full((len(confidence), 2), np.nan, dtype="<f4")
         columns[:, 0] = confidence
         if unseen is not None:
             columns[:, 1] = unseen
-        headers = model_headers(served, novelty, warnings)
-        if spec.confidence_threshold is not None:
-            headers["X-Threshold"] = f"{spec.confidence_threshold:.6g}"
-        return npy_response(columns, headers, timing)
-    # Constructed, not validated: the lists come from arrays.
-    body = ValidityAnswer.model_construct(
-        confidence=confidence.tolist(),
-        unseen=None if unseen is None else unseen.tolist(),
-        threshold=spec.confidence_threshold,
-        why=_why(prepared.picture, spec.world, configurations, confidence, job) if request.explain else None,
-        timing_ms=timing,
-        **about(served, novelty, warnings),
+        threshold = spec.confidence_threshold
+        headers = {} if threshold is None else {"X-Threshold": f"{threshold:.6g}"}
+        return npy_response(columns, served, picture.novelty, warnings, timing, headers)
+    why: list[Contact | None] | None = None
+    if request.explain:
+        why = []
+        for row, value in zip(configurations, confidence, strict=True):
+            place.check_cancelled()
+            contact = None if value >= HALF else spec.world.contact(row, picture.image, picture.known)
+            why.append(None if contact is None else Contact.model_validate(contact))
+    return json_response(
+        ValidityAnswer.model_construct(
+            confidence=confidence,
+            unseen=unseen,
+            threshold=spec.confidence_threshold,
+            why=why,
+            timing_ms=timing,
+            **about(served, picture.novelty, warnings),
+        )
     )
-    return Response(body.model_dump_json(), media_type="application/json")
 
 
-def _why(
-    picture: Picture,
-    world: World,
-    configurations: NDArray[np.float32],
-    confidence: NDArray[np.float32],
-    job: Job,
-) -> list[ContactInfo | None]:
-    """What is in the way of those that do not pass."""
-    found: list[ContactInfo | None] = []
-    for row, value in zip(configurations, confidence, strict=True):
-        job.check_cancelled()
-        contact = None if value >= HALF else world.contact(row, picture.image, picture.known)
-        found.append(ContactInfo.of(contact))
-    return found
-
-
-def _array_of(given: bytes | tuple[tuple[float, ...], ...]) -> NDArray[np.floating]:
+def _rows(given: bytes | Sequence[Sequence[float]]) -> NDArray[np.floating]:
     """(n, d), of a ``.npy`` file or of rows."""
     if not isinstance(given, bytes):
         lengths = {len(row) for row in given}
@@ -139,7 +135,7 @@ def _array_of(given: bytes | tuple[tuple[float, ...], ...]) -> NDArray[np.floati
         flat = np.fromiter(chain.from_iterable(given), np.float64, sum(map(len, given)))
         return flat.reshape(len(given), -1)
     try:
-        found = read_npy(given, _TYPES, 2)
+        found = read_npy(given, ("<f4", "<f8"), 2)
     except ValueError as error:
         raise _wrong(str(error)[:200]) from error
     if not 1 <= len(found) <= MAX_SAMPLES:

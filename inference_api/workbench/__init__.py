@@ -1,1 +1,1 @@
-"""The page at ``/``, and what it may ask beside the contract's pages; the contract does not know of it."""
+"""The page at ``/``, and the routes that it alone uses."""

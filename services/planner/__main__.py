@@ -218,7 +218,7 @@ def _plan_whole(command: Command, problem: Problem) -> int:
     _report(command, whole.report)
     print(json.dumps(plan_json(whole), allow_nan=False) if options.json else plan_text(whole))
     if options.plot is not None:
-        title = f"{problem_line(problem)}: {whole.found.plan.status}"
+        title = f"{problem_line(problem)}: {whole.found.status}"
         save_figure(plot_plan(problem, whole.result, None, title), options.plot)
     return 0 if whole.free else 1
 

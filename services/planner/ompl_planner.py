@@ -8,7 +8,7 @@ checks and goal test stay OMPL's.
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -22,9 +22,14 @@ from cspace.errors import PlanningError
 from cspace.simulator import Checker, Problem
 from cspace.space import JointSpace
 from cspace.worlds import checker_of
-from cspace_client.ompl.learned_sampler import DEFAULT_UNIFORM_SHARE
-from cspace_client.ompl.sample_mixture import GoalOnly, SampleMixture, StateDraws
-from cspace_client.ompl.state_space import DrawnGoal, StateAccess, make_state_space
+from cspace_client.ompl import (
+    DEFAULT_UNIFORM_SHARE,
+    DrawnGoal,
+    SampleMixture,
+    StateAccess,
+    StateDraws,
+    make_state_space,
+)
 from services.planner.result import (
     CHECK_FACTOR,
     CostPoint,
@@ -166,6 +171,22 @@ def _once(
         tree=copy_tree(run) if keep_tree else None,
         costs=tuple(rule.costs),
     )
+
+
+class GoalOnly:
+    """Gives the goal; for planners that draw uniform states themselves."""
+
+    def __init__(self, goal: Sequence[float]) -> None:
+        self.goal_drawn = self.learned_drawn = self.uniform_drawn = self.state_checks = 0
+        self._goal = goal
+
+    def draw(self) -> Sequence[float]:
+        """The goal."""
+        self.goal_drawn += 1
+        return self._goal
+
+    def goal_reached(self) -> None:
+        """Nothing changes: OMPL itself stops drawing the goal."""
 
 
 class EdgeValidator(ob.MotionValidator):  # type: ignore[misc]
@@ -313,7 +334,7 @@ def set_up(problem: Problem, settings: PlannerSettings, draws: StateDraws) -> Om
     definition.addStartState(start)
     mixed = isinstance(draws, SampleMixture)
     goal = space.wrap(problem.goal).tolist()
-    definition.setGoal(DrawnGoal(information, space, goal, draws, unlimited=mixed))
+    definition.setGoal(DrawnGoal(information, goal, draws, unlimited=mixed))
     if settings.planner == RRT_STAR:
         # The wrapper spares OMPL a look for Python's versions of all other methods of an objective.
         objective = ob.MultiOptimizationObjective(information)

@@ -101,7 +101,7 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
             "seed": str(batch.seed),
             "round_trip_s": batch.round_trip_s,
             "novelty": batch.novelty,
-            "warnings": [asdict(one) for one in batch.warnings],
+            "warnings": [one.model_dump() for one in batch.warnings],
             "uniform_share": comparison.learned.uniform_share,
         }
     return {
@@ -176,19 +176,19 @@ class WholePlan:
             self.found,
             success=self.free,
             executed=False,
-            collided=not self.free if len(self.found.plan.path) else None,
+            collided=not self.free if len(self.found.path) else None,
             time_s=self.found.round_trip_s,
         )
 
     @property
     def result(self) -> PlanResult:
         """As planners return it, for plots."""
-        plan = self.found.plan
+        plan = self.found
         return PlanResult(
             solved=len(plan.path) > 0,
             path=plan.path,
             length_rad=plan.length_rad if len(plan.path) else math.nan,
-            solve_time_s=1e-3 * (plan.search_ms + plan.score_ms),
+            solve_time_s=1e-3 * (plan.timing_ms.search + plan.timing_ms.score),
             reason=Reason.SOLVED if len(plan.path) else Reason.NO_PATH,
         )
 
@@ -203,30 +203,31 @@ def ask_for_plan(
     """
     found = client.plan(picture_file_of(problem.scenario), query, model)
     clearance_m = math.nan
-    if len(found.plan.path):
+    if len(found.path):
         step_rad = simulator_of(problem.scenario.world).measures.resolution_rad / CHECK_FACTOR
-        states = spaced(found.plan.path, problem.space, step_rad)
+        states = spaced(found.path, problem.space, step_rad)
         clearance_m = float(np.min(checker_of(problem.scenario).clearance(states)))
     return WholePlan(problem, found, clearance_m)
 
 
 def plan_text(whole: WholePlan) -> str:
     """The outcome in words; the last line is the ground truth."""
-    found, plan, model = whole.found, whole.found.plan, whole.found.model
-    times = f"{1e3 * found.round_trip_s:.0f} ms: search {plan.search_ms:.0f}, scoring {plan.score_ms:.0f}"
+    plan, model = whole.found, whole.found.model
+    parts = f"search {plan.timing_ms.search:.0f}, scoring {plan.timing_ms.score:.0f}"
+    times = f"{1e3 * plan.round_trip_s:.0f} ms: {parts}"
     lines = [
         f"problem  {problem_line(whole.problem)}",
-        f"plan     {plan.status} by {model.model_name}/{model.model_version} in {times}",
+        f"plan     {plan.status} by {model.name}/{model.version} in {times}",
     ]
-    if found.reason is not None:
-        lines.append(f"reason   {found.reason}")
-    lines.extend(warning_lines(model.warnings))
+    if plan.reason is not None:
+        lines.append(f"reason   {plan.reason}")
+    lines.extend(warning_lines(plan.warnings))
     if len(plan.path):
         unseen = (
             "" if plan.unseen is None else f", up to {plan.unseen.max():.0%} of the robot in unknown space"
         )
         lines.append(
-            f"path     {plan.length_rad:.2f} rad over {len(plan.edges)} edges, the best of {plan.found}: "
+            f"path     {plan.length_rad:.2f} rad over {len(plan.edges)} edges, the best of {plan.ways}: "
             f"confidence {plan.confidence:.3f}, lowest {plan.edges.min():.3f}{unseen}"
         )
         outcome = "collision-free" if whole.free else "collides"
@@ -236,19 +237,19 @@ def plan_text(whole: WholePlan) -> str:
 
 def plan_json(whole: WholePlan) -> dict[str, Any]:
     """The same as plain values."""
-    found, plan = whole.found, whole.found.plan
+    plan = whole.found
     return {
         "status": plan.status,
-        "reason": found.reason,
+        "reason": plan.reason,
         "path": plan.path.tolist(),
         "confidence": plan.confidence,
         "edges": plan.edges.tolist(),
         "unseen": None if plan.unseen is None else plan.unseen.tolist(),
         "length_rad": plan.length_rad,
-        "ways": plan.found,
-        "seed": str(found.seed),
-        "model": {"name": found.model.model_name, "version": found.model.model_version},
-        "warnings": [asdict(one) for one in found.model.warnings],
-        "round_trip_s": found.round_trip_s,
+        "ways": plan.ways,
+        "seed": str(plan.seed),
+        "model": {"name": plan.model.name, "version": plan.model.version},
+        "warnings": [one.model_dump() for one in plan.warnings],
+        "round_trip_s": plan.round_trip_s,
         "in_truth": {"free": whole.free, "clearance_m": whole.clearance_m} if len(plan.path) else None,
     }

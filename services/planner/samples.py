@@ -117,7 +117,7 @@ class BundleSampler(SampleSource):
             robot=self.bundle.robot,
             confidence=found.confidence,
             space=JointSpace(space.lower, space.upper, space.periodic),
-            warnings=tuple(PictureWarning(one.code, one.message, one.pictures) for one in read.findings),
+            warnings=[PictureWarning.model_validate(one) for one in read.findings],
         )
 
 

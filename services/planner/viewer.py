@@ -226,7 +226,7 @@ class SceneState:
     def believed(self) -> tuple[Floats, NDArray[np.float32], float]:
         """Middles (N, 3) m of cells in which something is expected, how surely (N,), and a cell's side."""
         found = self.api.belief(self.pictures(), self.model)
-        return found.centres_m(BELIEVED), found.occupied[found.occupied >= BELIEVED], found.cell_m
+        return found.centres_m(BELIEVED), found.cells[found.cells >= BELIEVED], found.cell_m
 
     def findings(self) -> str:
         """What the doctor says of the pictures, as Markdown."""
@@ -255,16 +255,16 @@ class SceneState:
     def plan(self, min_confidence: float, seed: int = 0) -> tuple[FoundPlan, str]:
         """A plan from start to goal, and what the scene's own obstacles say of it."""
         ends = self.problem.start.tolist(), self.problem.goal.tolist()
-        query = PlanQuery(*ends, seed, min_confidence=min_confidence, explain=True)
+        query = PlanQuery(start=ends[0], goal=ends[1], seed=seed, min_confidence=min_confidence, explain=True)
         found = self.api.plan(self.pictures(), query, self.model)
-        path = found.plan.path
+        path = found.path
         if len(path) < 2:
-            return found, f"**{found.plan.status}**: {found.reason}"
+            return found, f"**{found.status}**: {found.reason}"
         if self.opened is not None:
-            return found, f"Confidence {found.plan.confidence:.0%}. The true scene is unknown."
+            return found, f"Confidence {found.confidence:.0%}. The true scene is unknown."
         hits = int(self.blocked(path).sum())
         truth = "collision-free" if hits == 0 else f"**in collision** on {hits} of {len(path) - 1} edges"
-        return found, f"Confidence {found.plan.confidence:.0%}. In the true scene the path is {truth}."
+        return found, f"Confidence {found.confidence:.0%}. In the true scene the path is {truth}."
 
     def blocked(self, path: Floats) -> NDArray[np.bool_]:
         """Which edges (M - 1,) of a path (M, d) collide in the true scene; none where nobody knows it."""
@@ -654,12 +654,12 @@ class Viewer:
         """Ask for a path, check it in the true scene, and draw it."""
         self._forget_path()
         found, self.verdict.content = self.state.plan(float(self.least.value))
-        if found.plan.contact is not None:
-            place = found.plan.contact.position_m
+        if found.contact is not None:
+            place = np.array(found.contact.position_m)
             self.server.scene.add_icosphere("/path/contact", 0.03, CONTACT, position=place)
-        if len(found.plan.path) < 2:
+        if len(found.path) < 2:
             return
-        self.path = spread_points(found.plan.path, FRAMES + 1, self.space)
+        self.path = spread_points(found.path, FRAMES + 1, self.space)
         hand = self.state.arm.joint_positions_m(self.path)[:, -1]
         segments = np.stack([hand[:-1], hand[1:]], axis=1)
         blocked = self.state.blocked(self.path)
@@ -719,8 +719,8 @@ def world_of(api_url: str, model: str) -> World:
     """
     found = _entry(api_url, model)
     if found is not None and found["world"] is None:
-        place = f"/v2/models/{found['name']}/versions/{found['version']}/ready"
-        httpx.get(f"{api_url}{place}", timeout=LOAD_S).raise_for_status()
+        # What a request names is loaded before the request is looked at.
+        httpx.post(f"{api_url}/doctor", json={"model": model, "image": ""}, timeout=LOAD_S)
         found = _entry(api_url, model)
     if found is None or not found["world"] or not _is_arm(found):
         fitting = [one["reference"] for one in _listed(api_url) if _is_arm(one)]

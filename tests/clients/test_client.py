@@ -1,132 +1,292 @@
-"""The client by itself, with its own queries and errors; what servers do to it, the adapters' tests say."""
+"""The client by itself: what it sends, what it makes of answers, when it asks again."""
 
 import json
+import logging
 import pickle
 import subprocess
 import sys
-from dataclasses import replace
 
+import anyio
 import httpx
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 import cspace_client
-from cspace_client import ClientError, PlanQuery, SamplerError, SamplingClient
-from tests.fakes.sample_server import read_form
+from cspace_client import (
+    AsyncSamplingClient,
+    ConfigError,
+    PlanQuery,
+    SampleBatch,
+    SamplerAnswerError,
+    SamplerError,
+    SamplerModelError,
+    SamplerUnavailableError,
+    SamplingClient,
+)
+from cspace_client import client as module
+from tests.fakes.sample_server import read_form, sample_answer
 
 PNG = b"\x89PNG picture"
+ROWS = [[0.5, -3.0], [3.0, 1.0]]
+BATCH = SampleBatch(np.zeros((1, 2), np.float32), "stand-in", 0, "", 7, 0, 0.0)
 
 
-class Recorder:
-    """A client whose server has no answer, and the forms that it was sent."""
+class Server:
+    """Gives answers in order, the last one for good, or raises them; keeps requests and forms."""
 
-    def __init__(self):
-        self.forms = []
-        self.client = SamplingClient("http://test:1", transport=httpx.MockTransport(self.handle))
+    def __init__(self, *answers):
+        self.left, self.requests = list(answers), []
 
-    def handle(self, request):
-        self.forms.append(read_form(request.headers["content-type"], request.read()))
-        return httpx.Response(422)
+    def __call__(self, request):
+        request.read()
+        self.requests.append(request)
+        answer = self.left.pop(0) if len(self.left) > 1 else self.left[0]
+        if isinstance(answer, Exception):
+            raise answer
+        # A response is read once.
+        return httpx.Response(answer.status_code, headers=answer.headers, content=answer.content)
 
-    def of(self, call):
-        with pytest.raises(SamplerError, match="422"):
-            call(self.client)
-        return self.forms.pop()
+    @property
+    def forms(self):
+        return [read_form(one.headers["content-type"], one.content) for one in self.requests]
+
+    def ask(self, kind, call, **options):
+        """A call of a client, of threads or of an event loop."""
+        options["transport"] = httpx.MockTransport(self)
+        if kind == "sync":
+            with SamplingClient("http://test:1", **options) as client:
+                return call(client)
+
+        async def awaited():
+            async with AsyncSamplingClient("http://test:1", **options) as client:
+                return await call(client)
+
+        return anyio.run(awaited)
 
 
-def test_numbers_of_numpy_are_sent_as_plain_ones():
-    sent = Recorder()
-    plain = sent.of(
+class StandIn:
+    def __init__(self, error=None):
+        self.error, self.seeds = error, []
+
+    def answer(self, picture, query, model=None, robot=None):
+        self.seeds.append(query.seed)
+        if self.error:
+            raise self.error
+        return BATCH
+
+
+def good(**changes):
+    return httpx.Response(200, content=sample_answer(ROWS, **changes), headers={"X-Request-ID": "r-1"})
+
+
+def sample(client):
+    return client.sample(PNG, 2, seed=7)
+
+
+@pytest.fixture(autouse=True)
+def pauses(monkeypatch):
+    """The pauses between attempts, which take no time."""
+    found = []
+
+    async def note(pause_s):
+        found.append(pause_s)
+
+    monkeypatch.setattr(module.time, "sleep", found.append)
+    monkeypatch.setattr(module.anyio, "sleep", note)
+    return found
+
+
+@pytest.fixture(params=["sync", "async"])
+def kind(request):
+    return request.param
+
+
+def test_an_answer_becomes_a_batch_and_its_warnings_are_logged(kind, caplog):
+    warning = {"code": "rolled", "message": "the camera is turned", "pictures": [0], "new": True}
+    space = {"kind": "mixed", "dim": 2, "unit": "rad", "lower": [-np.pi, -4.0], "upper": [np.pi, 1.0]}
+    space["periodic"] = [True, False]
+    server = Server(good(warnings=[warning], joint_space=space, confidence=[0.5, 0.75], added="later"))
+    with caplog.at_level(logging.WARNING, "cspace_client"):
+        batch = server.ask(kind, sample)
+    np.testing.assert_array_equal(batch.samples, np.float32(ROWS))
+    np.testing.assert_array_equal(batch.confidence, np.float32([0.5, 0.75]))
+    assert (batch.model_name, batch.model_version, batch.seed, batch.request_id) == (
+        "cspace-sampler",
+        3,
+        7,
+        "r-1",
+    )
+    assert batch.space == cspace_client.JointSpace((-np.pi, -4.0), (np.pi, 1.0), (True, False))
+    assert batch.warnings[0].code == "rolled"
+    assert "rolled: the camera is turned" in caplog.text
+
+
+def test_fields_are_sent_as_the_contract_has_them_and_the_rest_is_left_to_the_server():
+    server = Server(good())
+    given = {"start": np.array([0.5, 1.0], np.float32), "goal": (-1, 2), "min_confidence": np.float64(0.25)}
+    server.ask(
+        "sync",
         lambda client: client.sample(
-            PNG, 2, 7, epsilon_sigma=(0.0, 0.5), start=(0.5, 1.0), goal=(1.0, 2.0), min_confidence=0.25
-        )
+            PNG, np.int64(2), np.uint64(2**64 - 1), model="m@a", epsilon_sigma=np.array([0.0, 0.25]), **given
+        ),
+        api_key="s3cret",
     )
-    numpy = sent.of(
-        lambda client: client.sample(
-            PNG,
-            np.int64(2),
-            np.uint64(7),
-            epsilon_sigma=np.array([0.0, 0.5]),
-            start=np.array([0.5, 1.0], np.float32),
-            goal=[1, 2],
-            min_confidence=np.float64(0.25),
-        )
-    )
-    assert numpy == plain
-    assert plain["min_confidence"] == [b"0.25"]
-    query = PlanQuery(np.array([0.5, 1.0]), (1, 2), min_confidence=np.float64(0.5))
-    form = sent.of(lambda client: client.plan(PNG, query))
-    assert (form["start"], form["goal"], form["min_confidence"]) == (
-        [b"[0.5, 1.0]"],
-        [b"[1.0, 2.0]"],
-        [b"0.5"],
-    )
-
-
-def test_what_a_plan_does_not_ask_for_is_left_to_the_server():
-    sent = Recorder()
-    assert set(sent.of(lambda client: client.plan(PNG, PlanQuery((0.0,), (1.0,))))) == {
-        "image",
-        "start",
-        "goal",
-        "seed",
+    server.ask("sync", lambda client: client.sample(PNG, 2), robot="ab" * 32)
+    first, second = server.forms
+    assert first == {
+        "image": [PNG],
+        "n": [b"2"],
+        "model": [b"m@a"],
+        "seed": [b"18446744073709551615"],
+        "epsilon_sigma": [b"0.0", b"0.25"],
+        "start": [b"[0.5, 1.0]"],
+        "goal": [b"[-1.0, 2.0]"],
+        "min_confidence": [b"0.25"],
     }
-    views = ({"fx": 1.0}, {"fx": 2.0})
-    query = PlanQuery((0.0,), (1.0,), time_limit_s=2, ways=3, next_view=True, views=views, alternatives=True)
-    form = sent.of(lambda client: client.plan(PNG, query))
-    assert (form["time_limit_s"], form["ways"], form["alternatives"]) == ([b"2"], [b"3"], [b"true"])
-    assert "site" not in form
-    assert "keep" not in form
-    assert sent.of(lambda client: client.plan(PNG, replace(query, keep=True)))["keep"] == [b"true"]
-    assert sent.of(lambda client: client.plan(PNG, replace(query, site="lab-3")))["site"] == [b"lab-3"]
-    assert [json.loads(one) for one in form["view"]] == list(views)
+    assert set(second) == {"image", "n", "seed", "robot"}
+    keys = [one.headers.get("authorization") for one in server.requests]
+    assert keys == ["Bearer s3cret", None]
 
 
-def test_constraints_of_a_plan_are_sent_as_json_and_a_wrong_one_is_named():
-    sent, upright = Recorder(), {"axis": (0, 0, 1), "max_rad": np.float64(0.1)}
-    query = PlanQuery((0.0,), goal_pose={"pose": np.eye(4)}, limits=[(-1, 2.5), None], upright=upright)
-    form = sent.of(lambda client: client.plan(PNG, replace(query, unwrapped=True)))
-    told = {name: json.loads(form[name][0]) for name in ("goal_pose", "limits", "upright", "unwrapped")}
-    assert told == {
+def test_constraints_of_a_plan_are_sent_as_json():
+    server = Server(httpx.Response(422))
+    view = {"fx": 1.0, "fy": 1.0, "cx": 1.0, "cy": 1.0, "width": 2, "height": 2, "pose": np.eye(4)}
+    query = PlanQuery(
+        start=[0.0, 1.0],
+        goal_pose={"pose": np.eye(4)},
+        limits=[(-1, 2.5), None],
+        upright={"axis": (0, 0, 1), "max_rad": np.float64(0.1)},
+        view=[view],
+        max_risk=0.2,
+        keep=True,
+    )
+    with pytest.raises(SamplerError, match="422"):
+        server.ask("sync", lambda client: client.plan(PNG, query))
+    [form] = server.forms
+    assert {name: json.loads(value[0]) for name, value in form.items() if name not in ("image", "seed")} == {
+        "start": [0.0, 1.0],
         "goal_pose": {"pose": np.eye(4).tolist()},
-        "limits": [[-1, 2.5], None],
-        "upright": {"axis": [0, 0, 1], "max_rad": 0.1},
-        "unwrapped": True,
+        "limits": [[-1.0, 2.5], None],
+        "upright": {"axis": [0.0, 0.0, 1.0], "max_rad": 0.1},
+        "view": view | {"pose": np.eye(4).tolist()},
+        "max_risk": 0.2,
+        "keep": True,
     }
-    assert "goal" not in form
-    for wrong in ({"limits": [(0.0, np.nan)]}, {"upright": {"axis": object()}}):
-        with pytest.raises(SamplerError, match=next(iter(wrong))):
-            sent.client.plan(PNG, replace(query, **wrong))
-    assert sent.forms == []
 
 
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"n": 2.5}, {"n": -1}, {"n": "3"}, {"n": True}, {"n": None}, {"seed": -1}, {"seed": 0.5},
-        {"start": "here"}, {"start": [[0.0]]}, {"goal": [0.0, float("nan")]}, {"epsilon_sigma": ["a"]},
-        {"min_confidence": "much"}, {"min_confidence": float("inf")},
+        {"n": -1}, {"n": "3"}, {"n": True}, {"seed": -1}, {"seed": 0.5}, {"start": [[0.0]]},
+        {"goal": [0.0, float("nan")]}, {"epsilon_sigma": ["a"]}, {"min_confidence": 2.0}, {"other": 1},
     ],
     ids=str,
 )  # fmt: skip
-def test_a_value_that_can_not_be_sent_is_named_before_anything_is_sent(wrong):
-    sent = Recorder()
-    with pytest.raises(SamplerError, match=next(iter(wrong))):
-        sent.client.sample(PNG, **{"n": 2, **wrong})
-    assert sent.forms == []
+def test_a_value_that_no_request_has_is_named_before_anything_is_sent(wrong):
+    server = Server(good())
+    with pytest.raises(ValidationError, match=next(iter(wrong))):
+        server.ask("sync", lambda client: client.sample(PNG, **{"n": 2, **wrong}))
+    assert server.requests == []
 
 
-def test_an_error_is_one_of_its_tree_and_survives_the_way_between_processes():
-    with pytest.raises(ClientError) as caught:
-        SamplingClient("ftp://here")
+LATER = [
+    httpx.ConnectError("refused"),
+    httpx.RemoteProtocolError("disconnected"),
+    httpx.Response(503),
+    httpx.Response(429, headers={"Retry-After": "3"}),
+]
+
+
+@pytest.mark.parametrize("answer", LATER, ids=["refused", "disconnected", "503", "429"])
+def test_what_may_pass_is_tried_again_as_the_same_request_and_then_told(kind, answer, pauses):
+    server = Server(answer, good())
+    assert len(server.ask(kind, lambda client: client.sample(PNG, 2)).samples) == 2
+    first, again = server.forms
+    assert first == again
+    if isinstance(answer, httpx.Response):
+        least_s = float(answer.headers.get("retry-after", 0.5))
+        assert least_s <= pauses[0] <= 1.2 * least_s
+    server = Server(answer)
+    with pytest.raises(SamplerUnavailableError):
+        server.ask(kind, sample, retries=3)
+    assert len(server.requests) == 4
+
+
+@pytest.mark.parametrize(
+    ("answer", "error"),
+    [
+        (httpx.Response(422), SamplerError),
+        (httpx.Response(404, json={"type": "urn:x:unknown-model", "title": "No such model", "status": 404,
+                                   "detail": "see /models"}), SamplerModelError),
+        (httpx.Response(500, content=b"[" * 100_000), SamplerUnavailableError),
+        (httpx.Response(501), SamplerUnavailableError),
+        (httpx.Response(302), SamplerAnswerError),
+        (httpx.Response(200, content=b"<html>"), SamplerAnswerError),
+        (httpx.Response(200, content=sample_answer(ROWS, shortfall="many")), SamplerAnswerError),
+        (httpx.ReadTimeout("late"), SamplerUnavailableError),
+        (httpx.Response(503, headers={"Retry-After": "60"}), SamplerUnavailableError),
+    ],
+    ids=["refused", "model", "failed", "plans", "elsewhere", "no answer", "wrong", "late", "too late"],
+)  # fmt: skip
+def test_what_will_come_again_is_told_at_once(kind, answer, error):
+    server = Server(answer)
+    with pytest.raises(SamplerError) as caught:
+        server.ask(kind, sample)
+    assert type(caught.value) is error
+    assert len(server.requests) == 1
+
+
+def test_only_what_httpx_raises_for_a_connection_is_called_unreachable(kind):
+    for ours in (TypeError("a fault of this program"), httpx.InvalidURL("no")):
+        with pytest.raises(type(ours)):
+            Server(ours).ask(kind, sample)
+    with pytest.raises(SamplerUnavailableError, match=r"http://test:1 cannot be reached.*refused") as caught:
+        Server(httpx.ConnectError("refused")).ask(kind, sample)
+    assert isinstance(caught.value.__cause__, httpx.ConnectError)
+
+
+def test_answers_are_bounded_in_size_and_time(kind, monkeypatch):
+    monkeypatch.setattr(module, "MAX_ANSWER_BYTES", 100)
+    with pytest.raises(SamplerAnswerError, match="too long"):
+        Server(good()).ask(kind, sample)
+    monkeypatch.undo()
+    with pytest.raises(SamplerUnavailableError, match="in time"):
+        Server(good()).ask(kind, sample, deadline_s=1e-9)
+
+
+def test_a_fallback_answers_with_the_same_seed_while_the_server_is_away(kind):
+    source, away = StandIn(), Server(httpx.Response(502))
+    assert away.ask(kind, lambda client: client.sample(PNG, 2), fallback=source).fallback
+    assert [str(source.seeds[0]).encode()] == away.forms[0]["seed"]
+    unused = StandIn()
+    assert not Server(good()).ask(kind, sample, fallback=unused).fallback
+    with pytest.raises(SamplerError, match="422"):
+        Server(httpx.Response(422)).ask(kind, sample, fallback=unused)
+    assert unused.seeds == []
+    with pytest.raises(SamplerUnavailableError, match="502"):
+        away.ask(kind, sample, fallback=StandIn(SamplerError("no bundle")))
+
+
+@pytest.mark.parametrize("url", ["localhost:8000", "ftp://x", "http://", "http://x/?q=1", "http://[::1"])
+def test_an_address_that_is_impossible_is_named_and_the_error_survives_pickling(url):
+    with pytest.raises(ConfigError, match="address") as caught:
+        SamplingClient(url)
     again = pickle.loads(pickle.dumps(caught.value))  # noqa: S301 - our own
-    assert isinstance(again, cspace_client.ConfigError)
     assert isinstance(again, ValueError)
     assert (str(again), again.details) == (str(caught.value), caught.value.details)
 
 
+@pytest.mark.parametrize(
+    "wrong", [{"timeout_s": 0.0}, {"deadline_s": float("nan")}, {"retries": -1}], ids=str
+)
+def test_limits_that_are_impossible_are_named(wrong):
+    with pytest.raises(ConfigError, match="time limit"):
+        SamplingClient("http://x", **wrong)
+
+
 def test_it_brings_nothing_of_the_project_and_no_framework():
-    others = {"cspace", "services", "training", "inference_api", "PIL", "pydantic", "onnxruntime", "ompl"}
+    others = {"cspace", "services", "training", "inference_api", "PIL", "fastapi", "onnxruntime", "ompl"}
     code = f"import sys, cspace_client, cspace_client.local; print(sorted({others!r} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert done.stdout.strip() == "[]"

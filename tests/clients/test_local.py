@@ -1,12 +1,10 @@
 """A bundle in place of a server, by what is installed."""
 
-from dataclasses import replace
-
 import httpx
 import numpy as np
 import pytest
 
-from cspace.query import SampleQuery
+import cspace.query
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.world import Disc, Scenario
@@ -16,6 +14,7 @@ from cspace_client import (
     Known,
     LocalError,
     PlanarPicture,
+    SampleQuery,
     SamplerError,
     SamplerModelError,
     SamplerUnavailableError,
@@ -76,9 +75,9 @@ def test_a_bundle_takes_what_depth_cameras_saw(tmp_path):
 
 
 def test_a_request_that_does_not_fit_is_refused_in_the_clients_words(client):
-    for wrong in ({"n": 0}, {"seed": 2**64}, {"min_confidence": 2.0}, {"model": "nobody"}, {"robot": OTHER}):
+    for model, robot in (("nobody", None), (None, OTHER)):
         with pytest.raises(SamplerError):
-            client.sample(picture(), **{"n": 3, **wrong})
+            client.answer(picture(), SampleQuery(n=3), model, robot)
 
 
 def test_what_keeps_a_bundle_from_being_read_is_told_with_the_remedy(monkeypatch, tmp_path):
@@ -102,16 +101,15 @@ def test_a_bundle_stands_in_and_its_refusal_leaves_the_servers_absence_to_be_tol
     with SamplingClient("http://test:1", fallback=client, transport=away) as over_http:
         assert over_http.sample(picture(), 3, seed=1).fallback
         with pytest.raises(SamplerUnavailableError, match="502"):
-            over_http.sample(picture(), 3, robot=OTHER)
+            over_http.answer(picture(), SampleQuery(n=3), robot=OTHER)
 
 
-def test_a_source_of_the_project_gets_its_own_query_and_tells_the_clients_errors():
-    source = FakeSampleSource()
-    query = SampleQuery(3, 7)
-    ClientSource(source).answer(b"\x89PNG", query)
-    assert source.requests[0].query == query
+def test_a_source_of_the_project_gets_its_own_query_and_raises_the_clients_errors():
+    source, query = FakeSampleSource(), SampleQuery(n=3, seed=7)
+    ClientSource(source).answer(b"\x89PNG", query, robot=OTHER)
+    assert source.requests[0].query == cspace.query.SampleQuery(3, 7, robot=OTHER)
     with pytest.raises(SamplerUnavailableError):
         ClientSource(FakeSampleSource(ready=False)).answer(b"\x89PNG", query)
     with pytest.raises(SamplerError) as caught:
-        ClientSource(source).answer(b"\x89PNG", replace(query, start=(0.0, 0.0)))
+        ClientSource(source).answer(b"\x89PNG", SampleQuery(n=3, seed=7, start=[0.0, 0.0]))
     assert not isinstance(caught.value, SamplerUnavailableError | SamplerModelError)

@@ -6,12 +6,13 @@ import json
 import numpy as np
 import pytest
 from PIL import Image
+from pydantic import ValidationError
 
 from cspace.png import canonical_png, read_header
 from cspace.worlds.planar.camera import decode_png
 from cspace.worlds.spatial.depth_files import read_depth
 from cspace_client import DepthPictures, Known, PlanarPicture, SamplerError
-from cspace_client.pictures import encode_png, shown
+from cspace_client.pictures import encode_png, form_of, shown
 from tests.bundles import picture
 
 CAMERA = {"fx": 46.0, "fy": 46.0, "cx": 31.5, "cy": 23.5, "pose": np.eye(4)}
@@ -34,7 +35,7 @@ def test_a_depth_picture_is_the_same_numbers():
 def test_depths_in_metres_are_the_same_numbers_in_an_npy_file():
     metres = np.where(DEPTH == 0, np.nan, DEPTH / 1000.0).astype(np.float32)
     for pixels in (metres, metres[::2, ::-1], metres.astype(">f4")):
-        ((name, data, kind),) = shown(DepthPictures([pixels], [CAMERA])).files
+        ((_, (name, data, kind)),) = shown(DepthPictures([pixels], [CAMERA])).files
         assert (name, kind) == ("depth.npy", "application/x-npy")
         np.testing.assert_array_equal(read_depth(data), np.nan_to_num(pixels * 1000.0).round())
 
@@ -54,37 +55,53 @@ def test_pixels_that_are_no_picture_are_refused(image):
         shown(image)
 
 
-def test_cameras_go_beside_their_pictures_in_the_same_order():
-    sent = shown(DepthPictures([DEPTH, b"a file"], [CAMERA, CAMERA | {"fx": 7.0}], np.zeros(7)))
-    assert [data for _, data, _ in sent.files] == [encode_png(DEPTH), b"a file"]
-    first, second = (json.loads(one) for one in sent.fields["camera"])
-    assert (first["fx"], second["fx"], first["pose"]) == (46.0, 7.0, np.eye(4).tolist())
-    assert json.loads(sent.fields["state"]) == [0.0] * 7
-    assert "state" not in shown(DepthPictures([DEPTH], [CAMERA])).fields
-    wrist = CAMERA | {"link": "tool", "stamp_s": np.float64(12.5)}
-    fields = shown(DepthPictures([DEPTH] * 2, [wrist] * 2, [np.zeros(7), None], max_age_s=0.5)).fields
-    assert json.loads(fields["state"]) == [[0.0] * 7, None]
-    assert fields["max_age_s"] == "0.5"
-    assert {name: json.loads(fields["camera"][1])[name] for name in ("link", "stamp_s")} == {
-        "link": "tool",
-        "stamp_s": 12.5,
+def form(picture):
+    """The fields beside the files, as a form has them, read again."""
+    sent = form_of(shown(picture).fields)
+    return {
+        name: [json.loads(one) for one in value] if isinstance(value, list) else json.loads(value)
+        for name, value in sent.items()
     }
 
 
-def test_known_discs_go_beside_a_picture_of_the_plane():
+def files(picture, field="image"):
+    return [data for name, (_, data, _) in shown(picture).files if name == field]
+
+
+def test_cameras_go_beside_their_pictures_in_the_same_order():
+    two = DepthPictures([DEPTH, b"a file"], [CAMERA, CAMERA | {"fx": 7.0}], np.zeros(7))
+    assert files(two) == [encode_png(DEPTH), b"a file"]
+    sent = form(two)
+    assert [one["fx"] for one in sent["camera"]] == [46.0, 7.0]
+    assert sent["camera"][0]["pose"] == np.eye(4).tolist()
+    assert sent["state"] == [0.0] * 7
+    assert list(form(DepthPictures([DEPTH], [CAMERA]))) == ["camera"]
+    wrist = CAMERA | {"link": "tool", "stamp_s": np.float64(12.5)}
+    sent = form(DepthPictures([DEPTH] * 2, [wrist] * 2, [np.zeros(7), None], max_age_s=0.5))
+    assert (sent["state"], sent["max_age_s"]) == ([[0.0] * 7, None], 0.5)
+    assert (sent["camera"][1]["link"], sent["camera"][1]["stamp_s"]) == ("tool", 12.5)
+
+
+def test_what_is_known_goes_beside_a_picture():
     disc = {"name": "pole", "disc": {"x_m": np.float64(1.5), "y_m": 0, "radius_m": 0.3}}
-    sent = shown(PlanarPicture(picture(), Known([disc])))
-    assert [data for _, data, _ in sent.files] == [encode_png(picture())]
-    assert list(sent.fields) == ["scene"]
-    assert json.loads(sent.fields["scene"]) == [disc]
-    assert shown(PlanarPicture(b"a file", Known())).fields == {}
-    with pytest.raises(SamplerError, match="plain values"):
-        shown(PlanarPicture(picture(), Known([{"name": {1}}])))
+    planar = PlanarPicture(picture(), Known([disc]))
+    assert files(planar) == [encode_png(picture())]
+    assert form(planar) == {"scene": [disc]}
+    leaf = {"name": "leaf", "mesh": {"file": "leaf.stl"}, "pose": {"translation": (0, 0, 1)}}
+    known = Known(attached=[leaf], allowed=[("leaf", "tool")], meshes={"leaf.stl": b"solid"})
+    deep = DepthPictures([DEPTH], [CAMERA], known=known)
+    assert files(deep, "mesh") == [b"solid"]
+    sent = form(deep)
+    assert sent["allowed"] == [["leaf", "tool"]]
+    assert sent["attached"][0]["pose"] == {"translation": [0.0, 0.0, 1.0]}
+    assert form(PlanarPicture(b"a file", Known())) == {}
 
 
-def test_depth_pictures_that_do_not_fit_are_refused():
+def test_pictures_that_no_request_has_are_refused():
     for pictures, cameras in (([], []), ([DEPTH], []), ([DEPTH] * 5, [CAMERA] * 5)):
         with pytest.raises(SamplerError, match="camera"):
             DepthPictures(pictures, cameras)
-    with pytest.raises(SamplerError, match="plain values"):
+    with pytest.raises(ValidationError, match="fx"):
         shown(DepthPictures([DEPTH], [CAMERA | {"fx": {1}}]))
+    with pytest.raises(ValidationError, match="a body has one of"):
+        shown(PlanarPicture(picture(), Known([{"name": "nothing"}])))

@@ -158,20 +158,12 @@ def test_the_shortfall_is_what_is_missing(source):
     assert len(batch.samples) == 200 - batch.shortfall
 
 
-def test_the_confidence_of_each_sample_is_told_by_all_but_the_form_that_has_no_room_for_it(source):
+def test_the_confidence_of_each_sample_comes_with_it(source):
     batch = source.sample(PNG, 200, seed=1, min_confidence=0.7)
-    if isinstance(source, SamplingClient | Awaited):
-        assert batch.confidence is None
-    else:
-        assert batch.confidence.shape == (len(batch.samples),)
-        assert batch.confidence.dtype == np.float32
-        assert np.all((batch.confidence >= np.float32(0.7)) & (batch.confidence <= 1.0))
-        assert len(np.unique(batch.confidence)) > 1
-
-
-@BASELINE_TOO
-def test_samples_that_nobody_scored_have_no_confidence(source):
-    assert source.sample(PNG, 20, seed=1, min_confidence=0.0).confidence is None
+    assert batch.confidence.shape == (len(batch.samples),)
+    assert batch.confidence.dtype == np.float32
+    assert np.all((batch.confidence >= np.float32(0.7)) & (batch.confidence <= 1.0))
+    assert len(np.unique(batch.confidence)) > 1
 
 
 def test_a_refused_request_is_an_error_and_the_next_request_is_answered(source):

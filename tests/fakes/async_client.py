@@ -1,19 +1,18 @@
-"""The awaited client with the project's errors and sources, so that both clients meet the same tests."""
+"""The awaited client with the project's errors and queries, so that both clients meet the same tests."""
 
 from typing import Any
 
 import cspace_client
-from services.planner.client import client_plan_query, mapped
+from services.planner.client import client_plan_query, client_sample_query, mapped
 
 
 class AsyncSamplingClient(cspace_client.AsyncSamplingClient):
-    def __init__(self, url: str, *values: Any, **options: Any) -> None:
+    async def answer(
+        self, picture: Any, query: Any, model: str | None = None, robot: str | None = None
+    ) -> Any:
+        """Of the project's query."""
         with mapped():
-            super().__init__(url, *values, **options)
-
-    async def answer(self, *values: Any, **options: Any) -> Any:
-        with mapped():
-            return await super().answer(*values, **options)
+            return await super().answer(picture, client_sample_query(query), model, query.robot)
 
     async def validity(self, *values: Any, **options: Any) -> Any:
         with mapped():
@@ -22,7 +21,3 @@ class AsyncSamplingClient(cspace_client.AsyncSamplingClient):
     async def plan(self, picture: Any, query: Any, *values: Any, **options: Any) -> Any:
         with mapped():
             return await super().plan(picture, client_plan_query(query), *values, **options)
-
-    async def sample(self, *values: Any, **options: Any) -> Any:
-        with mapped():
-            return await super().sample(*values, **options)

@@ -1,6 +1,5 @@
 """A small HTTP server that speaks the sampling endpoint's contract over any source of samples."""
 
-import io
 import json
 import threading
 from collections.abc import Iterator
@@ -8,6 +7,7 @@ from contextlib import contextmanager
 from email import policy
 from email.parser import BytesParser
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
 
 import numpy as np
 
@@ -43,30 +43,42 @@ def ask(source: SampleSource, fields: dict[str, list[bytes]]) -> SampleBatch:
     return source.answer(fields["image"][0], query, text.get("model"))
 
 
-def npy(samples: np.ndarray) -> bytes:
-    """An array as the bytes of a ``.npy`` file."""
-    buffer = io.BytesIO()
-    np.save(buffer, samples, allow_pickle=False)
-    return buffer.getvalue()
+def sample_answer(samples: object, seed: int = 7, **changes: Any) -> bytes:
+    """A good answer of `POST /sample` but for the changes; members of `model` may be given by their name."""
+    rows = np.asarray(samples, np.float32)
+    model = {"name": "cspace-sampler", "version": 3, "digest": "ab" * 32, "robot": None}
+    body = {
+        "samples": rows.tolist(),
+        "confidence": None,
+        "shortfall": 0,
+        "acceptance": 1.0,
+        "scenario": {"novelty": None},
+        "warnings": [],
+        "joint_space": {"kind": "torus", "dim": 2, "unit": "rad"},
+        "model": model | {name: changes.pop(name) for name in list(changes) if name in model},
+        "seed": str(seed),
+        "timing_ms": dict.fromkeys(("decode", "encode", "generate", "total"), 1.0),
+    }
+    return json.dumps(body | changes).encode()
 
 
 def batch_answer(batch: SampleBatch) -> Answer:
-    """200 with the samples alone, the rest in headers."""
-    headers = {
-        "Content-Type": "application/x-npy",
-        "X-Model-Name": batch.model_name,
-        "X-Model-Version": str(batch.model_version),
-        "X-Model-Digest": batch.digest,
-        "X-Seed": str(batch.seed),
-        "X-Shortfall": str(batch.shortfall),
-        "X-Request-ID": "request-1",
-    }
-    return 200, headers, npy(batch.samples)
+    """200 with a batch."""
+    headers = {"Content-Type": "application/json", "X-Request-ID": "request-1"}
+    model = {"name": batch.model_name, "version": batch.model_version, "digest": batch.digest}
+    shown = None if batch.confidence is None else batch.confidence.tolist()
+    body = sample_answer(batch.samples, batch.seed, shortfall=batch.shortfall, confidence=shown, **model)
+    return 200, headers, body
 
 
 def problem_answer(status: int, error: SamplerError) -> Answer:
     """An error as RFC 9457 problem details."""
-    problem = {"type": f"urn:test:{status}", "title": error.what, "status": status, "detail": str(error)}
+    problem = {
+        "type": "urn:test:unknown-model" if status == 404 else f"urn:test:{status}",
+        "title": error.what,
+        "status": status,
+        "detail": str(error),
+    }
     return status, {"Content-Type": "application/problem+json"}, json.dumps(problem).encode()
 
 
@@ -79,7 +91,6 @@ class _Handler(BaseHTTPRequestHandler):
         self.connections.append(self.client_address)
         body = self.rfile.read(int(self.headers["Content-Length"]))
         assert self.path == "/sample"
-        assert "application/x-npy" in self.headers["Accept"]
         try:
             answer = batch_answer(ask(self.source, read_form(self.headers["Content-Type"], body)))
         except SamplerUnavailableError as error:

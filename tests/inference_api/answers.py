@@ -6,7 +6,7 @@ from typing import Any
 import httpx
 
 from cspace.png import encode_png
-from inference_api.problem_types import PROBLEMS
+from inference_api.problems import PROBLEMS
 from tests.bundles import picture
 from tests.inference_api.client import ApiClient
 

@@ -35,7 +35,7 @@ class ApiClient:
 
     def refresh(self) -> None:
         """Let the app look at its registry now instead of when its poll is due."""
-        self.app.state.store.refresh()
+        self.app.state.models.refresh()
 
     def _call(self, request: Callable[[], Coroutine[Any, Any, httpx.Response]]) -> httpx.Response:
         return self._portal.call(request)

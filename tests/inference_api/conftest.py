@@ -2,13 +2,14 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from cspace.bundle import write_bundle
 from cspace.png import encode_png
 from inference_api.app import create_app
-from inference_api.settings import ApiSettings, Protection, further_folders
+from inference_api.settings import ApiSettings
 from tests.bundles import picture, tiny_graphs, tiny_spec, write_tiny_bundle
 from tests.inference_api.client import ApiClient, running
 from tests.inference_api.fake_registry import CountingRegistry
@@ -60,25 +61,17 @@ def api_over(
     registry: CountingRegistry | None,
     *,
     shipped: bool = True,
-    protection: Protection | None = None,
-    outcomes_folder: Path | None = None,
-    outcomes_bytes: int = 2**28,
-    kept_pictures_days: float = 0.0,
+    **settings: Any,
 ) -> Iterator[ApiClient]:
     """An app in this process; its registry is looked at once on start and then only when told."""
-    settings = ApiSettings(
-        registry_uri=None,
-        cache_folder=folder / "cache",
-        poll_s=3600.0,
-        pretrained_folder=bundles["shipped"] if shipped else folder / "nothing",
-        protection=protection or Protection(),
+    defaults = {
+        "model_cache": folder / "cache",
+        "model_poll_s": 3600.0,
+        "pretrained_model": bundles["shipped"] if shipped else folder / "nothing",
         # Whether or not somebody built the documentation here.
-        guide_folder=folder / "no guide",
-        outcomes_folder=outcomes_folder,
-        outcomes_bytes=outcomes_bytes,
-        kept_pictures_days=kept_pictures_days,
-    )
-    with running(create_app(settings, registry)) as client:
+        "api_guide": folder / "no guide",
+    }
+    with running(create_app(ApiSettings(**(defaults | settings)), registry)) as client:
         yield client
 
 
@@ -100,14 +93,8 @@ def start_api(tmp_path: Path, bundles: dict[str, Path]) -> Iterator[StartApi]:
     """Starts APIs of the test's own."""
     with ExitStack() as stack:
 
-        def start(
-            registry: CountingRegistry | None = None,
-            *,
-            shipped: bool = True,
-            protection: Protection | None = None,
-        ) -> ApiClient:
-            api = api_over(tmp_path, bundles, registry, shipped=shipped, protection=protection)
-            return stack.enter_context(api)
+        def start(registry: CountingRegistry | None = None, **settings: Any) -> ApiClient:
+            return stack.enter_context(api_over(tmp_path, bundles, registry, **settings))
 
         yield start
 
@@ -149,6 +136,6 @@ def space_api(
 @pytest.fixture(scope="session")
 def panda_api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ApiClient]:
     """An API with the shipped models of both worlds, without a registry."""
-    settings = ApiSettings(cache_folder=tmp_path_factory.mktemp("cache"), further_folders=further_folders())
+    settings = ApiSettings(model_cache=tmp_path_factory.mktemp("cache"))
     with running(create_app(settings)) as client:
         yield client

@@ -24,7 +24,7 @@ def dependencies() -> list[str]:
     """What the project asks for when it is installed with the extra ``api``."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     found: list[str] = [*project["dependencies"], *project["optional-dependencies"]["api"]]
-    return found
+    return [str(ROOT / "clients" / "python") if one == "cspace-client" else one for one in found]
 
 
 @pytest.fixture(scope="module")

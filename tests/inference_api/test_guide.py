@@ -1,30 +1,18 @@
-"""``/guide``: the documentation site's files, inside the guards, with a policy of their own."""
+"""``/docs`` and ``/guide``: files of the server alone, with policies of their own; documented tables."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+from prometheus_client.parser import text_string_to_metric_families
 
-from inference_api.app import create_app
-from inference_api.limits import SECURITY_HEADERS
-from inference_api.routes.documentation import POLICY
-from inference_api.settings import ApiSettings
-from tests.inference_api.answers import assert_problem
-from tests.inference_api.client import ApiClient, running
-
-
-@contextmanager
-def api_with(folder: Path, site: Path) -> Iterator[ApiClient]:
-    settings = ApiSettings(
-        registry_uri=None,
-        cache_folder=folder / "cache",
-        poll_s=3600.0,
-        pretrained_folder=folder / "nothing",
-        guide_folder=site,
-    )
-    with running(create_app(settings)) as client:
-        yield client
+from inference_api.problems import PROBLEMS
+from tests.inference_api.answers import PNG, assert_problem
+from tests.inference_api.client import ApiClient
+from tests.inference_api.conftest import StartApi
+from tests.inference_api.server import ROOT
 
 
 @pytest.fixture
@@ -33,65 +21,86 @@ def site(tmp_path: Path) -> Path:
     (folder / "results").mkdir(parents=True)
     (folder / "index.html").write_text("<h1>the first page</h1>")
     (folder / "results" / "quality.html").write_text("<h1>quality</h1>")
-    (folder / "theme.js").write_text("document.title = 'x'")
     (tmp_path / "secret.txt").write_text("not part of the site")
     return folder
 
 
-@pytest.fixture
-def api(tmp_path: Path, site: Path) -> Iterator[ApiClient]:
-    with api_with(tmp_path, site) as client:
-        yield client
+def test_the_documentation_needs_nothing_from_elsewhere(api: ApiClient) -> None:
+    page = api.get("/docs")
+    assert not re.findall(r"(?:https?:)?//[a-z]", re.sub(r"//#.*|// .*", "", page.text))
+    addresses = re.findall(r'(?:src|href)="([^"]+)"', page.text)
+    assert len(addresses) == 3
+    for address in addresses:
+        assert len(api.get(f"/{address}").content) > 1000
+    assert "url: 'openapi.json'" in page.text
+    policy = dict(part.split(" ", 1) for part in page.headers["content-security-policy"].split("; "))
+    assert policy["default-src"] == "'none'"
+    assert policy["script-src"].startswith("'self' 'sha256-")
 
 
-def test_the_guide_is_its_first_page_and_every_file_below(api: ApiClient) -> None:
+def test_the_guide_is_its_first_page_and_every_file_below(start_api: StartApi, site: Path) -> None:
+    api = start_api(None, api_guide=site)
     page = api.get("/guide")
     assert (page.status_code, page.headers["location"]) == (307, "guide/")
     assert api.get("/guide/").text == "<h1>the first page</h1>"
-    assert api.get("/guide/results/quality.html").text == "<h1>quality</h1>"
-    assert api.get("/guide/theme.js").headers["content-type"].startswith("text/javascript")
-
-
-def test_pages_of_the_guide_run_scripts_of_the_server_and_no_others(api: ApiClient) -> None:
-    answer = api.get("/guide/")
-    others = {name: value for name, value in SECURITY_HEADERS.items() if name != "Content-Security-Policy"}
-    assert {name: answer.headers[name] for name in others} == others
-    given = dict(part.split(" ", 1) for part in answer.headers["content-security-policy"].split("; "))
-    assert given["default-src"] == "'none'"
-    assert given["script-src"] == "'self'"
-    assert answer.headers["content-security-policy"] == POLICY
-
-
-def test_a_page_that_the_guide_does_not_have_is_a_problem(api: ApiClient) -> None:
-    problem = assert_problem(api.get("/guide/nothing.html"), 404, "not-found")
-    assert "remedy" not in problem
-    assert_problem(api.post("/guide/"), 405, "method-not-allowed")
-
-
-def test_no_path_leads_out_of_the_guide(api: ApiClient) -> None:
+    answer = api.get("/guide/results/quality.html")
+    assert answer.text == "<h1>quality</h1>"
+    assert "script-src 'self';" in answer.headers["content-security-policy"]
+    assert "remedy" not in assert_problem(api.get("/guide/nothing.html"), 404, "not-found")
     for path in ("../secret.txt", "%2e%2e/secret.txt", "..%2fsecret.txt", "results/../../secret.txt"):
         assert "not part of the site" not in api.get(f"/guide/{path}").text
-
-
-def test_a_server_without_a_built_guide_says_how_to_build_it(tmp_path: Path) -> None:
-    with api_with(tmp_path, tmp_path / "nothing") as client:
-        for path in ("/guide/", "/guide/api.html"):
-            problem = assert_problem(client.get(path), 404, "not-found")
-            assert problem["detail"].startswith("the guide is not built here")
-            assert "make docs" in problem["remedy"]
-            assert str(tmp_path) not in str(problem)
-
-
-def test_a_guide_that_is_built_while_the_server_runs_is_served(tmp_path: Path, site: Path) -> None:
-    later = tmp_path / "later"
-    with api_with(tmp_path, later) as client:
-        assert client.get("/guide/").status_code == 404
-        site.rename(later)
-        assert client.get("/guide/").status_code == 200
-
-
-def test_the_guide_is_counted_under_one_name(api: ApiClient) -> None:
-    api.get("/guide/results/quality.html")
     counted = [line for line in api.get("/metrics").text.splitlines() if 'route="/guide' in line]
     assert counted
     assert all('route="/guide"' in line for line in counted)
+
+
+def test_a_server_says_how_to_build_a_guide_that_is_missing_and_serves_one_that_is_built_later(
+    start_api: StartApi, site: Path, tmp_path: Path
+) -> None:
+    later = tmp_path / "later"
+    api = start_api(None, api_guide=later)
+    problem = assert_problem(api.get("/guide/api.html"), 404, "not-found")
+    assert "make docs" in problem["remedy"]
+    assert str(tmp_path) not in str(problem)
+    site.rename(later)
+    assert api.get("/guide/").status_code == 200
+
+
+def rows(document: str, heading: str) -> list[list[str]]:
+    """The cells of the first table below a heading, without its two first lines."""
+    text = (ROOT / "docs" / document).read_text(encoding="utf-8")
+    section = re.split(rf"^#+ {heading}$", text, flags=re.MULTILINE)[1]
+    table = re.search(r"(?:^\|.*\n)+", section, re.MULTILINE)
+    assert table
+    lines = table[0].splitlines()[2:]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+
+
+def test_the_table_of_errors_is_that_of_the_code_in_its_order() -> None:
+    documented = [(name.strip("`"), int(status)) for name, status, _ in rows("api.md", "Errors")]
+    assert documented == [(problem.name, problem.status) for problem in PROBLEMS]
+
+
+def test_the_table_of_metrics_is_that_of_a_real_app_labels_included(api: ApiClient) -> None:
+    api.post("/sample", files={"image": PNG})
+    api.get("/nothing")
+    exported: dict[str, set[str]] = {}
+    for family in text_string_to_metric_families(api.get("/metrics").text):
+        if family.name.startswith("cspace_") and not family.name.endswith("_created"):
+            name = f"{family.name}_total" if family.type == "counter" else family.name
+            exported[name] = {label for sample in family.samples for label in sample.labels} - {"le"}
+    documented = {
+        name.strip("`"): set(re.findall(r"`(\w+)`", labels))
+        for name, labels, _ in rows("operations.md", "Metrics")
+    }
+    assert documented == exported
+
+
+def test_the_settings_that_help_names_are_documented() -> None:
+    command = [sys.executable, "-m", "inference_api", "--help"]
+    process = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    text = (ROOT / "docs" / "operations.md").read_text(encoding="utf-8")
+    # Long lines of help are broken at dashes, not at underscores.
+    named = set(re.findall(r"\bCSPACE_\w+", process.stdout))
+    assert len(named) > 8
+    assert {name for name in named if f"| `{name}` |" not in text} == set()

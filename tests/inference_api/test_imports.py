@@ -30,7 +30,7 @@ warnings.simplefilter("error")
 sys.meta_path.insert(0, Refuse())
 import os, threading
 before = dict(os.environ)
-import inference_api.__main__, inference_api.routes.sample, inference_api.models.store
+import inference_api.__main__, inference_api.routes.sample, inference_api.models
 from inference_api.app import create_app
 assert threading.active_count() == 1
 assert dict(os.environ) == before
@@ -41,7 +41,7 @@ import numpy as np
 from tests.inference_api.client import running
 from cspace.png import encode_png
 
-settings = ApiSettings(cache_folder=Path({cache!r}), pretrained_folder=Path({bundle!r}))
+settings = ApiSettings(model_cache=Path({cache!r}), pretrained_model=Path({bundle!r}))
 with running(create_app(settings)) as api:
     image = encode_png(np.zeros((48, 48, 3), np.uint8))
     answer = api.post("/sample", files={{"image": image}}, data={{"n": "3"}})

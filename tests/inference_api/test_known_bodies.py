@@ -88,8 +88,6 @@ def test_a_mesh_comes_as_a_file_of_a_form_or_in_base64(api):
     }
     form = api.post("/validity", files=files, data=data)
     assert form.json()["confidence"] == plain["confidence"]
-    twice = api.post("/validity", files=[*files, files[-1]], data=data)
-    assert "two meshes of one file name" in assert_problem(twice, 400, "malformed-body")["detail"]
     box = ask(api, "/validity", configurations=rows, scene=[WALL]).json()
     np.testing.assert_allclose(plain["confidence"], box["confidence"], atol=0.02)
     missing = ask(api, "/validity", configurations=rows, scene=[body])

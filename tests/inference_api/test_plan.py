@@ -1,4 +1,4 @@
-"""``POST /plan``: a way that a model believes in, or the reason why there is none."""
+"""``POST /plan``: a path that a model predicts to be free, or the reason why there is none."""
 
 import base64
 import json
@@ -81,24 +81,6 @@ def test_a_risk_is_what_a_confidence_leaves(api):
     assert "max_risk" in problem["detail"]
 
 
-def test_the_confidence_of_a_site_is_by_its_own_calibration(own_api, registry):
-    tags = {"model": "cspace-sampler/5", "offset": "1.0", "slope": "1.0"}
-    registry.record("calibration-lab-3", "fit", tags, alias="champion")
-    plain, elsewhere, here = (ask(own_api, site=site).json() for site in (None, "lab-4", "lab-3"))
-    assert "calibration" not in plain
-    assert "calibration" not in elsewhere
-    assert elsewhere["confidence"] == plain["confidence"]
-    assert here["calibration"] == "calibration-lab-3/1"
-    assert here["path"] == plain["path"]
-    # exp(-exp(1 + log D)) with exp(-D) the confidence without it.
-    assert here["confidence"] == pytest.approx(plain["confidence"] ** np.e, rel=1e-6)
-    least = (here["confidence"] + plain["confidence"]) / 2.0
-    refused = ask(own_api, site="lab-3", min_confidence=least).json()
-    assert (refused["status"], refused["calibration"]) == ("refused", "calibration-lab-3/1")
-    problem = assert_problem(ask(own_api, site="no site"), 422, "invalid-value")
-    assert "site" in problem["detail"]
-
-
 def test_a_way_that_is_not_sure_enough_is_refused_with_the_reason(api):
     sure = ask(api).json()["confidence"]
     answer = ask(api, min_confidence=min(1.0, sure + 1e-3)).json()
@@ -140,17 +122,6 @@ def test_a_server_without_compiled_code_says_so(api, monkeypatch):
     assert "numba" in problem["detail"]
 
 
-def test_plans_are_counted_by_their_status(api):
-    def solved():
-        lines = api.get("/metrics").text.splitlines()
-        found = [line for line in lines if line.startswith('cspace_plans_total{status="solved"}')]
-        return float(found[0].split()[-1]) if found else 0.0
-
-    before = solved()
-    ask(api)
-    assert solved() == before + 1.0
-
-
 def test_a_server_is_not_ready_before_its_search_is_loaded(own_api, monkeypatch):
     go_on = threading.Event()
 
@@ -158,15 +129,14 @@ def test_a_server_is_not_ready_before_its_search_is_loaded(own_api, monkeypatch)
         assert go_on.wait(30)
         return []
 
-    monkeypatch.setattr("inference_api.models.planner.load_examples", load)
+    monkeypatch.setattr("inference_api.models.load_examples", load)
     api = own_api
-    store = api.app.state.store
+    store = api.app.state.models
     assert api.get("/health/ready").status_code == 200
     store.planner.begin()
     problem = assert_problem(api.get("/health/ready"), 503, "starting")
     assert "ask again" in problem["remedy"]
     assert_problem(ask(api), 503, "starting")
-    assert api.get("/v2/health/ready").status_code == 503
     assert api.get("/health/live").status_code == 200
     go_on.set()
     until(lambda: api.get("/health/ready").status_code == 200)

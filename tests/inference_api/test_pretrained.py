@@ -7,8 +7,6 @@ import pytest
 
 from cspace.bundle import Bundle
 from cspace.bundle.files import SPEC_FILE
-from cspace.bundle.samples import fitted_configurations, fitted_end
-from cspace.errors import InputError
 from cspace.simulator import Split, scenario_rng
 from cspace.worlds import checker_of, examples, picture_of, simulator_of
 from cspace.worlds.planar.arm import TWO_LINK
@@ -115,16 +113,6 @@ def test_no_sample_of_that_arm_lies_outside_its_makers_limits(panda: Bundle, lea
     assert space.contains(samples).all()
     at_limits = np.isclose(samples, space.lower, atol=1e-6) | np.isclose(samples, space.upper, atol=1e-6)
     assert not at_limits.any()
-
-
-def test_a_question_beyond_the_makers_limits_names_the_joint(panda: Bundle) -> None:
-    row = (0.0, -0.785, 0.0, -3.1, 0.0, 1.571, 0.785)
-    with pytest.raises(
-        InputError, match=r"panda_joint4 from -3.0718 to -0.0698 rad; got .*panda_joint4 at -3.1 "
-    ):
-        fitted_configurations([row], panda.spec)
-    with pytest.raises(InputError, match=r"goal lies outside .*panda_joint4 at -3.1 rad"):
-        fitted_end(panda.spec, "goal", row)
 
 
 def test_its_samples_are_free_in_space_more_often_than_uniform_ones(panda: Bundle) -> None:

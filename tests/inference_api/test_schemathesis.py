@@ -32,7 +32,7 @@ def address(tmp_path_factory: pytest.TempPathFactory, bundles: dict[str, Path]) 
         yield found
 
 
-schema = schemathesis.openapi.from_dict(create_app(ApiSettings(cache_folder=Path("unused"))).openapi())
+schema = schemathesis.openapi.from_dict(create_app(ApiSettings(model_cache=Path("unused"))).openapi())
 lenient = {"deadline": None, "derandomize": True, "suppress_health_check": list(HealthCheck)}
 
 

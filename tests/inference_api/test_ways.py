@@ -10,7 +10,6 @@ from cspace.simulator import Split
 from cspace.worlds import examples, simulator_of
 from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.world import Disc, Scenario
-from inference_api import scheduler
 from tests.bundles import write_tiny_bundle
 from tests.inference_api.conftest import CountingRegistry, api_over, stock
 
@@ -66,13 +65,3 @@ def test_the_ways_keep_clear_of_known_discs(api):
     answer = ask(api, scene=json.dumps([{"name": "pole", "disc": disc}])).json()
     assert len(answer["samples"]) == len(answer["ways"]) == 50
     assert checker.valid_batch(answer["samples"]).all()
-
-
-def test_others_have_their_turns_during_the_search(api, monkeypatch):
-    monkeypatch.setattr(scheduler, "STINT_S", 0.0)
-    assert ask(api).status_code == 200
-
-
-def test_the_open_inference_protocol_tells_the_ways(api):
-    outputs = {one["name"] for one in api.get("/v2/models/path-sampler").json()["outputs"]}
-    assert "ways" in outputs

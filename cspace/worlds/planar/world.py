@@ -9,26 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import ConfigError, DatasetError, ImageError, ScenarioError
-from cspace.png import encode_png, read_header
+from cspace.png import encode_png
 from cspace.strict_json import read_object, validated
-from cspace.view_file import is_view, unpack_view
+from cspace.view_file import View, check_counts
 from cspace.world import (
     Arrays,
     CheckCancelled,
     Contact,
     Examined,
     Levers,
-    TensorInput,
     World,
 )
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, JointLimits, PlanarArm, levers
 from cspace.worlds.planar.camera import Camera, Length, Place, decode_png
 from cspace.worlds.planar.known import KnownDiscs
 from cspace.worlds.planar.scenes import MAX_GIVEN, DiscScenes, GivenScenes, Scenes
-
-_IMAGE = "image"
-# Told in one request: each is encoded, and has a seed.
-MAX_PICTURES = 256
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,33 +37,27 @@ class PlanarWorld(World):
     sensor: Camera = field(default_factory=Camera)
     scenes: Scenes | None = field(default_factory=DiscScenes)
 
-    def pixels_of(self, data: bytes) -> int:
-        """See :meth:`cspace.world.World.pixels_of`."""
-        return read_header(_unpacked(data)[0]).pixels
-
-    @property
-    def tensors(self) -> tuple[TensorInput, ...]:
-        """Pictures as they are, one for each answer."""
-        return (TensorInput(_IMAGE, "uint8", ("b", *self.sensor.picture_shape), MAX_PICTURES),)
-
-    def examine_picture(self, data: bytes, check_cancelled: CheckCancelled | None = None) -> Examined:
+    def examine_picture(self, data: bytes | View, check_cancelled: CheckCancelled | None = None) -> Examined:
         """The picture, into which known discs are drawn; nothing is said of it.
 
         Raises:
             ImageError: it is none that is accepted, or comes with a camera or a state.
             InputError: what is known beside it does not fit.
         """
-        file, text = _unpacked(data)
-        image = decode_png(file, self.sensor.pixels, check_cancelled)
-        if text is None:
+        view = View.of(data)
+        if view.cameras or view.state is not None or view.depth_scale_m is not None:
+            raise ImageError(
+                "the picture comes with a camera",
+                expected="a picture alone",
+                remedy="leave camera and state out",
+            )
+        if len(view.pictures) > 1:
+            check_counts(len(view.pictures), 0)
+        image = decode_png(view.pictures[0], self.sensor.pixels, check_cancelled)
+        if view.known is None:
             return Examined(image[None])
-        known = KnownDiscs.read(text, self.body, image)
+        known = KnownDiscs.read(view.known, self.body, image)
         return Examined(known.drawn(self.sensor, check_cancelled or (lambda: None))[None], known=known)
-
-    def examine_tensors(self, tensors: Arrays, check_cancelled: CheckCancelled | None = None) -> Examined:
-        """The only one of them."""
-        del check_cancelled
-        return Examined(np.asarray(tensors[_IMAGE], dtype=np.uint8))
 
     def contact(self, configuration: NDArray[np.floating], image: object, known: object) -> Contact | None:
         """With known discs alone: all else is seen."""
@@ -116,20 +105,6 @@ class PlanarWorld(World):
         if self.scenes != DiscScenes():
             values["scenes"] = None if self.scenes is None else self.scenes.to_dict()
         return values
-
-
-def _unpacked(data: bytes) -> tuple[bytes, bytes | None]:
-    """The picture of an untrusted file, and JSON of what is known beside it; None without that."""
-    if not is_view(data):
-        return data, None
-    view = unpack_view(data)
-    if view.known is None or view.cameras or view.state is not None or view.depth_scale_m is not None:
-        raise ImageError(
-            "the picture comes with a camera",
-            expected="a picture alone",
-            remedy="leave camera and state out",
-        )
-    return view.pictures[0], view.known
 
 
 # The types of its parts.

@@ -7,7 +7,6 @@ The one directory of a file is therefore checked here first.
 """
 
 import io
-import math
 import struct
 
 import numpy as np
@@ -16,7 +15,6 @@ from PIL import Image
 
 from cspace.errors import ImageError
 from cspace.files import read_npy
-from cspace.png import read_header
 from cspace.world import CheckCancelled
 from cspace.worlds.spatial.camera import MAX_MM, check_scale, check_size, decode_depth
 
@@ -65,17 +63,6 @@ def rounded_mm(depth: NDArray[np.float32] | NDArray[np.uint16], depth_scale_m: f
         scaled = np.floor(depth.astype(np.float64) * (1000.0 * depth_scale_m) + 0.5)
     read = (scaled >= 1.0) & np.isfinite(scaled)
     return np.where(read, np.minimum(scaled, MAX_MM), 0.0).astype(np.uint16)
-
-
-def pixels_in(data: bytes) -> int:
-    """How many pixels an untrusted depth picture says that it has; the pixels are not decoded.
-
-    Raises:
-        ImageError: it is none of the kinds that :func:`read_depth` takes.
-    """
-    if data.startswith(_PNG):
-        return read_header(data).pixels
-    return math.prod(_read_npy(data).shape if data.startswith(_NPY) else _tiff_shape(data))
 
 
 def in_mm(units: NDArray[np.uint16], depth_scale_m: object) -> NDArray[np.uint16]:

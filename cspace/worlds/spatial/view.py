@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from cspace.errors import ImageError, ScenarioError
 from cspace.space import JointSpace
-from cspace.view_file import MAX_PICTURES, check_counts, pack_view, unpack_view, unstamped
-from cspace.world import Arrays, CheckCancelled, TensorInput
+from cspace.view_file import View, check_counts, pack_view, unstamped
+from cspace.world import CheckCancelled
 from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.camera import (
     FARTHEST_MM,
@@ -21,7 +21,7 @@ from cspace.worlds.spatial.camera import (
     in_range,
 )
 from cspace.worlds.spatial.camera_info import PINHOLE, camera_pose, read_pinhole, undistorted
-from cspace.worlds.spatial.depth_files import in_mm, pixels_in, read_depth, read_number
+from cspace.worlds.spatial.depth_files import read_depth, read_number
 from cspace.worlds.spatial.planning_scene import PlanningScene, read_planning_scene
 
 State = tuple[float, ...]
@@ -85,30 +85,29 @@ def write_view(view: DepthView) -> bytes:
     return pack_view([encode_depth(picture) for picture in view.pictures], cameras, view.state, known=known)
 
 
-def pixels_of(data: bytes) -> int:
-    """How many pixels the pictures of an untrusted view file say that they have.
-
-    Raises:
-        ImageError: it is none, or a picture is none.
-    """
-    return sum(pixels_in(one) for one in unpack_view(data).pictures)
-
-
-def read_view(data: bytes, arm: SerialArm, check_cancelled: CheckCancelled | None = None) -> DepthView:
-    """An untrusted view file.
+def read_view(data: bytes | View, arm: SerialArm, check_cancelled: CheckCancelled | None = None) -> DepthView:
+    """Decodes and checks untrusted pictures, each once.
 
     Args:
-        data: the file.
+        data: a view file, or what it holds.
         arm: that the states, and the links of cameras, are of.
         check_cancelled: called after each picture; what it raises passes through.
 
     Raises:
-        ImageError: it is none, a picture or a camera is none, they do not fit each other, no picture has a
-            reading, a state lies outside of the arm's limits, or a camera is on a link that there is not, or
-            without a state.
+        ImageError: a picture or a camera is none, they do not fit each other, no picture has a reading, a
+            state lies outside of the arm's limits, or a camera is on a link that there is not, or without a
+            state.
         InputError: what is known does not fit.
     """
-    file = unpack_view(data)
+    file = View.of(data)
+    if not file.cameras:
+        raise ImageError(
+            "the picture comes without its camera",
+            expected="camera for each image: fx, fy, cx, cy and pose, 4 x 4, camera in base",
+            got="a picture alone",
+            remedy="send a camera beside each picture, in the same order",
+        )
+    check_counts(len(file.pictures), len(file.cameras))
     known = None if file.known is None else read_planning_scene(file.known)
     check_cancelled = check_cancelled or (lambda: None)
     pictures, cameras = [], []
@@ -218,38 +217,3 @@ def _configuration(values: object, space: JointSpace) -> State | None:
 
 def _camera_values(camera: DepthCamera) -> dict[str, Any]:
     return {name: value for name, value in camera.to_dict().items() if name in (*PINHOLE, "pose")}
-
-
-DEPTH, INTRINSICS, POSES, STATE, SCALE = "depth", "intrinsics", "poses", "state", "depth_scale_m"
-
-
-def view_tensors(dim: int) -> tuple[TensorInput, ...]:
-    """Pictures, cameras and the arm's state.
-
-    Pictures of one size; of each camera fx, fy, cx and cy, pixels, and its pose in the base frame, m; where
-    the arm was, rad, absent where it is in no picture; metres per unit of the pictures, absent for mm.
-    """
-    return (
-        TensorInput(DEPTH, "uint16", ("c", "h", "w"), MAX_PICTURES),
-        TensorInput(INTRINSICS, "float64", ("c", len(PINHOLE)), MAX_PICTURES),
-        TensorInput(POSES, "float64", ("c", 4, 4), MAX_PICTURES),
-        TensorInput(STATE, "float64", (dim,), optional=True),
-        TensorInput(SCALE, "float64", (1,), optional=True),
-    )
-
-
-def view_of_tensors(tensors: Arrays, space: JointSpace) -> DepthView:
-    """The view of arrays that follow :func:`view_tensors`.
-
-    Raises:
-        ImageError: a picture, a camera or the state is none.
-    """
-    scale = tensors[SCALE].tolist()[0] if SCALE in tensors else None
-    pictures = tuple(in_mm(np.ascontiguousarray(one, dtype=np.uint16), scale) for one in tensors[DEPTH])
-    rows = zip(tensors[INTRINSICS].tolist(), tensors[POSES].tolist(), pictures, strict=True)
-    cameras = tuple(
-        read_pinhole({**dict(zip(PINHOLE, numbers, strict=True)), "pose": pose}, picture.shape)[0]
-        for numbers, pose, picture in rows
-    )
-    state = tensors[STATE].tolist() if STATE in tensors else None
-    return DepthView(pictures, cameras, state_of(state, len(pictures), space))

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from cspace.errors import ConfigError, DatasetError, ImageError, InputError, ScenarioError
 from cspace.files import read_bounded
 from cspace.strict_json import parse_json, read_object, validated
+from cspace.view_file import View
 from cspace.world import (
     Arrays,
     CheckCancelled,
@@ -23,7 +24,6 @@ from cspace.world import (
     Finding,
     GridArm,
     Known,
-    TensorInput,
     World,
 )
 from cspace.worlds.spatial.arm import SerialArm, grouped, touching_sets
@@ -48,14 +48,7 @@ from cspace.worlds.spatial.sensor import (
     DepthSensor,
     grid_of,
 )
-from cspace.worlds.spatial.view import (
-    DepthView,
-    pixels_of,
-    read_view,
-    view_of_tensors,
-    view_tensors,
-    write_view,
-)
+from cspace.worlds.spatial.view import DepthView, read_view, write_view
 from cspace.worlds.spatial.visibility import fused, observe
 
 _ROBOTS = Path(__file__).with_name("robots")
@@ -76,26 +69,13 @@ class SpatialWorld(World):
     sensor: DepthSensor
     scenes: SpatialScenes | None
 
-    def pixels_of(self, data: bytes) -> int:
-        """Of all pictures of a view file."""
-        return pixels_of(data)
-
-    def view(self, data: bytes) -> DepthView:
+    def view(self, data: bytes | View) -> DepthView:
         """See :func:`cspace.worlds.spatial.view.read_view`."""
         return read_view(data, self.body)
 
-    def examine_picture(self, data: bytes, check_cancelled: CheckCancelled | None = None) -> Examined:
+    def examine_picture(self, data: bytes | View, check_cancelled: CheckCancelled | None = None) -> Examined:
         """See :meth:`cspace.world.World.examine_picture`."""
         return self.examined(read_view(data, self.body, check_cancelled), check_cancelled)
-
-    @property
-    def tensors(self) -> tuple[TensorInput, ...]:
-        """Depth pictures of one scene with their cameras; see :func:`view_of_tensors`."""
-        return view_tensors(self.dim)
-
-    def examine_tensors(self, tensors: Arrays, check_cancelled: CheckCancelled | None = None) -> Examined:
-        """See :meth:`cspace.world.World.examine_tensors`."""
-        return self.examined(view_of_tensors(tensors, self.space), check_cancelled)
 
     def least_novelty(self, image: NDArray[np.uint8]) -> float:
         """See :func:`cspace.worlds.spatial.diagnostics.least_novelty`."""
@@ -165,7 +145,7 @@ class SpatialWorld(World):
         found: Any = self.situation(PlanningScene()) if known is None else known
         return cast("Contact | None", found.contact(configuration, image, self.sensor.grid))
 
-    def diagnosis(self, data: bytes, check_cancelled: CheckCancelled | None = None) -> Diagnosis:
+    def diagnosis(self, data: bytes | View, check_cancelled: CheckCancelled | None = None) -> Diagnosis:
         """See :func:`cspace.worlds.spatial.doctor.diagnosed`."""
         return self.diagnosed(read_view(data, self.body, check_cancelled), check_cancelled)
 

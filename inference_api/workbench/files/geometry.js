@@ -1,4 +1,4 @@
-// The plane and the joint space: where links are, and how angles go round.
+// The plane and the joint space: where links are, and how angles wrap.
 
 /**
  * @typedef {number[]} Configuration  An angle in rad for each joint.
@@ -6,26 +6,18 @@
  * @typedef {{x: number, y: number, r: number}} Disc  Centre and radius in m.
  * @typedef {{x: number, y: number}} Point  In m.
  * @typedef {{links: number[], halfWidth: number, low: number[], high: number[], circle: boolean[]}} Robot
- * @typedef {{left: number, right: number, bottom: number, top: number, pixels: number}} Camera
+ * @typedef {{left: number, right: number, bottom: number, top: number}} Camera
  */
 
 const TURN = 2 * Math.PI;
 
-/**
- * An angle in [-pi, pi).
- * @param {number} angle
- */
-export function wrap(angle) {
+/** An angle in [-pi, pi). @param {number} angle */
+function wrap(angle) {
   const turned = (angle + Math.PI) % TURN;
   return (turned < 0 ? turned + TURN : turned) - Math.PI;
 }
 
-/**
- * Ends of the links, the base first, the tip last.
- * @param {Robot} robot
- * @param {Configuration} configuration
- * @returns {Point[]}
- */
+/** Ends of the links, base first, tip last. @param {Robot} robot @param {Configuration} configuration */
 export function jointPositions(robot, configuration) {
   let [x, y, heading] = [0, 0, 0];
   const found = [{ x, y }];
@@ -38,52 +30,26 @@ export function jointPositions(robot, configuration) {
   return found;
 }
 
-/**
- * The angle of a joint at which its link points to a place.
- * @param {Robot} robot
- * @param {Configuration} configuration
- * @param {number} joint
- * @param {Point} place
- */
+/** The angle at which a link points to a place. @param {Robot} robot @param {Configuration} configuration @param {number} joint @param {Point} place */
 export function pointedAt(robot, configuration, joint, place) {
   const base = jointPositions(robot, configuration)[joint];
   const before = configuration.slice(0, joint).reduce((sum, angle) => sum + angle, 0);
   return Math.atan2(place.y - base.y, place.x - base.x) - before;
 }
 
-/**
- * A configuration within the limits: circles are wrapped, other joints stopped.
- * @param {Robot} robot
- * @param {Configuration} configuration
- */
-export function bound(robot, configuration) {
-  return robot.links.map((_, joint) => {
-    const angle = configuration[joint] ?? 0;
+/** A configuration within the joint limits. @param {Robot} robot @param {Configuration} configuration */
+export const bound = (robot, configuration) =>
+  robot.links.map((_, joint) => {
+    const [angle, low, high] = [configuration[joint] ?? 0, robot.low[joint], robot.high[joint]];
     if (robot.circle[joint]) return wrap(angle);
-    const inside = angle > robot.high[joint] || angle < robot.low[joint] ? wrap(angle) : angle;
-    return Math.min(robot.high[joint], Math.max(robot.low[joint], inside));
+    return Math.min(high, Math.max(low, angle > high || angle < low ? wrap(angle) : angle));
   });
-}
 
-/**
- * The path from one configuration to another, the shorter side round circles.
- * @param {Robot} robot
- * @param {Configuration} from
- * @param {Configuration} to
- */
-export function difference(robot, from, to) {
-  return robot.links.map((_, joint) => {
-    const step = to[joint] - from[joint];
-    return robot.circle[joint] ? wrap(step) : step;
-  });
-}
+/** The shortest motion between configurations. @param {Robot} robot @param {Configuration} from @param {Configuration} to */
+export const difference = (robot, from, to) =>
+  robot.links.map((_, joint) => (robot.circle[joint] ? wrap(to[joint] - from[joint]) : to[joint] - from[joint]));
 
-/**
- * The configuration a share of a path's length along it.
- * @param {Robot} robot
- * @param {Configuration[]} path
- * @param {number} share  0 to 1.
- */
+/** The configuration at a share of a path's length. @param {Robot} robot @param {Configuration[]} path @param {number} share */
 export function along(robot, path, share) {
   const steps = path.slice(1).map((to, at) => difference(robot, path[at], to));
   const lengths = steps.map((step) => Math.hypot(...step));
@@ -98,10 +64,5 @@ export function along(robot, path, share) {
   return path[0];
 }
 
-/**
- * An angle for people.
- * @param {number} angle
- */
-export function degrees(angle) {
-  return `${Math.round((angle * 180) / Math.PI)}°`.replace("-", "−");
-}
+/** An angle for people. @param {number} angle */
+export const degrees = (angle) => `${Math.round((angle * 180) / Math.PI)}°`.replace("-", "−");

@@ -1,130 +1,111 @@
-// Samples and truth for what is shown, requested again whenever it changes, one request at a time.
+// Samples, ground truth and prediction of what is shown, requested again whenever it changes.
 
 /** @import {Ground} from "./torus-view.js" */
+/** @import {Workbench} from "./main.js" */
 
 import { ApiAway, ApiProblem, ask } from "./api.js";
 
-/** How long it took from an interaction to its samples, for those who measure the page. */
+/** The time from an interaction to its samples, for those who measure the page. */
 export const MEASURE = "interaction-to-samples";
-
-/**
- * @typedef {object} Requests  Made again for every round.
- * @property {object} sample  The body of POST /sample.
- * @property {((samples: number[][]) => object) | null} truth  The body for the truth; null where it is not known.
- * @property {(() => object) | null} prediction  The body of POST /validity; null where it is not shown.
- *
- * @typedef {object} Handlers
- * @property {(answer: any, tookMs: number) => void} samples
- * @property {(answer: any, samples: number[][]) => void} truth  Of these samples; others may be shown by now.
- * @property {(answer: any) => void} prediction
- * @property {(error: unknown) => void} failed
- * @property {(busy: boolean) => void} busy  Whether answers are waited for.
- */
+const PREDICTION_CELLS = 64;
+const TRUTH_CELLS = 120;
 
 export class Live {
-  /**
-   * @param {() => Promise<Requests>} makeRequests
-   * @param {Handlers} handlers
-   */
-  constructor(makeRequests, handlers) {
-    this.makeRequests = makeRequests;
-    this.handlers = handlers;
-    /** When the oldest change was made that no samples are there for; null for none. @type {number | null} */
+  /** @param {Workbench} bench */
+  constructor(bench) {
+    this.bench = bench;
+    /** When the oldest change was made that has no samples yet. @type {number | null} */
     this.since = null;
-    /** What is requested beside the samples, which do not wait for it. @type {(() => Promise<void>) | null} */
-    this.beside = null;
-    this.running = { samples: false, beside: false };
+    this.sampling = this.checking = false;
+    /** The last request for samples, and its answer. @type {{body: any, samples: number[][]} | null} */
+    this.last = null;
   }
 
-  /** Something has changed. */
   changed() {
     this.since ??= performance.now();
-    void this.run("samples", async () => {
-      while (this.since !== null) await this.once();
-    });
+    if (!this.sampling) void this.sample();
   }
 
-  /** Run a loop unless it runs. @param {"samples" | "beside"} which @param {() => Promise<void>} loop */
-  async run(which, loop) {
-    if (this.running[which]) return;
-    this.running[which] = true;
-    this.handlers.busy(true);
-    try {
-      await loop();
-    } catch (error) {
-      this.handlers.failed(error);
-    } finally {
-      this.running[which] = false;
-      this.handlers.busy(this.running.samples || this.running.beside);
-    }
+  busy() {
+    this.bench.map.setAttribute("aria-busy", String(this.sampling || this.checking));
   }
 
-  async once() {
-    const since = this.since ?? performance.now();
-    this.since = null;
-    try {
-      const requests = await this.makeRequests();
-      const answer = await ask("sample", requests.sample);
-      this.handlers.samples(answer, performance.now() - since);
-      performance.measure(MEASURE, { start: since });
-      this.askBeside(requests, answer.samples);
-    } catch (error) {
-      this.handlers.failed(error);
-      if (error instanceof ApiAway) this.since = null;
-      else if (error instanceof ApiProblem && error.retryS > 0) {
-        await new Promise((done) => setTimeout(done, 1000 * error.retryS));
-        this.since ??= performance.now();
+  /** One request at a time; changes in between are answered together. */
+  async sample() {
+    this.sampling = true;
+    this.busy();
+    while (this.since !== null) {
+      const since = this.since;
+      this.since = null;
+      try {
+        const body = await this.bench.body("sample");
+        if (!body) break;
+        const answer = await ask("sample", body);
+        this.bench.sampled(answer, performance.now() - since);
+        performance.measure(MEASURE, { start: since });
+        this.last = { body, samples: answer.samples };
+        if (!this.checking) void this.check();
+      } catch (error) {
+        this.bench.messages.failed(error);
+        if (error instanceof ApiAway) this.since = null;
+        else if (error instanceof ApiProblem && error.retryS > 0) {
+          await new Promise((done) => setTimeout(done, 1000 * error.retryS));
+          this.since ??= performance.now();
+        }
       }
     }
+    this.sampling = false;
+    this.busy();
   }
 
-  /** The truth and the prediction of the latest samples, one question at a time. @param {Requests} requests @param {number[][]} samples */
-  askBeside(requests, samples) {
-    this.beside = async () => {
-      if (requests.truth) this.handlers.truth(await ask("workbench/truth", requests.truth(samples)), samples);
-      if (requests.prediction && this.since === null) this.handlers.prediction(await ask("validity", requests.prediction()));
-    };
-    void this.run("beside", async () => {
-      while (this.beside) {
-        const next = this.beside;
-        this.beside = null;
-        const began = performance.now();
-        await next();
-        // As long again, so that samples come first on a machine that has much to do.
-        await new Promise((done) => setTimeout(done, this.beside ? Math.min(200, performance.now() - began) : 0));
+  /** Ground truth or prediction for the last samples, which do not wait for it. */
+  async check() {
+    const { bench } = this;
+    this.checking = true;
+    try {
+      for (let done = null; this.last !== done; ) {
+        const last = (done = this.last);
+        if (!last) break;
+        const { ground, start } = bench.state;
+        if (bench.knowsTruth) {
+          const at = start.length > 2 ? { at: start } : {};
+          const body = { ...bench.scene(), ...at, cells: TRUTH_CELLS, configurations: last.samples };
+          bench.checked(await ask("workbench/truth", body), last.samples);
+        }
+        if (ground === "prediction") {
+          const { image, model } = last.body;
+          const body = { image, configurations: this.grid(), ...(model ? { model } : {}) };
+          bench.predicted(predictedGround((await ask("validity", body)).confidence));
+        }
       }
-    });
+    } catch (error) {
+      bench.messages.failed(error);
+    }
+    this.checking = false;
+    this.busy();
+  }
+
+  /** Cells over the first two joints; the others stand as at the start. */
+  grid() {
+    const { low, high } = /** @type {import("./geometry.js").Robot} */ (this.bench.robot);
+    const at = (/** @type {number} */ joint, /** @type {number} */ cell) =>
+      Number((low[joint] + ((cell + 0.5) / PREDICTION_CELLS) * (high[joint] - low[joint])).toFixed(4));
+    const rest = this.bench.state.start.slice(2);
+    return Array.from({ length: PREDICTION_CELLS ** 2 }, (_, cell) => [
+      at(0, Math.floor(cell / PREDICTION_CELLS)), at(1, cell % PREDICTION_CELLS), ...rest,
+    ]);
   }
 }
 
-/**
- * The truth's answer as ground.
- * @param {{cells: number, free: string}} answer
- * @returns {Ground}
- */
-export function trueGround(answer) {
-  const bits = Uint8Array.from(atob(answer.free), (letter) => letter.charCodeAt(0));
-  return {
-    cells: answer.cells,
-    level: (first, second) => {
-      const at = first * answer.cells + second;
-      return (bits[at >> 3] >> (7 - (at & 7))) & 1 ? 0 : 3;
-    },
-  };
+/** @param {{cells: number, free: string}} answer @returns {Ground} */
+export function trueGround({ cells, free }) {
+  const bits = Uint8Array.from(atob(free), (letter) => letter.charCodeAt(0));
+  const isFree = (/** @type {number} */ at) => (bits[at >> 3] >> (7 - (at & 7))) & 1;
+  return { cells, level: (first, second) => (isFree(first * cells + second) ? 0 : 3) };
 }
 
-/**
- * The model's confidence on a grid as ground.
- * @param {number[]} confidence
- * @param {number} cells
- * @returns {Ground}
- */
-export function predictedGround(confidence, cells) {
-  return {
-    cells,
-    level: (first, second) => {
-      const value = confidence[first * cells + second];
-      return value >= 0.9 ? 0 : value >= 0.5 ? 1 : value >= 0.1 ? 2 : 3;
-    },
-  };
+/** @param {number[]} confidence @returns {Ground} */
+function predictedGround(confidence) {
+  const level = (/** @type {number} */ value) => (value >= 0.9 ? 0 : value >= 0.5 ? 1 : value >= 0.1 ? 2 : 3);
+  return { cells: PREDICTION_CELLS, level: (first, second) => level(confidence[first * PREDICTION_CELLS + second]) };
 }

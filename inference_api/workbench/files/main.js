@@ -1,161 +1,164 @@
 // The page: its state, and how its parts interact.
 
 /** @import {Camera, Configuration, End, Robot} from "./geometry.js" */
-/** @import {Listed} from "./models-view.js" */
 /** @import {State} from "./state.js" */
+/** @import {Ground} from "./torus-view.js" */
+
+/**
+ * @typedef {{reference: string, name: string, aliases: string[], default: boolean, world: any, joint_space: any}} Listed
+ */
 
 import { ask } from "./api.js";
 import { Controls } from "./controls.js";
+import { listenToCopies } from "./export.js";
 import { along, bound } from "./geometry.js";
+import { Live, trueGround } from "./live.js";
 import { Messages } from "./messages.js";
-import { showModels } from "./models-view.js";
-import { encodePng, fromBase64, render, toBase64 } from "./picture.js";
-import { Planner } from "./planner.js";
-import { Readout } from "./readout.js";
+import { Planner } from "./plan.js";
+import { showFigures } from "./readout.js";
 import { SceneView } from "./scene-view.js";
-import { Side } from "./side.js";
 import { fromHash, toHash } from "./state.js";
 import { byId } from "./svg.js";
-import { listenToCopies } from "./take.js";
+import { TorusView } from "./torus-view.js";
 
 const GHOSTS = 14;
-// Parts of the state that another plan belongs to.
-const PLAN = ["planSeed", "limit", "paths", "minConfidence", "planner", "feed", "budget"];
+const SCENE = ["discs", "picture", "start", "goal", "model"];
+const PLAN = ["planSeed", "limit", "paths", "minConfidence"];
+const SAMPLES = ["n", "seed", "confidence", "ground"];
 
-class Workbench {
+export class Workbench {
   constructor() {
     /** @type {State} */
     this.state = fromHash(location.hash);
-    this.about = { version: "", truth: false, plans: false, mlflow: /** @type {string | null} */ (null) };
+    /** Whether the server draws scenes and knows their ground truth. */
+    this.truth = false;
     /** @type {Listed[]} */
     this.models = [];
     /** @type {Robot | null} */
     this.robot = null;
-    /** @type {Camera | null} */
-    this.camera = null;
+    /** The selected disc; -1 for none. */
     this.chosen = -1;
-    /** The selected model. @type {Listed | null} */
-    this.listed = null;
-    /** @type {Configuration | null} */
+    /** Where the pointer is in the joint space. @type {Configuration | null} */
     this.peek = null;
     /** The picture of these discs. @type {{of: object | null, image: Promise<string>}} */
-    this.rendered = { of: null, image: Promise.resolve("") };
-    /** @type {Uint8Array<ArrayBuffer> | null} */
-    this.png = null;
-    this.pictureAddress = "";
-    /** Which uploaded picture that is the address of. */
-    this.seen = "";
+    this.drawn = { of: null, image: Promise.resolve("") };
+    /** @type {{samples: number[][], confidence: number[] | null, free: boolean[] | null, ground: Ground | null}} */
+    this.shown = { samples: [], confidence: null, free: null, ground: null };
+    /** The last answers of /sample and of the ground truth. @type {any} */
+    this.answer = null;
+    /** @type {any} */
+    this.checks = null;
     /** @type {number | undefined} */
     this.frame = undefined;
+    this.map = byId("torus", SVGSVGElement);
     this.messages = new Messages(() => void this.begin());
-    this.first = new Side(this, "torus", "model");
-    this.beside = new Side(this, "torus-beside", "beside");
+    this.live = new Live(this);
     this.planner = new Planner(this);
-    this.readout = new Readout(this);
     this.controls = new Controls(this);
     listenToCopies(this);
     addEventListener("hashchange", () => this.opened());
   }
 
-  /** Ask what there is, then show it. */
+  /** Ask what the server has, then show it. */
   async begin() {
     try {
       const [about, listed] = await Promise.all([ask("workbench/about"), ask("models")]);
-      this.about = about;
-      this.models = listed.models;
-      this.controls.listModels(listed);
-      this.choose(this.state.model);
+      this.truth = about.truth;
+      this.models = listed.models.filter((/** @type {Listed} */ model) => model.world?.kind === "planar");
       this.controls.ready();
-      showModels(listed.models, await ask("workbench/models"), listed.registry, (reference) => {
-        this.change({ model: reference, view: "plane" });
-        this.choose(reference);
-      });
+      this.choose(this.state.model);
     } catch (error) {
       this.messages.failed(error);
     }
   }
 
-  /** Whether plans are trees among the discs, not what the model predicts. */
-  get grows() {
-    const { state, about } = this;
-    return Boolean(state.planner) && about.truth && !state.picture;
+  get knowsTruth() {
+    return this.truth && !this.state.picture;
   }
 
-  /** The discs as requests have them. */
-  discs() {
-    return { discs: this.state.discs.map(({ x, y, r }) => [x, y, r]) };
+  /** The scene as the routes of this page take it. */
+  scene() {
+    const { model, discs } = this.state;
+    return { ...(model ? { model } : {}), discs: discs.map(({ x, y, r }) => [x, y, r]) };
   }
 
-  /** Models whose answers are shown: the one that was chosen, and one beside it. */
-  sides() {
-    return this.state.beside ? [this.first, this.beside] : [this.first];
+  /** The base64 PNG that is sent; null where there is none. */
+  async picture() {
+    const { picture, discs } = this.state;
+    if (picture) return picture;
+    if (!this.truth) return null;
+    if (this.drawn.of !== discs) {
+      const image = ask("workbench/picture", this.scene()).then((answer) => answer.image);
+      this.drawn = { of: discs, image };
+      image.catch(() => (this.drawn.of = null));
+    }
+    return this.drawn.image;
   }
 
-  /** Make room for a model's robot. @param {string} reference */
+  /** The request for the samples or the path that are shown. @param {"sample" | "plan"} endpoint */
+  async body(endpoint) {
+    const { n, seed, confidence, start, goal, planSeed, limit, paths, minConfidence, model } = this.state;
+    const image = await this.picture();
+    this.controls.showPicture(image);
+    if (!image) return null;
+    const least = endpoint === "sample" ? confidence : minConfidence;
+    const fields = endpoint === "sample" ? { n, seed } : { start, goal, seed: planSeed, time_limit_s: limit, ways: paths };
+    return { image, ...fields, ...(least === null ? {} : { min_confidence: least }), ...(model ? { model } : {}) };
+  }
+
+  /** Show a model's robot. @param {string} reference */
   choose(reference) {
-    const planar = this.models.filter((model) => model.world?.kind === "planar");
-    const wanted = planar.find((model) => (reference ? named(model, reference) : model.default)) ?? planar[0];
+    const wanted = this.models.find((model) => (reference ? isNamed(model, reference) : model.default)) ?? this.models[0];
     if (!wanted) return;
-    this.listed = wanted;
-    const others = planar.filter((model) => model !== wanted && model.robot === wanted.robot);
-    const { beside } = this.state;
-    // What is not in the list may be there all the same; its question tells.
-    const fits = others.some((model) => named(model, beside)) || !this.models.some((model) => named(model, beside));
-    this.controls.listOthers(others, fits ? beside : "");
-    this.rendered.of = null;
     const { robot, camera } = wanted.world;
-    const space = wanted.joint_space;
+    const { lower, upper, periodic } = wanted.joint_space;
+    const links = robot.link_lengths_m;
     this.robot = {
-      links: robot.link_lengths_m,
+      links,
       halfWidth: robot.half_width_m,
-      low: space.lower ?? robot.link_lengths_m.map(() => -Math.PI),
-      high: space.upper ?? robot.link_lengths_m.map(() => Math.PI),
-      circle: space.periodic ?? robot.link_lengths_m.map(() => true),
+      low: lower ?? links.map(() => -Math.PI),
+      high: upper ?? links.map(() => Math.PI),
+      circle: periodic ?? links.map(() => true),
     };
-    this.camera = {
-      left: camera.x_min_m, right: camera.x_max_m, bottom: camera.y_min_m, top: camera.y_max_m, pixels: camera.pixels,
-    };
-    this.scene = new SceneView(byId("scene", SVGSVGElement), this.robot, this.camera, {
+    /** @type {Camera} */
+    this.camera = { left: camera.x_min_m, right: camera.x_max_m, bottom: camera.y_min_m, top: camera.y_max_m };
+    this.drawn.of = this.answer = this.checks = null;
+    this.sceneView = new SceneView(byId("scene", SVGSVGElement), this.robot, this.camera, {
       disc: (at, disc, byKey) => this.controls.moveDisc(at, disc, byKey),
       choose: (at) => this.chooseDisc(at),
       remove: (at) => this.controls.removeDisc(at),
       end: (end, configuration) => this.moveEnd(end, configuration),
     });
-    this.first.make(this.robot);
-    this.beside.make(this.robot);
-    this.controls.makeJoints(this.robot);
-    const { start, goal, model } = this.state;
-    this.change({ model, beside: fits ? beside : "", start: bound(this.robot, start), goal: bound(this.robot, goal) });
+    this.torusView = new TorusView(this.map, this.robot, {
+      end: (end, configuration) => this.moveEnd(end, configuration),
+      click: (first, second) => this.controls.clicked(first, second),
+      peek: (first, second) => {
+        this.peek = first === null ? null : [first, second, ...this.state.start.slice(2)];
+        this.draw();
+      },
+    });
+    const { start, goal } = this.state;
+    this.change({ model: reference, start: bound(this.robot, start), goal: bound(this.robot, goal) });
   }
 
-  /** Show a whole scene. @param {Pick<State, "discs" | End | "model">} scene */
-  showScene(scene) {
-    this.chosen = -1;
-    this.state = { ...this.state, ...scene, picture: null };
-    this.choose(scene.model);
-  }
-
-  /** An address was opened in this page. */
+  /** The address was changed by hand or by a link. */
   opened() {
     if (location.hash === toHash(this.state)) return;
     this.state = fromHash(location.hash);
     this.choose(this.state.model);
   }
 
-  /** Change what is shown. @param {Partial<State>} changes */
+  /** @param {Partial<State>} changes */
   change(changes) {
-    const scene = ["discs", "picture", "start", "goal", "model", "beside"].some((name) => name in changes);
-    const sampled = scene || ["n", "seed", "confidence", "ground"].some((name) => name in changes);
+    const has = (/** @type {string[]} */ names) => names.some((name) => name in changes);
     this.state = { ...this.state, ...changes };
-    if (scene || PLAN.some((name) => name in changes) || (sampled && this.state.feed === "shown")) this.planner.forget();
+    if (has(SCENE) || has(PLAN)) this.planner.forget();
     this.draw();
-    if (sampled || changes.view === "plane") {
-      for (const side of this.sides()) side.changed(side.part in changes);
-    }
+    if (has(SCENE) || has(SAMPLES)) this.live.changed();
     this.remember();
   }
 
-  /** Keep the state in the address, at most some times a second, as browsers want it. */
+  /** Keep the state in the address; browsers limit how often that is changed. */
   remember() {
     clearTimeout(this.later);
     this.later = setTimeout(() => history.replaceState(null, "", toHash(this.state)), 200);
@@ -168,8 +171,8 @@ class Workbench {
     this.state = { ...this.state, [end]: bound(this.robot, configuration) };
     this.draw();
     this.remember();
-    // Of more joints than two, the map shows the start's others.
-    if (this.robot.links.length > 2) this.sides().forEach((side) => side.changed(false));
+    // The map shows a slice of the joint space at the start's further joints.
+    if (this.robot.links.length > 2) this.live.changed();
   }
 
   /** @param {number} at */
@@ -178,10 +181,34 @@ class Workbench {
     this.draw();
   }
 
-  /** @param {number | null} first @param {number} second */
-  peeked(first, second) {
-    this.peek = first === null ? null : [first, second, ...this.state.start.slice(2)];
-    this.draw();
+  /** @param {any} answer @param {number} tookMs */
+  sampled(answer, tookMs) {
+    const keepsGround = this.state.ground === "prediction" || (this.state.ground === "truth" && this.knowsTruth);
+    const { samples, confidence } = answer;
+    this.shown = { samples, confidence, free: null, ground: keepsGround ? this.shown.ground : null };
+    this.answer = answer;
+    this.messages.clear();
+    this.messages.here(`${samples.length} samples in ${Math.round(tookMs)} ms`);
+    this.showAnswers();
+  }
+
+  /** @param {any} checks @param {number[][]} samples  That were checked; others may be shown by now. */
+  checked(checks, samples) {
+    if (samples === this.shown.samples) this.shown.free = checks.sample_free;
+    if (this.state.ground === "truth") this.shown.ground = trueGround(checks);
+    this.checks = checks;
+    this.showAnswers();
+  }
+
+  /** @param {Ground} ground */
+  predicted(ground) {
+    if (this.state.ground === "prediction") this.shown.ground = ground;
+    this.showAnswers();
+  }
+
+  showAnswers() {
+    this.torusView?.show(this.shown);
+    showFigures(this);
   }
 
   /** Draw at the next frame; several changes before it are drawn together. */
@@ -193,62 +220,21 @@ class Workbench {
   }
 
   drawNow() {
-    if (!this.robot || !this.scene) return;
-    const { state, robot, planner } = this;
-    const { path } = this.first;
-    const ghosts = path.length
-      ? Array.from({ length: GHOSTS }, (_, at) => along(robot, path, (at + 1) / (GHOSTS + 1)))
-      : [];
-    const [moving, other] = [this.first, this.beside].map((side) =>
-      side.path.length ? along(robot, side.path, planner.player.share) : null,
-    );
-    this.scene.show({
-      discs: state.discs, chosen: this.chosen, start: state.start, goal: state.goal, ghosts, moving, other,
-      least: this.first.uncertainty.least,
-      peek: this.peek, picture: state.picture ? this.pictureAddress : null,
-    });
-    const { start, goal } = state;
-    this.first.torus?.showEnds({ start, goal, path, moving, ...this.first.uncertainty });
-    this.beside.torus?.showEnds({ start, goal, path: this.beside.path, moving: other, ...this.beside.uncertainty });
-    for (const side of this.sides()) side.torus?.showTree(side.planned?.answer ?? null);
+    const { robot, state, planner } = this;
+    if (!robot || !this.sceneView || !this.torusView) return;
+    const { path, edges, least } = planner;
+    const share = (/** @type {number} */ at) => along(robot, path, at);
+    const moving = path.length ? share(planner.share) : null;
+    const ghost = path.length ? Array.from({ length: GHOSTS }, (_, at) => share((at + 1) / (GHOSTS + 1))) : [];
+    const { discs, start, goal, picture } = state;
+    this.sceneView.show({ discs, chosen: this.chosen, start, goal, ghost, moving, least, peek: this.peek, picture });
+    this.torusView.showEnds({ start, goal, path, moving, edges, least });
     this.controls.show();
-  }
-
-  /** The picture as it is sent, and shown as it is sent: base64 of a PNG. */
-  async pictured() {
-    if (!this.robot || !this.camera) throw new Error("there is no robot yet");
-    const { picture, discs } = this.state;
-    if (picture) {
-      if (picture !== this.seen) this.see(picture, this.camera.pixels);
-      return picture;
-    }
-    this.seen = "";
-    if (this.rendered.of !== discs) {
-      const pixels = render(this.robot, this.camera, discs);
-      this.controls.showPixels(pixels, this.camera.pixels);
-      this.rendered = { of: discs, image: encodePng(pixels).then((png) => toBase64((this.png = png))) };
-    }
-    return this.rendered.image;
-  }
-
-  /** Show an uploaded picture. @param {string} picture @param {number} side */
-  see(picture, side) {
-    this.seen = picture;
-    this.rendered.of = null;
-    this.png = fromBase64(picture);
-    const file = new Blob([this.png], { type: "image/png" });
-    URL.revokeObjectURL(this.pictureAddress);
-    this.pictureAddress = URL.createObjectURL(file);
-    void this.controls.showFile(file, side);
-    this.draw();
   }
 }
 
 /** @param {Listed} model @param {string} reference */
-function named(model, reference) {
-  return model.reference === reference || model.aliases.some((alias) => `${model.name}@${alias}` === reference);
-}
-
-export { Workbench };
+const isNamed = (model, reference) =>
+  model.reference === reference || model.aliases.some((alias) => `${model.name}@${alias}` === reference);
 
 if (document.getElementById("plane")) void new Workbench().begin();

@@ -7,7 +7,7 @@ import { ENDS, SIDE, STEP_RAD, arrow, draggable, draw, set } from "./svg.js";
 
 const STEP_M = 0.1;
 // The later ones lie over the earlier.
-const ARMS = /** @type {const} */ (["ghost", "peek", "start", "goal", "least", "other", "moving"]);
+const ARMS = /** @type {const} */ (["ghost", "peek", "start", "goal", "least", "moving"]);
 
 /**
  * @typedef {object} Shown
@@ -15,12 +15,11 @@ const ARMS = /** @type {const} */ (["ghost", "peek", "start", "goal", "least", "
  * @property {number} chosen  Which disc; -1 for none.
  * @property {Configuration} start
  * @property {Configuration} goal
- * @property {Configuration[]} ghosts  Along the path.
+ * @property {Configuration[]} ghost  Along the path.
  * @property {Configuration | null} moving  The arm on its path.
- * @property {Configuration | null} other  The arm on the path of the model beside.
  * @property {Configuration | null} least  Where the path has its lowest confidence.
  * @property {Configuration | null} peek  Where the pointer is in the joint space.
- * @property {string | null} picture  Address of what is shown instead of discs.
+ * @property {string | null} picture  Base64 of a PNG that is shown instead of discs.
  *
  * @typedef {object} Changes
  * @property {(at: number, disc: Disc, byKey: boolean) => void} disc
@@ -30,12 +29,7 @@ const ARMS = /** @type {const} */ (["ghost", "peek", "start", "goal", "least", "
  */
 
 export class SceneView {
-  /**
-   * @param {SVGSVGElement} drawing
-   * @param {Robot} robot
-   * @param {Camera} camera
-   * @param {Changes} changes
-   */
+  /** @param {SVGSVGElement} drawing @param {Robot} robot @param {Camera} camera @param {Changes} changes */
   constructor(drawing, robot, camera, changes) {
     this.drawing = drawing;
     this.robot = robot;
@@ -45,9 +39,11 @@ export class SceneView {
     this.shown = null;
     /** @type {SVGCircleElement[]} */
     this.discs = [];
+    /** Pixels of the drawing for a metre. */
+    this.scale = SIDE / (camera.right - camera.left);
     this.picture = draw("image", { width: SIDE, height: SIDE, class: "shown", preserveAspectRatio: "none" });
     this.layers = { discs: draw("g"), arms: draw("g"), handles: draw("g") };
-    drawing.replaceChildren(this.ground(), this.picture, ...Object.values(this.layers));
+    drawing.replaceChildren(this.grid(), this.picture, ...Object.values(this.layers));
     const width = Math.max(2.5, 2 * robot.halfWidth * this.scale);
     this.arms = ARMS.map((kind) => draw("path", { class: `arm ${kind}`, "stroke-width": width, "aria-hidden": "true" }));
     this.handles = ENDS.map((end) => robot.links.map((_, joint) => this.makeHandle(end, joint)));
@@ -55,19 +51,14 @@ export class SceneView {
     this.layers.arms.append(...this.arms, draw("circle", { class: "base", cx: base.x, cy: base.y, r: 5 }));
   }
 
-  /** Pixels of the drawing for a metre. */
-  get scale() {
-    return SIDE / (this.camera.right - this.camera.left);
+  /** @param {Point} place @returns {Point} */
+  toDrawing({ x, y }) {
+    return { x: (x - this.camera.left) * this.scale, y: (this.camera.top - y) * this.scale };
   }
 
   /** @param {Point} place @returns {Point} */
-  toDrawing(place) {
-    return { x: (place.x - this.camera.left) * this.scale, y: (this.camera.top - place.y) * this.scale };
-  }
-
-  /** @param {Point} place @returns {Point} */
-  toMetres(place) {
-    return { x: place.x / this.scale + this.camera.left, y: this.camera.top - place.y / this.scale };
+  toMetres({ x, y }) {
+    return { x: x / this.scale + this.camera.left, y: this.camera.top - y / this.scale };
   }
 
   /** @param {Shown} shown */
@@ -75,21 +66,24 @@ export class SceneView {
     this.shown = shown;
     this.showDiscs(shown);
     ARMS.forEach((kind, row) => {
-      const arms = kind === "ghost" ? shown.ghosts : [shown[kind] ?? []];
+      const arms = kind === "ghost" ? shown.ghost : [shown[kind] ?? []];
       this.arms[row].setAttribute("d", arms.map((one) => this.outline(one)).join(""));
     });
     ENDS.forEach((end, row) => {
       const places = jointPositions(this.robot, shown[end]).slice(1).map((place) => this.toDrawing(place));
       this.handles[row].forEach((handle, joint) => {
-        set(handle, { cx: places[joint].x, cy: places[joint].y, ...sliderValues(end, joint, shown[end], this.robot) });
+        const angle = shown[end][joint];
+        const now = { "aria-valuenow": Math.round((angle * 180) / Math.PI), "aria-valuetext": degrees(angle) };
+        set(handle, { cx: places[joint].x, cy: places[joint].y, ...now });
       });
     });
-    if (shown.picture) this.picture.setAttribute("href", shown.picture);
+    const source = `data:image/png;base64,${shown.picture}`;
+    if (shown.picture && this.picture.getAttribute("href") !== source) this.picture.setAttribute("href", source);
     this.picture.toggleAttribute("hidden", !shown.picture);
     this.layers.discs.toggleAttribute("hidden", Boolean(shown.picture));
   }
 
-  ground() {
+  grid() {
     const group = draw("g", { "aria-hidden": "true" });
     group.append(draw("rect", { class: "frame", width: SIDE, height: SIDE }));
     for (let at = Math.ceil(this.camera.left); at <= this.camera.right; at += 1) {
@@ -103,25 +97,22 @@ export class SceneView {
   outline(configuration) {
     if (!configuration.length) return "";
     const places = jointPositions(this.robot, configuration).map((place) => this.toDrawing(place));
-    return `M${places.map((place) => `${place.x.toFixed(1)} ${place.y.toFixed(1)}`).join("L")}`;
+    return `M${places.map(({ x, y }) => `${x.toFixed(1)} ${y.toFixed(1)}`).join("L")}`;
   }
 
   /** @param {End} end @param {number} joint */
   makeHandle(end, joint) {
-    const handle = draw("circle", { class: `handle ${end}`, r: 7, tabindex: 0, role: "slider" });
+    const [low, high] = [this.robot.low, this.robot.high].map((limits) => Math.round((limits[joint] * 180) / Math.PI));
+    const words = { "aria-label": `${end === "start" ? "Start" : "Goal"}, joint ${joint + 1}`, "aria-valuemin": low, "aria-valuemax": high };
+    const handle = draw("circle", { class: `handle ${end}`, r: 7, tabindex: 0, role: "slider", ...words });
     this.layers.handles.append(handle);
-    draggable(handle, this.drawing, (place) => {
-      if (!this.shown) return;
-      const configuration = [...this.shown[end]];
-      configuration[joint] = pointedAt(this.robot, configuration, joint, this.toMetres(place));
-      this.changes.end(end, configuration);
-    });
+    const turn = (/** @type {(configuration: Configuration) => number} */ angle) => {
+      if (this.shown) this.changes.end(end, this.shown[end].with(joint, angle(this.shown[end])));
+    };
+    draggable(handle, this.drawing, (place) => turn((now) => pointedAt(this.robot, now, joint, this.toMetres(place))));
     handle.addEventListener("keydown", (event) => {
       const step = arrow(event);
-      if (!step || !this.shown) return;
-      const configuration = [...this.shown[end]];
-      configuration[joint] += STEP_RAD * (step[0] + step[1]);
-      this.changes.end(end, configuration);
+      if (step) turn((now) => now[joint] + STEP_RAD * (step[0] + step[1]));
     });
     return handle;
   }
@@ -142,7 +133,6 @@ export class SceneView {
   /** @param {number} at */
   makeDisc(at) {
     const circle = draw("circle", { class: "disc", tabindex: 0, role: "button", "aria-roledescription": "disc" });
-    circle.setAttribute("aria-describedby", "scene-title");
     this.layers.discs.append(circle);
     let [offX, offY] = [0, 0];
     draggable(circle, this.drawing, (place, first) => {
@@ -166,9 +156,9 @@ export class SceneView {
     const step = arrow(event);
     if (step) this.changes.disc(at, { ...disc, x: disc.x + STEP_M * step[0], y: disc.y + STEP_M * step[1] }, true);
     else if (event.key === "Delete" || event.key === "Backspace") this.changes.remove(at);
-    else if (event.key === "+" || event.key === "-") {
-      this.changes.disc(at, { ...disc, r: disc.r + (event.key === "+" ? 0.05 : -0.05) }, true);
-    } else return;
+    else if (event.key === "+") this.changes.disc(at, { ...disc, r: disc.r + 0.05 }, true);
+    else if (event.key === "-") this.changes.disc(at, { ...disc, r: disc.r - 0.05 }, true);
+    else return;
     event.preventDefault();
   }
 
@@ -176,21 +166,4 @@ export class SceneView {
   focusDisc(at) {
     this.discs[at]?.focus();
   }
-}
-
-/**
- * What a handle says of itself.
- * @param {End} end
- * @param {number} joint
- * @param {Configuration} configuration
- * @param {Robot} robot
- */
-function sliderValues(end, joint, configuration, robot) {
-  return {
-    "aria-label": `${end === "start" ? "Start" : "Goal"}, joint ${joint + 1}`,
-    "aria-valuemin": Math.round((robot.low[joint] * 180) / Math.PI),
-    "aria-valuemax": Math.round((robot.high[joint] * 180) / Math.PI),
-    "aria-valuenow": Math.round((configuration[joint] * 180) / Math.PI),
-    "aria-valuetext": degrees(configuration[joint]),
-  };
 }

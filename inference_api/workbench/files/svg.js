@@ -1,11 +1,11 @@
-// Small help for drawings.
+// Elements of the page and of its drawings.
 
-const SPACE = "http://www.w3.org/2000/svg";
-/** Of both drawings of the plane's arm, in their own units. */
+/** Width and height of both drawings, in their own units. */
 export const SIDE = 480;
 /** What an arrow key turns a joint by. */
 export const STEP_RAD = Math.PI / 36;
 export const ENDS = /** @type {const} */ (["start", "goal"]);
+const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
 
 /**
  * A new element of a drawing.
@@ -15,18 +15,18 @@ export const ENDS = /** @type {const} */ (["start", "goal"]);
  * @returns {SVGElementTagNameMap[Name]}
  */
 export function draw(name, attributes = {}) {
-  const element = document.createElementNS(SPACE, name);
+  const element = document.createElementNS("http://www.w3.org/2000/svg", name);
   set(element, attributes);
   return element;
 }
 
-/**
- * @param {Element} element
- * @param {Record<string, string | number>} attributes
- */
+/** @param {Element} element @param {Record<string, string | number>} attributes */
 export function set(element, attributes) {
   for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, String(value));
 }
+
+/** A new element with text. @param {string} name @param {string} [text] @param {string} [kind]  Its class. */
+export const entry = (name, text = "", kind = "") => Object.assign(document.createElement(name), { textContent: text, className: kind });
 
 /**
  * An element of the page by its id.
@@ -48,15 +48,9 @@ export const selectOf = (id) => byId(id, HTMLSelectElement);
 /** @param {string} id */
 export const buttonOf = (id) => byId(id, HTMLButtonElement);
 
-/**
- * Where a pointer is in a drawing's own units.
- * @param {SVGSVGElement} drawing
- * @param {PointerEvent} event
- */
+/** Where a pointer is, in a drawing's units. @param {SVGSVGElement} drawing @param {MouseEvent} event */
 export function placeIn(drawing, event) {
-  const matrix = drawing.getScreenCTM();
-  if (!matrix) return { x: 0, y: 0 };
-  const { x, y } = new DOMPoint(event.clientX, event.clientY).matrixTransform(matrix.inverse());
+  const { x, y } = new DOMPoint(event.clientX, event.clientY).matrixTransform(drawing.getScreenCTM()?.inverse());
   return { x, y };
 }
 
@@ -72,7 +66,6 @@ export function draggable(element, drawing, moved) {
     if (event.button !== 0) return;
     held = true;
     element.setPointerCapture(event.pointerId);
-    event.stopPropagation();
     moved(placeIn(drawing, event), true);
   });
   element.addEventListener("pointermove", (event) => {
@@ -81,14 +74,7 @@ export function draggable(element, drawing, moved) {
   for (const end of ["pointerup", "pointercancel"]) element.addEventListener(end, () => (held = false));
 }
 
-/** What arrow keys mean. */
-const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
-
-/**
- * The direction of an arrow key, y up, finer with Shift; null for other keys.
- * @param {KeyboardEvent} event
- * @returns {number[] | null}
- */
+/** The direction of an arrow key, y up, finer with Shift; null for other keys. @param {KeyboardEvent} event */
 export function arrow(event) {
   const found = ARROWS[/** @type {keyof ARROWS} */ (event.key)];
   if (!found || event.ctrlKey || event.metaKey || event.altKey) return null;

@@ -151,8 +151,7 @@ class _Case:
             query = plan_query(self.problem, self.setting.seed, limit_s)
             plan, request_s = self.models[sampler].plan(self.problem, query)
             solved = plan.status == "solved"
-            paths = tuple(AlternativePath(one.path, one.confidence, one.edges) for one in plan.alternatives)
-            return paths, {
+            return plan.alternatives, {
                 "status": plan.status,
                 "confidence": plan.confidence if solved else None,
                 "search_s": 1e-3 * plan.search_ms,

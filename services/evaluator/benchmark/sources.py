@@ -14,12 +14,12 @@ from PIL import Image, PngImagePlugin
 from cspace.bundle import Bundle
 from cspace.bundle.verification import load_verified
 from cspace.errors import ConfigError, SamplerError, SamplerUnavailableError
-from cspace.query import DEFAULT_PATHS, Plan, PlanQuery, SampleQuery
+from cspace.query import DEFAULT_PATHS, AlternativePath, Plan, PlanQuery, SampleQuery
 from cspace.simulator import UNIFORM, Problem, Split
 from cspace.world import World
 from cspace.worlds import picture_file_of, robot_digest, simulator_of
 from services.evaluator.measures.scenes import PackedBundle
-from services.planner.client import RetryPolicy, SamplingClient, ServedPlan
+from services.planner.client import FoundPlan, SamplingClient
 from services.planner.planning import between_ends
 from services.planner.samples import BundleSampler, SampleBatch
 
@@ -116,7 +116,8 @@ def served(name: str, model: str, url: str, world: World, *, plans: bool = False
             except SamplerError:
                 with_ends, found = False, client.answer(picture, query, model)
     # The shipped model has no number in a registry.
-    pinned = f"{found.model_name}/{found.model_version}" if found.model_version else found.model_name
+    name_there, number = (found.name, found.version) if plans else (found.model_name, found.model_version)
+    pinned = f"{name_there}/{number}" if number else name_there
     return SourceSpec(name, found.digest, with_ends, pinned, url)
 
 
@@ -145,7 +146,7 @@ class Model:
         self._spec.check(batch.digest)
         return batch
 
-    def plan(self, problem: Problem, query: PlanQuery) -> tuple[Plan | ServedPlan, float]:
+    def plan(self, problem: Problem, query: PlanQuery) -> tuple[Plan, float]:
         """The plan for a problem's picture, and the time from the file to the answer, s.
 
         A problem that needs wider joint limits than a served model has counts as refused; a bundle takes the
@@ -163,7 +164,7 @@ class Model:
             return Plan("refused", np.empty((0, self._space.dim))), 0.0
         found = self._source.plan(picture, query, self._spec.model)  # type: ignore[union-attr]
         self._spec.check(found.model.digest)
-        return found.plan, found.round_trip_s
+        return _plan_of(found), found.round_trip_s
 
 
 def opened(specs: Sequence[SourceSpec], world: World, stack: ExitStack, *, plans: bool) -> dict[str, Model]:
@@ -200,8 +201,21 @@ def fresh_picture(file: bytes, note: str) -> bytes:
 
 
 def _client(url: str, world: World) -> SamplingClient:
-    policy = RetryPolicy(deadline_s=2.0 * _TIMEOUT_S)
-    return SamplingClient(url, _TIMEOUT_S, policy=policy, robot=robot_digest(world))
+    return SamplingClient(url, _TIMEOUT_S, deadline_s=2.0 * _TIMEOUT_S, robot=robot_digest(world))
+
+
+def _plan_of(found: FoundPlan) -> Plan:
+    """An API's plan as a bundle's."""
+    paths = (AlternativePath(one.path, one.confidence, one.edges) for one in found.alternatives or ())
+    return Plan(
+        found.status,
+        found.path,
+        confidence=found.confidence,
+        edges=found.edges,
+        alternatives=tuple(paths),
+        search_ms=found.timing_ms.search,
+        score_ms=found.timing_ms.score,
+    )
 
 
 def _example(world: World) -> Problem:

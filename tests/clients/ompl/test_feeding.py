@@ -9,8 +9,7 @@ from ompl import geometric as og
 from ompl import util as ou
 
 from cspace_client.errors import ConfigError, PlanningError
-from cspace_client.ompl.learned_sampler import feed_samples
-from cspace_client.ompl.state_space import read_configuration, read_joint_space
+from cspace_client.ompl import feed_samples, read_configuration, read_joint_space
 
 
 def circle():
@@ -102,20 +101,6 @@ def wall(values):
     return abs(values[0]) > 0.3 or abs(values[1] - 1.5) < 0.3
 
 
-def test_a_path_that_is_simplified_afterwards_still_ends_at_the_goal():
-    for seed in range(5):
-        setup = make_setup(SPACES["torus"](), free=wall)
-        samples = np.random.default_rng(seed).uniform(-1.5, 1.5, (2000, 2))
-        with feed_samples(setup, samples, seed=seed) as draws:
-            setup.solve(5.0)
-        drawn = draws.learned_drawn
-        assert setup.haveExactSolutionPath()
-        setup.simplifySolution()
-        path = rows_of(setup, setup.getSolutionPath().getStates())
-        np.testing.assert_allclose(path[-1], [1.0, 1.0])
-        assert draws.learned_drawn == drawn
-
-
 def test_the_set_up_is_what_it_was_whatever_ends_the_block():
     setup = make_setup(SPACES["torus"]())
     setup.getPlanner().setGoalBias(0.2)
@@ -140,22 +125,6 @@ def test_the_goals_threshold_holds_in_the_metric_of_the_state_space():
     assert (draws.learned_drawn, draws.uniform_drawn) == (1, 0)
 
 
-def test_samples_may_be_any_rows_at_any_turn():
-    setup = make_setup(circle())
-    setup.getPlanner().setGoalBias(0.0)
-    with feed_samples(setup, ([value] for value in (0.5, 0.5 + math.tau)), uniform_share=0.0) as draws:
-        np.testing.assert_allclose([draws.draw(), draws.draw()], [[0.5], [0.5]])
-
-
-def test_without_samples_all_states_are_uniform():
-    setup = make_setup(SPACES["torus"](), free=wall)
-    with feed_samples(setup, []) as draws:
-        setup.solve(5.0)
-    assert draws.learned_drawn == 0
-    assert draws.uniform_drawn > 0
-    assert setup.haveExactSolutionPath()
-
-
 @pytest.mark.parametrize("planner", [None, og.RRTConnect, og.InformedRRTstar, og.PRM])
 def test_other_planners_are_refused(planner):
     setup = make_setup(SPACES["torus"](), planner)
@@ -168,7 +137,7 @@ def test_other_planners_are_refused(planner):
     [
         (np.zeros((3, 3)), "do not fit"),
         ([0.0, 0.0], "do not fit"),
-        ([[math.nan, 0.0]], "do not fit"),
+        ([[math.nan, 0.0]], "outside the bounds"),
         ([[0.0, 2.5], [0.0, 1.0]], "outside the bounds.*1 others"),
     ],
 )

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
-from cspace_client.ompl.sample_mixture import SampleMixture
+from cspace.worlds.planar.arm import TWO_LINK
+from cspace_client.ompl import SampleMixture
 
 GOAL = [9.0, 9.0]
 SAMPLES = np.stack([np.linspace(-1.0, 1.0, 500), np.full(500, 0.25)], axis=-1)
@@ -41,25 +41,6 @@ def test_a_reached_goal_is_not_drawn_any_more():
     assert draws.draw() == GOAL
     draws.goal_reached()
     assert all(draws.draw() != GOAL for _ in range(100))
-
-
-def test_uniform_samples_keep_within_joint_limits():
-    robot = PlanarArm(joint_limits_rad=((0.5, 1.0), None))
-    draws = mixture(goal_bias=0.0, samples=np.empty((0, 2)), space=robot.space)
-    drawn = np.array([draws.draw() for _ in range(300)])
-    assert np.all((drawn[:, 0] >= 0.5) & (drawn[:, 0] <= 1.0))
-    assert np.ptp(drawn[:, 1]) > 5.0
-
-
-def test_samples_that_are_rejected_come_after_all_others_and_none_is_lost():
-    draws = SampleMixture(
-        TWO_LINK.space, GOAL, SAMPLES, 0.0, 0.0, np.random.default_rng(0), lambda sample: sample[0] > 0.0
-    )
-    free = SAMPLES[:, 0] > 0.0
-    assert 0 < free.sum() < 500
-    assert np.allclose([draws.draw() for _ in range(500)], np.concatenate([SAMPLES[free], SAMPLES[~free]]))
-    draws.draw()
-    assert (draws.learned_drawn, draws.uniform_drawn, draws.state_checks) == (500, 1, 500)
 
 
 def test_a_sample_is_checked_when_its_turn_comes_and_no_sooner():

@@ -1,5 +1,6 @@
 """What the 3D viewer asks the API for, and what it makes of the answers."""
 
+import base64
 from contextlib import suppress
 from types import SimpleNamespace
 from typing import Any
@@ -13,7 +14,7 @@ from cspace.worlds import examples, simulator_of
 from cspace.worlds.spatial.obstacles import Box
 from cspace.worlds.spatial.poses import HERE
 from cspace.worlds.spatial.view import write_view
-from cspace_client import Belief, DepthPictures, ModelHead
+from cspace_client import Belief, DepthPictures
 from services.planner.viewer import SceneState
 
 WORLD = examples()["panda"]
@@ -38,15 +39,15 @@ class FakeApi:
     def plan(self, picture: DepthPictures, query: Any, model: str) -> Any:
         solved = len(self.path) > 0
         assert query.explain
-        plan = SimpleNamespace(path=self.path, confidence=0.75, status="solved" if solved else "refused")
-        return SimpleNamespace(plan=plan, reason=None if solved else "none is sure enough")
+        status, reason = ("solved", None) if solved else ("refused", "none is sure enough")
+        return SimpleNamespace(path=self.path, confidence=0.75, status=status, reason=reason)
 
     def belief(self, picture: DepthPictures, model: str) -> Belief:
         self.shown.append(picture)
-        occupied = np.zeros((4, 4, 4), dtype=np.float32)
-        occupied[1, 2, 3], occupied[0, 0, 0] = 0.75, 0.25
-        head = ModelHead("m", 1, "0" * 64)
-        return Belief(np.array([-1.0, 0.0, 1.0]), 0.5, occupied, head, 0.1)
+        occupied = np.zeros((4, 4, 4), dtype=np.uint8)
+        occupied[1, 2, 3], occupied[0, 0, 0] = 204, 51
+        packed = base64.b64encode(occupied.tobytes()).decode()
+        return Belief.model_construct(low_m=[-1.0, 0.0, 1.0], cell_m=0.5, counts=[4, 4, 4], occupied=packed)
 
     def doctor(self, picture: DepthPictures, model: str) -> Any:
         self.shown.append(picture)
@@ -73,7 +74,7 @@ def test_samples_are_checked_against_the_scenes_own_obstacles(api: FakeApi, stat
 def test_cells_are_shown_in_which_something_is_expected(state: SceneState) -> None:
     centres, surely, cell_m = state.believed()
     np.testing.assert_allclose(centres, [[-0.25, 1.25, 2.75]])
-    assert (surely.tolist(), cell_m) == ([0.75], 0.5)
+    assert (surely.tolist(), cell_m) == ([pytest.approx(0.8)], 0.5)
 
 
 def test_a_path_through_an_obstacle_is_called_in_collision(api: FakeApi, state: SceneState) -> None:

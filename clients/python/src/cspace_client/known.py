@@ -1,6 +1,5 @@
-"""What is known of a scene beside its pictures: bodies, what the arm holds, and converters from MoveIt."""
+"""What is known of a scene beside its pictures: bodies, what the arm holds, and a converter from MoveIt."""
 
-import json
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -9,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace_client.errors import SamplerError, printable
+from cspace_client.errors import SamplerError
 
 # shape_msgs/SolidPrimitive, by number and as MotionBenchMaker's files write it; names of the dimensions.
 _TYPES = {1: "box", 2: "sphere", 3: "cylinder"}
@@ -21,15 +20,9 @@ _ADD = (0, "add", b"\x00")
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """What is known beside the pictures, as the API's fields of the same names have it.
+    """What is known beside the pictures, with the fields of :class:`cspace_client.wire.KnownFields`.
 
-    Args:
-        scene: bodies in the base frame: ``name``, one of ``box``, ``cylinder``, ``sphere``, ``mesh``, and
-            ``pose``. Of a plane ``name`` and ``disc`` (``x_m``, ``y_m``, ``radius_m``), and nothing else.
-        attached: likewise, with ``link`` and ``touch_links``.
-        allowed: pairs of names that may touch.
-        ignore: volumes that count as free.
-        meshes: binary STL files by the names that ``mesh`` gives.
+    ``meshes`` holds binary STL files, as bytes, by the names that bodies give.
     """
 
     scene: Sequence[Mapping[str, Any]] = ()
@@ -40,13 +33,16 @@ class Known:
 
     @property
     def fields(self) -> dict[str, Any]:
-        """The fields that are not empty, as plain values but the meshes."""
-        named = {name: getattr(self, name) for name in ("scene", "attached", "allowed", "ignore")}
-        return {name: json.loads(as_json(name, list(values))) for name, values in named.items() if values}
+        """The fields that are not empty, but the meshes."""
+        bodies = {name: getattr(self, name) for name in ("scene", "attached", "ignore")}
+        found: dict[str, Any] = {
+            name: [dict(one) for one in given] for name, given in bodies.items() if given
+        }
+        return found | ({"allowed": list(self.allowed)} if self.allowed else {})
 
     @classmethod
     def of_moveit(cls, planning_scene: Mapping[str, Any], base: str | None = None) -> "Known":
-        """Of a ``moveit_msgs/PlanningScene`` as a mapping, or of a scene file of MotionBenchMaker.
+        """Reads a ``moveit_msgs/PlanningScene`` as a mapping, or a scene file of MotionBenchMaker.
 
         An object of several shapes becomes several bodies: the second of ``shelf`` is ``shelf/1``.
 
@@ -54,9 +50,6 @@ class Known:
             planning_scene: with ``world``, ``robot_state`` and ``allowed_collision_matrix`` or some of them,
                 as ``rosidl_runtime_py.message_to_ordereddict`` writes it or YAML is read.
             base: the frame that poses are in; None takes every frame for the base's.
-
-        Raises:
-            SamplerError: an object is in another frame, or has a shape that the API does not know.
         """
         meshes: dict[str, bytes] = {}
         scene: list[dict[str, Any]] = []
@@ -95,23 +88,22 @@ def _bodies(one: Mapping[str, Any], frame: str | None, meshes: dict[str, bytes])
     name, stands_in = str(one.get("id")), (one.get("header") or {}).get("frame_id", "")
     if frame is not None and stands_in not in ("", frame):
         raise SamplerError(
-            f"the object {printable(name)} is in another frame",
+            f"the object {name} is in another frame",
             expected=frame,
-            got=printable(str(stands_in)),
+            got=str(stands_in),
             remedy="transform its pose first",
         )
     own = _matrix(one.get("pose"))
     solids = zip(one.get("primitives") or (), one.get("primitive_poses") or (), strict=False)
     shapes = [(_solid(name, solid), pose) for solid, pose in solids]
-    for number, (mesh, pose) in enumerate(
-        zip(one.get("meshes") or (), one.get("mesh_poses") or (), strict=False)
-    ):
+    triangles = zip(one.get("meshes") or (), one.get("mesh_poses") or (), strict=False)
+    for number, (mesh, pose) in enumerate(triangles):
         file = f"{name}-{number}.stl"
         meshes[file] = _stl(mesh)
         shapes.append(({"mesh": {"file": file}}, pose))
     if not shapes or one.get("planes"):
         raise SamplerError(
-            f"the object {printable(name)} has no shape that can be sent",
+            f"the object {name} has no shape that can be sent",
             expected="primitives with primitive_poses, or meshes with mesh_poses",
             got="planes" if one.get("planes") else "none",
         )
@@ -122,15 +114,10 @@ def _bodies(one: Mapping[str, Any], frame: str | None, meshes: dict[str, bytes])
 
 def _stl(mesh: Mapping[str, Any]) -> bytes:
     """A binary STL file of a ``shape_msgs/Mesh``."""
-    try:
-        vertices = np.array([[row[axis] for axis in "xyz"] for row in mesh["vertices"]], dtype=np.float64)
-        corners = vertices[np.array([row["vertex_indices"] for row in mesh["triangles"]], dtype=np.int64)]
-        rows = np.zeros(len(corners), dtype=_TRIANGLE)
-        rows["corners"] = corners
-    except (ValueError, TypeError, IndexError) as error:
-        raise SamplerError(
-            "the mesh is none", expected="vertices (V, 3) and triangles (T, 3)", got=str(error)[:200]
-        ) from error
+    vertices = np.array([[row[axis] for axis in "xyz"] for row in mesh["vertices"]], dtype=np.float64)
+    corners = vertices[np.array([row["vertex_indices"] for row in mesh["triangles"]], dtype=np.int64)]
+    rows = np.zeros(len(corners), dtype=_TRIANGLE)
+    rows["corners"] = corners
     return b"cspace".ljust(80, b" ") + struct.pack("<I", len(rows)) + rows.tobytes()
 
 
@@ -140,9 +127,9 @@ def _solid(name: str, solid: Mapping[str, Any]) -> dict[str, Any]:
     sizes = [float(value) for value in solid.get("dimensions") or ()]
     if len(sizes) != _DIMENSIONS.get(str(kind), -1):
         raise SamplerError(
-            f"the object {printable(name)} has a shape that can not be sent",
+            f"the object {name} has a shape that cannot be sent",
             expected="a box, cylinder or sphere with its dimensions",
-            got=printable(f"{kind} of {sizes}"[:200]),
+            got=f"{kind} of {sizes}",
             remedy="send a mesh of it",
         )
     if kind == "box":
@@ -184,25 +171,3 @@ def _allowed(matrix: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         for other in range(at + 1, len(names)):
             if row["enabled"][other]:
                 yield names[at], names[other]
-
-
-def as_json(name: str, value: object) -> str:
-    """A field's value as JSON: plain values, and arrays, NumPy's numbers and mappings among them.
-
-    Raises:
-        SamplerError: it is none that JSON can hold, or not finite.
-    """
-    try:
-        return json.dumps(value, default=_plain, allow_nan=False)
-    except (TypeError, ValueError) as error:
-        raise SamplerError(
-            f"{name} is wrong",
-            expected="plain values: finite numbers, texts, lists and mappings",
-            got=str(error)[:200],
-        ) from error
-
-
-def _plain(value: object) -> object:
-    if isinstance(value, Mapping):
-        return dict(value)
-    return value.item() if isinstance(value, np.generic) else np.asarray(value, dtype=np.float64).tolist()

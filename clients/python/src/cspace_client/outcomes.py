@@ -1,132 +1,59 @@
 """Reports to a server what became of its answers, from a thread of its own."""
 
-import math
 import queue
-import re
 import time
 from contextlib import suppress
-from dataclasses import replace
 from threading import Event, Lock, Thread
 from typing import Any, Self
 
 import httpx
-import numpy as np
 
-from cspace_client.errors import SamplerError
-from cspace_client.models import MAX_SAMPLES, FoundPlan, ModelHead, SampleBatch
-from cspace_client.transport import (
-    LIMITS,
-    DeadlineTransport,
-    Endpoint,
-    Failure,
-    RetryPolicy,
-    deadline,
-    failure_of,
-    lost,
-)
+from cspace_client.models import FoundPlan, SampleBatch
+from cspace_client.wire import MAX_OUTCOMES, OutcomesRequest, PlanOutcome, SamplesOutcome
 
-MAX_BATCH, MAX_WAITING = 1000, 10_000
-"""Outcomes of one request, and those that wait to be sent."""
-EVERY_S, CLOSE_S = 1.0, 5.0
-_POLICY = RetryPolicy(attempts=6, cap_s=5.0)
-_SITE = re.compile(r"[A-Za-z0-9._-]{1,64}", re.ASCII)
+MAX_WAITING = 10_000
+"""Outcomes that wait to be sent."""
+Outcome = PlanOutcome | SamplesOutcome
+EVERY_S, CLOSE_S, ATTEMPTS = 1.0, 5.0, 4
 
 
 class OutcomeSender:
-    """Sends outcomes in batches in the background.
+    """Sends outcomes in batches in the background; a context manager.
 
-    Neither :meth:`plan` nor :meth:`samples` waits. They raise SamplerError for values that no server takes;
-    what cannot be sent later is dropped and counted. Answers without a request id, as of a fallback, are
-    ignored. Use it as a context manager, or close it.
-
-    Args:
-        url: of the API.
-        api_key: sent as ``Authorization: Bearer``; None sends none.
-        transport: of httpx; None for the network.
-
-    Raises:
-        ConfigError: the address or the key can not be.
+    Neither :meth:`plan` nor :meth:`samples` waits. What cannot be sent is dropped and counted. Answers
+    without a request id, as of a fallback, are ignored. Wrong values are a ``pydantic.ValidationError``.
     """
 
     def __init__(
         self, url: str, *, api_key: str | None = None, transport: httpx.BaseTransport | None = None
     ) -> None:
-        self._endpoint = Endpoint(url, 10.0, None, _POLICY, api_key)
-        self._transport = DeadlineTransport(LIMITS) if transport is None else transport
-        self._queue: queue.Queue[dict[str, Any]] = queue.Queue(MAX_WAITING)
+        headers = {} if api_key is None else {"Authorization": f"Bearer {api_key}"}
+        network = transport or httpx.HTTPTransport(retries=1)
+        self._http = httpx.Client(base_url=url, headers=headers, transport=network, trust_env=False)
+        self._queue: queue.Queue[Outcome] = queue.Queue(MAX_WAITING)
         self._lock, self._closing = Lock(), Event()
-        self._sent, self._dropped = 0, 0
+        self.sent = 0
+        """Outcomes that the server took."""
+        self.dropped = 0
+        """Outcomes that were not sent: too many waited, or the server refused them or was away."""
         self._thread = Thread(target=self._run, name="outcomes", daemon=True)
         self._thread.start()
 
-    @property
-    def sent(self) -> int:
-        """Outcomes that the server took."""
-        return self._sent
+    def plan(self, found: FoundPlan, *, success: bool, **known: Any) -> None:
+        """Reports what became of a plan, after its execution or an exact check.
 
-    @property
-    def dropped(self) -> int:
-        """Outcomes that were not sent: too many waited, or the server refused them or stayed away."""
-        return self._dropped
-
-    def plan(
-        self,
-        found: FoundPlan,
-        *,
-        success: bool,
-        executed: bool | None = None,
-        collided: bool | None = None,
-        collided_at: float | None = None,
-        time_s: float | None = None,
-        site: str | None = None,
-    ) -> None:
-        """Reports what became of a plan; None is not known.
-
-        Args:
-            found: the answer.
-            success: whether it served its purpose: its path was free, or was executed to its end.
-            executed: whether a robot moved along the path.
-            collided: whether the path collides, in the world or for an exact check.
-            collided_at: where it collides first, as a share of its length.
-            time_s: from the request to this outcome, s.
-            site: a name of the place: letters, digits, dots, dashes and underscores.
-
-        Raises:
-            SamplerError: a value can not be sent.
+        ``success`` says whether its path was free, or was executed to its end. What is known beside it:
+        ``executed``, ``collided``, ``collided_at``, ``time_s`` and ``site``, as
+        :class:`cspace_client.wire.PlanOutcome` has them.
         """
-        _require(collided_at is None or (collided and 0.0 <= collided_at <= 1.0), "collided_at", collided_at)
-        _require(time_s is None or 0.0 <= time_s < math.inf, "time_s", time_s)
-        known = {
-            "executed": executed,
-            "collided": collided,
-            "collided_at": collided_at,
-            "time_s": time_s,
-            "calibration": found.calibration,
-        }
-        self._put(
-            found.request_id,
-            found.model,
-            {"kind": "plan", "success": success, "confidence": found.plan.confidence, "site": site, **known},
-        )
+        model, novelty = f"{found.model.name}/{found.model.version}", found.scenario.novelty
+        told = {"confidence": found.confidence, "receipt": found.receipt, "success": success, **known}
+        self._put(PlanOutcome, found.request_id, model, novelty, told)
 
     def samples(self, batch: SampleBatch, *, checked: int, free: int, site: str | None = None) -> None:
-        """Reports what exact checks found of samples.
-
-        Args:
-            batch: the answer.
-            checked: how many were checked.
-            free: how many of those were free.
-            site: as in :meth:`plan`.
-
-        Raises:
-            SamplerError: a value can not be sent.
-        """
-        _require(0 <= free <= checked <= MAX_SAMPLES, "free", f"{free} of {checked}")
-        self._put(
-            batch.request_id,
-            batch,
-            {"kind": "samples", "checked": checked, "free": free, "site": site},
-        )
+        """Reports how many samples were checked exactly, and how many of those were free."""
+        model, told = f"{batch.model_name}/{batch.model_version}", {"checked": checked, "free": free}
+        self._put(SamplesOutcome, batch.request_id, model, batch.novelty, {**told, "site": site})
 
     def close(self) -> None:
         """Sends what waits, and returns after 5 s at the latest."""
@@ -140,29 +67,27 @@ class OutcomeSender:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _put(self, request_id: str | None, head: ModelHead | SampleBatch, values: dict[str, Any]) -> None:
-        site = values["site"]
-        _require(site is None or _SITE.fullmatch(site), "site", site)
+    def _put(
+        self,
+        kind: type[Outcome],
+        request_id: str | None,
+        model: str,
+        novelty: float | None,
+        told: dict[str, Any],
+    ) -> None:
         if request_id is None:
             return
-        model = f"{head.model_name}/{head.model_version}"
-        known = {"request_id": request_id, "model": model, "novelty": head.novelty, "stamp_s": time.time()}
-        # JSON takes none of NumPy's numbers.
-        outcome = {
-            name: value.item() if isinstance(value, np.generic) else value
-            for name, value in {**known, **values}.items()
-            if value is not None
-        }
+        outcome = kind(request_id=request_id, model=model, novelty=novelty, stamp_s=time.time(), **told)
         # Under the lock, or what comes while this is closed would be neither sent nor counted.
         with self._lock:
             if not self._closing.is_set():
                 with suppress(queue.Full):
                     self._queue.put_nowait(outcome)
                     return
-            self._dropped += 1
+            self.dropped += 1
 
     def _run(self) -> None:
-        with self._transport:
+        with self._http:
             while not self._closing.wait(EVERY_S):
                 self._drain()
             self._drain()
@@ -171,44 +96,29 @@ class OutcomeSender:
         while batch := self._take():
             took = self._deliver(batch)
             with self._lock:
-                self._sent += len(batch) if took else 0
-                self._dropped += 0 if took else len(batch)
+                self.sent += len(batch) if took else 0
+                self.dropped += 0 if took else len(batch)
 
-    def _take(self) -> list[dict[str, Any]]:
-        batch: list[dict[str, Any]] = []
+    def _take(self) -> list[Outcome]:
+        batch: list[Outcome] = []
         with suppress(queue.Empty):
-            while len(batch) < MAX_BATCH:
+            while len(batch) < MAX_OUTCOMES:
                 batch.append(self._queue.get_nowait())
         return batch
 
-    def _deliver(self, batch: list[dict[str, Any]]) -> bool:
-        """Whether the server took a batch, which it may get twice: it counts an outcome once."""
-        began, tried = time.perf_counter(), 0
-        while (failure := self._post(batch, began)) is not None:
-            tried += 1
-            if (pause_s := failure.pause_s(_POLICY, tried, began)) is None:
-                return False
+    def _deliver(self, batch: list[Outcome]) -> bool:
+        """Whether the server took a batch. It may get it twice: it counts an outcome once."""
+        content = OutcomesRequest(outcomes=batch).model_dump_json(exclude_none=True)
+        headers = {"Content-Type": "application/json"}
+        for attempt in range(ATTEMPTS):
             # Who closes this waits for answers, not for pauses.
-            self._closing.wait(pause_s)
-        return True
-
-    def _post(self, batch: list[dict[str, Any]], began: float) -> Failure | None:
-        """None where the server took it. Its words are not read, for nobody would see them."""
-        try:
-            spent_s = time.perf_counter() - began
-            request = self._endpoint.post("/outcomes", spent_s, json={"outcomes": batch})
-            with deadline(began + _POLICY.deadline_s):
-                answer = self._transport.handle_request(request)
-                answer.close()
-        except Exception as error:  # noqa: BLE001 - whatever a stranger's bytes bring out of the HTTP library
-            return replace(lost(error, self._endpoint), again=True)
-        return None if answer.status_code == httpx.codes.ACCEPTED else failure_of(answer, b"")
-
-
-def _require(fits: object, name: str, got: object) -> None:
-    if not fits:
-        raise SamplerError(
-            "the outcome cannot be sent",
-            expected="shares from 0 to 1, no more free than checked, and a short name as the site",
-            got=f"{name}: {got!r}"[:200],
-        )
+            self._closing.wait(0.5 * (2**attempt - 1))
+            with suppress(httpx.TransportError):
+                status = self._http.post(
+                    "/outcomes", content=content, headers=headers, timeout=10.0
+                ).status_code
+                if status == httpx.codes.ACCEPTED:
+                    return True
+                if status < httpx.codes.INTERNAL_SERVER_ERROR and status != httpx.codes.TOO_MANY_REQUESTS:
+                    return False
+        return False

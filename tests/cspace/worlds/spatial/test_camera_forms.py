@@ -12,7 +12,7 @@ from cspace.errors import ImageError
 from cspace.view_file import pack_view
 from cspace.worlds.spatial.camera import DepthCamera, encode_depth, looking
 from cspace.worlds.spatial.camera_info import read_pinhole, undistorted
-from cspace.worlds.spatial.depth_files import pixels_in, read_depth
+from cspace.worlds.spatial.depth_files import read_depth
 from tests.space_bundle import WORLD
 
 RNG = np.random.default_rng(4)
@@ -151,7 +151,6 @@ def expected():
 def test_one_scene_is_one_array_whatever_file_shows_it(name, expected):
     data, scale = PICTURES[name]
     np.testing.assert_array_equal(read_depth(data, scale), DEPTH)
-    assert pixels_in(data) == DEPTH.size
     np.testing.assert_array_equal(
         WORLD.read_picture(pack_view([data], [CAMERA_VALUES], None, scale)), expected
     )
@@ -214,11 +213,8 @@ REFUSED_PICTURES = {
 @pytest.mark.parametrize("name", REFUSED_PICTURES)
 def test_other_pictures_are_refused_by_what_they_are(name):
     data, message = REFUSED_PICTURES[name]
-    for read in (read_depth, pixels_in):
-        if read is pixels_in and name == "TIFF of one strip that is cut":
-            continue
-        with pytest.raises(ImageError, match=message):
-            read(data)
+    with pytest.raises(ImageError, match=message):
+        read_depth(data)
 
 
 def test_damaged_float_pictures_are_refused_or_read_and_nothing_else():

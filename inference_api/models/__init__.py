@@ -1,1 +1,0 @@
-"""The models that answer: followed in the registry, downloaded, verified, opened and cached."""
