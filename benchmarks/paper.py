@@ -28,9 +28,11 @@ from cspace.bundle import Bundle
 from cspace.errors import CspaceError, InputError, JobError
 from cspace.simulator import Split
 from services.command_errors import report_error
-from services.evaluator.evaluation.report import COLLISION_COLOUR, FREE_COLOUR, SHOWN_SAMPLES, free_map
-from services.evaluator.measures.scenes import Scene, Stage, measure_reconstruction, summary_rng, unfiltered
-from services.evaluator.measures.topology import scene_topology, summarise_topology
+from services.evaluator.evaluation import estimates_of
+from services.evaluator.figures import COLLISION_COLOUR, FREE_COLOUR, SHOWN_SAMPLES, free_map
+from services.evaluator.measure import measure_topology, reconstruct, sample_clouds
+from services.evaluator.metrics import Task
+from services.evaluator.scenes import Scene, Stage, unfiltered
 from services.planner.samples import BundleSampler
 from training.config import TrainConfig
 
@@ -116,24 +118,24 @@ def encoder_of(folder: Path) -> Path:
 def measure(label: str, split: Split, seed: int, bundle: Bundle, scenarios: int) -> list[dict[str, str]]:
     """Precision, coverage, EDr and GS-C of a bundle, with uniform and real samples beside it."""
     stage, sampler = Stage(bundle.spec.world, split, seed), BundleSampler(bundle)
-    found = measure_reconstruction(stage, sampler, scenarios)
-    scenes = [Scene(stage, index) for index in range(min(scenarios, TOPOLOGY_SCENES))]
-    topology = summarise_topology([scene_topology(one, sampler, DRAWS) for one in scenes], summary_rng(seed))[
-        SCORE
-    ]
-    score = f"{topology.score.scaled(1e4):.1f} ({1e4 * topology.floor.estimate:.1f})"
-    named = {label: (found.sampler, score), "uniform": (found.uniform, ""), "real": (found.real, "")}
+    scenes = [Scene(stage, index) for index in range(scenarios)]
+    found = estimates_of([row for scene in scenes for row in reconstruct(scene, sampler)], seed)
+    rows = [row for scene in scenes[:TOPOLOGY_SCENES] for row in measure_topology(scene, sampler, DRAWS)]
+    topology = estimates_of(rows, seed, Task.TOPOLOGY)
+    score, floor = topology["", SCORE], topology["", f"{SCORE}_floor"]
+    named = {label: "sampler", "uniform": "uniform", "real": "real"}
+    gsc = f"{score.scaled(1e4):.1f} ({1e4 * floor.estimate:.1f})"
     shown = "seen" if split is Split.TRAIN else "unseen"
     return [
         {
             "column": name,
             "scenarios": shown,
-            "precision": f"{one.precision:.3f}",
-            "coverage": f"{one.coverage:.3f}",
-            "EDr": f"{one.edr:.3f}",
-            "GS-C x 1e4 (noise floor)": gsc,
+            "precision": f"{found[key, 'precision']:.3f}",
+            "coverage": f"{found[key, 'coverage']:.3f}",
+            "EDr": f"{found[key, 'edr']:.3f}",
+            "GS-C x 1e4 (noise floor)": gsc if name == label else "",
         }
-        for name, (one, gsc) in named.items()
+        for name, key in named.items()
     ]
 
 
@@ -149,7 +151,7 @@ def reconstruction(scenes: Sequence[Scene], bundles: Mapping[str, Bundle]) -> Fi
         for bundle in bundles.values():
             sampler = BundleSampler(bundle)
             samples = unfiltered(sampler, scene.image, SHOWN_SAMPLES, scene.sampler_seed())
-            clouds.append((samples, scene_topology(scene, sampler, DRAWS).gsc_boundary.score))
+            clouds.append((samples, sample_clouds(scene, sampler, DRAWS).complement_scores[0][0]))
         for axes, (samples, score) in zip(row[1:], clouds, strict=True):
             free = scene.checker.valid_batch(samples)
             free_map(axes, scene)

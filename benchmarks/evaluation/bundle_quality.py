@@ -16,17 +16,19 @@ from benchmarks.command import arguments, spread
 from benchmarks.machine import machine
 from cspace.bundle import Bundle
 from cspace.simulator import Split
-from services.evaluator.measures.sample_quality import SceneQuality, summarise
-from services.evaluator.measures.scenes import SAMPLES, Scene, Stage, bundle_sampler, reconstruct, summary_rng
+from services.evaluator.evaluation import estimates_of
+from services.evaluator.measure import Row, reconstruct
+from services.evaluator.metrics import Task
+from services.evaluator.scenes import SAMPLES, Scene, Stage, bundle_sampler
 from services.evaluator.tables import markdown
 
 TIMED = (300, 1000)
 
 
-def measure(folder: Path, split: Split, seed: int, indices: range) -> list[SceneQuality]:
+def measure(folder: Path, split: Split, seed: int, indices: range) -> list[Row]:
     bundle = Bundle.load(folder)
     stage = Stage(bundle.spec.world, split, seed)
-    return [reconstruct(Scene(stage, index), bundle_sampler(bundle)) for index in indices]
+    return [row for index in indices for row in reconstruct(Scene(stage, index), bundle_sampler(bundle))]
 
 
 def main() -> int:
@@ -41,21 +43,20 @@ def main() -> int:
     one = partial(measure, options.bundle, split, options.seed)
     parts = [range(first, min(first + 10, options.scenarios)) for first in range(0, options.scenarios, 10)]
     with ProcessPoolExecutor(options.processes, mp_context=get_context("spawn")) as pool:
-        scenes = [scene for part in pool.map(one, parts) for scene in part]
-    found = summarise(scenes, summary_rng(options.seed))
+        measured = [row for part in pool.map(one, parts) for row in part]
+    found = estimates_of(measured, options.seed)
     rows = [["samples", "precision", "coverage", "EDr", "precision p10", "precision minimum"]]
     for name in ("sampler", "confident", "uniform", "real"):
-        row = getattr(found, name)
-        if row is not None:
-            values = (row.precision, row.coverage, row.edr, row.precision_p10)
-            rows.append([name, *(f"{value:.3f}" for value in values), f"{row.precision_minimum:.3f}"])
+        if (name, "precision") in found:
+            measures = ("precision", "coverage", "edr", "precision_p10", "precision_minimum")
+            rows.append([name, *(f"{found[name, measure]:.3f}" for measure in measures)])
     print(f"{options.bundle}, {options.scenarios} {options.split} scenarios, {SAMPLES} samples each")
     print(f"{machine()}\n\n{markdown(rows)}")
-    head = found.occupancy
-    if head is not None:
+    head = {measure: value for (_, measure), value in estimates_of(measured, options.seed, Task.HEAD).items()}
+    if head:
         names = ["accuracy", "within 0.1 m of contact", "calibration error", "accepted"]
-        cells = [f"{head.accuracy:.4f}", f"{head.near_accuracy:.3f}"]
-        cells += [f"{head.calibration_error:.4f}", f"{head.acceptance:.3f}"]
+        cells = [f"{head['accuracy']:.4f}", f"{head['near_accuracy']:.3f}"]
+        cells += [f"{head['calibration_error']:.4f}", f"{head['acceptance']:.3f}"]
         print(f"\n{markdown([names, cells])}")
     print(f"\n{_times(options.bundle)}")
     return 0

@@ -1,6 +1,5 @@
-"""Evaluates samplers: reconstruction of the free space, its topology, and what a planner gains from it.
+"""Evaluates samplers: how well they reconstruct the free space, its topology, and what a planner gains.
 
-``measures`` ask samplers for configurations and measure them; ``statistics`` adds the uncertainty;
-``evaluation`` is the job with its gate and report, ``benchmark`` the planning benchmark; ``cluster``
-spreads the work.
+``scenes`` and ``measure`` ask samplers and apply the ``metrics``; ``evaluation`` makes estimates of the values;
+``gate`` decides; ``job`` is all of it for a registered version. ``benchmark`` is the planning benchmark.
 """

@@ -1,132 +1,66 @@
 """Evaluate a registered version: ``python -m services.evaluator --model cspace-sampler@challenger``.
 
-``python -m services.evaluator planning`` is the planning benchmark (:mod:`services.evaluator.benchmark`),
-``python -m services.evaluator compare A B`` sets versions side by side (:mod:`services.evaluator.compare`),
-``python -m services.evaluator recalibrate`` refits confidence (:mod:`services.evaluator.recalibrate`),
-``python -m services.evaluator card MODEL`` prints a model card (:mod:`services.evaluator.model_card`).
-
 Exit codes: 0 evaluated, whether promoted or not; 1 the evaluation failed; 2 the request was wrong.
 """
 
 import argparse
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
-from cspace.errors import ConfigError, CspaceError, EvaluationError, InputError, ModelNotFoundError
+from cspace.errors import ConfigError, CspaceError, InputError, ModelNotFoundError
 from services.command_errors import report_error
-from services.evaluator import compare, model_card, recalibrate
+from services.evaluator import compare, model_card, recalibrate, stores
 from services.evaluator.benchmark.__main__ import main as planning_benchmark
-from services.evaluator.evaluation.job import Outcome, evaluate_version, executor
-from services.evaluator.evaluation.measured import flat_metrics
-from services.evaluator.evaluation.report import REPORT_FOLDER, scenes_text, terminal_table
-from services.evaluator.evaluation.units import BUDGETS, make_request
-from services.evaluator.tables import aligned
-from services.registry.mlflow_registry import MlflowRegistry
-from services.registry.mlflow_tracking import MlflowTracking
-from services.registry.ports import ModelReference
+from services.evaluator.evaluation import run_metrics
+from services.evaluator.job import Outcome, evaluate_version, executor, make_request
+from services.evaluator.measure import BUDGETS
+from services.evaluator.report import REPORT_FOLDER, scenes_text, terminal_table
 from services.results import report_result
 
-BENCHMARK, COMPARE, RECALIBRATE, CARD = "planning", "compare", "recalibrate", "card"
-# Calibration error of a site's plans above which training on them is proposed.
-MISCALIBRATED = 0.05
 SHIPPED_FOLDER = Path(__file__).parents[2] / "inference_api" / "pretrained"
+COMMANDS: Mapping[str, Callable[[Sequence[str], Mapping[str, str]], int]] = {
+    "planning": planning_benchmark,
+    "compare": compare.main,
+    "recalibrate": recalibrate.main,
+    "card": model_card.main,
+}
 
 
 def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] = os.environ) -> int:
-    """Parse, evaluate, print; returns the exit code."""
+    """Run a command, or evaluate; returns the exit code."""
     given = list(sys.argv[1:] if arguments is None else arguments)
-    if given[:1] == [BENCHMARK]:
-        return planning_benchmark(given[1:], environment)
-    if given[:1] == [COMPARE]:
-        return _compare(given[1:], environment)
-    if given[:1] == [RECALIBRATE]:
-        return _recalibrate(given[1:], environment)
-    if given[:1] == [CARD]:
-        return _card(given[1:], environment)
-    options = _parser().parse_args(given)
     try:
-        request = make_request(
-            options.model,
-            budget=options.budget,
-            scenarios=options.scenarios,
-            seed=options.seed,
-            promote=not options.no_promote,
-            data=options.data,
-            shipped=None if options.without_shipped else _shipped(environment),
-        )
-        uri = _tracking_uri(environment)
-        tracking, registry = MlflowTracking(uri), MlflowRegistry(uri)
-        show = partial(print, flush=True)
-        outcome = evaluate_version(request, tracking, registry, executor(environment), show)
-    except CspaceError as error:
-        return report_error(error, ConfigError, ModelNotFoundError)
-    _print(outcome)
-    report_result(result(outcome), _rows(outcome), _folder(environment, outcome.run_id))
-    return 0
-
-
-def _compare(arguments: Sequence[str], environment: Mapping[str, str]) -> int:
-    options = compare.make_parser().parse_args(arguments)
-    try:
-        uri = _tracking_uri(environment)
-        runs, registry = MlflowTracking(uri), MlflowRegistry(uri)
-        found = [compare.find(text, runs, registry) for text in options.what]
-        print(aligned(compare.compare_table(found, everything=options.all)))
-        if options.out is not None:
-            compare.write_comparison(found, options.out, everything=options.all)
-    except CspaceError as error:
-        return report_error(error, InputError, ModelNotFoundError)
-    return 0
-
-
-def _recalibrate(arguments: Sequence[str], environment: Mapping[str, str]) -> int:
-    options = recalibrate.make_parser().parse_args(arguments)
-    try:
-        uri = _tracking_uri(environment)
-        found = recalibrate.recalibrate(options.site, options.model, MlflowTracking(uri), MlflowRegistry(uri))
-    except CspaceError as error:
-        return report_error(error, ConfigError, InputError, EvaluationError)
-    version, fit = found.version, found.fit
-    print(
-        f"{version} of {version.tags['model']}, {found.plans} plans, {fit.collide:.1%} collide\n"
-        f"calibration error {fit.error_before:.3f} before, {fit.error:.3f} after; "
-        f"log loss {fit.loss_before:.3f} before, {fit.loss:.3f} after (each fifth by a fit to the rest)\n"
-        + (
-            "in use for requests with this site"
-            if fit.better
-            else "not put into use, for it predicts no better"
-        )
-    )
-    if fit.error_before > MISCALIBRATED:
-        print(
-            f"the model misjudges this site; to train on its plans, if their pictures were kept:\n"
-            f"  python -m training.data import-outcomes $PWD/outcomes --site {options.site} --arm ROBOT\n"
-            "  ray job submit --working-dir . -- python training/cluster_train.py --preset panda_outcomes "
-            "--set data.robot=ROBOT --set data.outcomes=$PWD/outcomes"
-        )
-    return 0
-
-
-def _card(arguments: Sequence[str], environment: Mapping[str, str]) -> int:
-    options = model_card.make_parser().parse_args(arguments)
-    try:
-        uri = _tracking_uri(environment)
-        model = ModelReference.parse(options.model)
-        card = model_card.make_card(model, MlflowRegistry(uri), MlflowTracking(uri))
-        if options.out is None:
-            print(card, end="")
-        else:
-            model_card.write_card(card, options.out)
+        if given and given[0] in COMMANDS:
+            return COMMANDS[given[0]](given[1:], environment)
+        return _evaluate(_parser().parse_args(given), environment)
     except CspaceError as error:
         return report_error(error, ConfigError, InputError, ModelNotFoundError)
+
+
+def _evaluate(options: argparse.Namespace, environment: Mapping[str, str]) -> int:
+    shipped = Path(environment.get("CSPACE_PRETRAINED_MODEL") or SHIPPED_FOLDER)
+    request = make_request(
+        options.model,
+        budget=options.budget,
+        scenarios=options.scenarios,
+        seed=options.seed,
+        promote=not options.no_promote,
+        data=options.data,
+        shipped=None if options.without_shipped else shipped,
+    )
+    tracking, registry = stores.connect(environment)
+    outcome = evaluate_version(request, tracking, registry, executor(environment), partial(print, flush=True))
+    _print(outcome)
+    data = Path(environment.get("CSPACE_DATA_DIR", ""))
+    folder = data / "jobs" / outcome.run_id if data.is_absolute() else None
+    report_result(_result(outcome), _rows(outcome), folder)
     return 0
 
 
-def result(outcome: Outcome) -> dict[str, object]:
-    """What the file and the last line say, for programs."""
+def _result(outcome: Outcome) -> dict[str, object]:
     version, verdict = outcome.version, outcome.verdict
     return {
         "run_id": outcome.run_id,
@@ -137,29 +71,35 @@ def result(outcome: Outcome) -> dict[str, object]:
         "recorded": outcome.recorded,
         "judged_on": scenes_text(outcome.evaluation.setting),
         "reasons": list(verdict.reasons),
-        "metrics": flat_metrics(outcome.evaluation),
+        "metrics": run_metrics(outcome.evaluation),
         "figures": list(outcome.figures),
     }
 
 
-def _shipped(environment: Mapping[str, str]) -> Path:
-    return Path(environment.get("CSPACE_PRETRAINED_MODEL") or SHIPPED_FOLDER)
+def _rows(outcome: Outcome) -> dict[str, str]:
+    version, promoted = outcome.version, outcome.verdict.promoted and outcome.recorded
+    return {
+        "model": f"{version}, digest {version.digest[:12]}",
+        "promoted": "yes, it is the champion" if promoted else "no",
+        "run": outcome.run_id,
+        "report": f"{REPORT_FOLDER}/evaluation.md among the run's artifacts",
+    }
 
 
-def _tracking_uri(environment: Mapping[str, str]) -> str:
-    uri = environment.get("MLFLOW_TRACKING_URI", "")
-    if not uri:
-        raise ConfigError("no tracking server is named", remedy="set MLFLOW_TRACKING_URI")
-    return uri
+def _print(outcome: Outcome) -> None:
+    print(f"\n{scenes_text(outcome.evaluation.setting)}")
+    print(f"\n{terminal_table(outcome.evaluation, outcome.verdict.bar.comparisons)}\n")
+    moved = "promoted" if outcome.verdict.promoted else "not promoted"
+    print(f"{moved}{'' if outcome.recorded else ' (evaluated only, nothing recorded)'}:")
+    for reason in outcome.verdict.reasons:
+        print(f"  {reason}")
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m services.evaluator",
         description="Evaluate a version on scenarios it was never trained on; promote it if the gate holds.",
-        epilog=f"`python -m services.evaluator {BENCHMARK} --help` describes the planning benchmark, "
-        f"`{COMPARE} --help` of versions side by side, `{RECALIBRATE} --help` of confidence by site, "
-        f"`{CARD} --help` of model cards. "
+        epilog=f"Other commands: {', '.join(COMMANDS)}, each with --help. "
         "Exit codes: 0 evaluated (promoted or not), 1 evaluation failed, 2 wrong request.",
     )
     parser.add_argument("--model", default="cspace-sampler@challenger", help="name@alias or name/version")
@@ -179,31 +119,6 @@ def _parser() -> argparse.ArgumentParser:
         help="let a version become the champion that may be worse than the shipped model",
     )
     return parser
-
-
-def _print(outcome: Outcome) -> None:
-    print(f"\n{scenes_text(outcome.evaluation.setting)}")
-    print(f"\n{terminal_table(outcome.evaluation, outcome.verdict.bar.comparisons)}\n")
-    moved = "promoted" if outcome.verdict.promoted else "not promoted"
-    print(f"{moved}{'' if outcome.recorded else ' (evaluated only, nothing recorded)'}:")
-    for reason in outcome.verdict.reasons:
-        print(f"  {reason}")
-
-
-def _rows(outcome: Outcome) -> dict[str, str]:
-    version, promoted = outcome.version, outcome.verdict.promoted and outcome.recorded
-    return {
-        "model": f"{version}, digest {version.digest[:12]}",
-        "promoted": "yes, it is the champion" if promoted else "no",
-        "run": outcome.run_id,
-        "report": f"{REPORT_FOLDER}/evaluation.md among the run's artifacts",
-    }
-
-
-def _folder(environment: Mapping[str, str], run_id: str) -> Path | None:
-    """Of the evaluation among the jobs; None where no data folder is named."""
-    data = Path(environment.get("CSPACE_DATA_DIR", ""))
-    return data / "jobs" / run_id if data.is_absolute() else None
 
 
 if __name__ == "__main__":

@@ -28,16 +28,8 @@ def spread(
 ) -> Iterator[Result]:
     """Results as they come from the cluster that RAY_ADDRESS names; a lost worker's unit is run again.
 
-    Args:
-        run: one unit with what all share, on one core; a function of a module, so that workers find it.
-        work: the units.
-        shared: put into the object store once; a node fetches it once.
-        what: the whole is, for messages: "evaluation".
-        remedy: where a unit failed for good.
-
-    Raises:
-        JobError: the cluster does not answer, or a unit failed for good.
-        CspaceError: what the unit itself raised.
+    ``run`` is a function of a module, so that workers find it. ``shared`` is put into the object store once,
+    ``what`` and ``remedy`` are for messages. An error of the project that a unit raises is raised here.
     """
     waiting: list[ray.ObjectRef[Any]] = []
     try:
@@ -64,7 +56,7 @@ def spread(
 def cancel(references: Sequence["ray.ObjectRef[Any]"]) -> None:
     """Cancel the tasks that have not ended.
 
-    Ray ends the whole process where a task is cancelled whose answer is just being taken in ("Tried to
+    Ray ends the whole process when a task is cancelled whose answer is just being taken in ("Tried to
     complete task that was not pending"), so none is cancelled that is known to be over.
     """
     if references:
@@ -74,11 +66,7 @@ def cancel(references: Sequence["ray.ObjectRef[Any]"]) -> None:
 
 
 def join(**settings: Any) -> None:
-    """Join the cluster that RAY_ADDRESS names or that runs here; where its form is http, start a local one.
-
-    Args:
-        settings: of ``ray.init``.
-    """
+    """Join the cluster that RAY_ADDRESS names or that runs here; for its http form, start a local one."""
     if not ray.is_initialized():
         address = "local" if _takes_jobs_only(os.environ) else None
         ray.init(address, logging_level=logging.WARNING, include_dashboard=False, **settings)

@@ -7,37 +7,30 @@ import argparse
 import json
 import re
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
 
-from cspace.errors import ConfigError, RegistryError, StorageError
-from cspace.files import make_output_folder, read_bounded, replacing
-from services.evaluator.evaluation.measured import RECONSTRUCTION
-from services.evaluator.evaluation.report import MEASURES_TABLE
-from services.evaluator.tables import Table, aligned, markdown
+from cspace.errors import ConfigError
+from cspace.files import replacing
+from services.evaluator import stores
+from services.evaluator.metrics import Task
+from services.evaluator.report import MEASURES_TABLE
+from services.evaluator.tables import aligned, markdown
 from services.registry.ports import FoundRun, ModelReference, ModelRegistry, Tracking
 
 _RUN_ID = re.compile(r"[0-9a-f]{32}")
 _DIGEST = "model_digest"
-# A table of an evaluation has some 100 KiB.
-MAX_TABLE_BYTES = 16 * 2**20
 _KEY = ["split", "task", "family", "sampler", "measure"]
 _SHOWN = ("precision", "coverage", "edr", "knn_precision", "knn_recall")
-_PLANNING = ("planning_success", "iterations_ratio", "edge_checks_ratio", "success")
+_PLANNING = ("success", "iterations_ratio", "edge_checks_ratio")
 
 
 @dataclass(frozen=True, slots=True)
 class Compared:
-    """One of those that are compared.
-
-    Args:
-        title: the version, or the run.
-        run: the evaluation's.
-        rows: its estimates, as the evaluation's table has them.
-    """
+    """One of those that are compared: version or run in words, its evaluation's run, and the estimates."""
 
     title: str
     run: FoundRun
@@ -45,31 +38,22 @@ class Compared:
 
 
 def find(text: str, runs: Tracking, registry: ModelRegistry) -> Compared:
-    """The last evaluation of a version, or of a run.
-
-    Args:
-        text: ``name/version``, ``name@alias``, or the id of an evaluation's or a training's run.
-        runs: where evaluations are found.
-        registry: where versions are.
-
-    Raises:
-        ConfigError: it was never evaluated.
-        ModelNotFoundError: there is no such version.
-        RegistryError: there is no such run, or its table is damaged or too large.
-    """
+    """The last evaluation of ``name/version``, ``name@alias``, or the run of an evaluation or a training."""
     if _RUN_ID.fullmatch(text):
         run = runs.run(text)
         found = [run] if _DIGEST in run.tags else [one for one in runs.children(text) if _DIGEST in one.tags]
         title = run.name
     else:
         version = ModelReference.parse(text).look_up(registry)
-        evaluations = runs.children(version.run_id)
-        found = [one for one in evaluations if one.tags.get(_DIGEST) == version.digest]
+        found = [one for one in runs.children(version.run_id) if one.tags.get(_DIGEST) == version.digest]
         title = str(version)
     for one in found:
-        rows = _rows(runs, one)
-        if rows is not None:
-            return Compared(title, one, rows)
+        with tempfile.TemporaryDirectory(prefix="cspace-compare-") as folder:
+            path = runs.file(one.run_id, f"tables/{MEASURES_TABLE}.json", Path(folder))
+            if path is not None:
+                table = json.loads(path.read_bytes())
+                rows = pd.DataFrame(table["data"], columns=table["columns"])
+                return Compared(title, one, rows.astype({"n": "Int64"}))
     raise ConfigError(
         f"{text} was not evaluated",
         expected="a version with a finished evaluation, or the run of one",
@@ -78,17 +62,15 @@ def find(text: str, runs: Tracking, registry: ModelRegistry) -> Compared:
     )
 
 
-def compare_table(compared: Sequence[Compared], *, everything: bool = False) -> Table:
-    """One row an estimate, one column each: value and limits.
-
-    Args:
-        compared: in the order of the columns.
-        everything: all estimates; else those of uniform scenes and of planning that versions are chosen by.
-    """
+def compare_table(compared: Sequence[Compared], *, everything: bool = False) -> pd.DataFrame:
+    """One row an estimate, one column each: all, or those of uniform scenes and of planning that decide."""
     columns = [one.rows.set_index(_KEY)["shown"].rename(one.title) for one in compared]
     table = pd.concat(columns, axis=1, sort=False).fillna("-").reset_index()
-    table = table if everything else table[_is_shown(table)]
-    return [list(table.rename(columns={"sampler": "samples"})), *table.to_numpy().tolist()]
+    scenes = (table["task"] == Task.RECONSTRUCTION) & (table["family"] == "uniform")
+    scenes &= table["sampler"].isin(["sampler", "confident"]) & table["measure"].isin(_SHOWN)
+    planning = (table["task"] == Task.PLANNING) & table["measure"].isin(_PLANNING)
+    planning &= table["sampler"].isin(["learned", "confident"])
+    return table if everything else table[scenes | planning]
 
 
 def compare_csv(compared: Sequence[Compared]) -> str:
@@ -99,25 +81,18 @@ def compare_csv(compared: Sequence[Compared]) -> str:
 
 
 def write_comparison(compared: Sequence[Compared], folder: Path, *, everything: bool = False) -> None:
-    """``comparison.txt``, ``.md`` and ``.csv`` in a folder.
-
-    Raises:
-        StorageError: it can not be written.
-    """
+    """``comparison.txt``, ``.md`` and ``.csv`` in a folder."""
     table = compare_table(compared, everything=everything)
-    texts = {"txt": aligned(table), "md": markdown(table), "csv": compare_csv(compared).rstrip("\n")}
-    try:
-        make_output_folder(folder)
-    except OSError as error:
-        raise StorageError(f"the folder {folder} can not be made", got=str(error)) from error
+    texts = {"txt": aligned(table) + "\n", "md": markdown(table) + "\n", "csv": compare_csv(compared)}
     for ending, text in texts.items():
         path = folder / f"comparison.{ending}"
         with replacing(path, str(path)) as beside:
-            beside.write_text(f"{text}\n", encoding="utf-8")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            beside.write_text(text, encoding="utf-8")
 
 
-def make_parser() -> argparse.ArgumentParser:
-    """The parser of the command."""
+def main(arguments: Sequence[str], environment: Mapping[str, str]) -> int:
+    """Compare, print, and keep it where a folder is named."""
     parser = argparse.ArgumentParser(
         prog="python -m services.evaluator compare",
         description="The last evaluations of versions or runs side by side.",
@@ -126,29 +101,9 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument("what", nargs="+", help="name/version, name@alias, or a run's id")
     parser.add_argument("--all", action="store_true", help="every estimate (default: the deciding ones)")
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="keep it as text, Markdown and CSV")
-    return parser
-
-
-def _rows(runs: Tracking, run: FoundRun) -> pd.DataFrame | None:
-    with tempfile.TemporaryDirectory(prefix="cspace-compare-") as folder:
-        path = runs.file(run.run_id, f"tables/{MEASURES_TABLE}.json", Path(folder))
-        if path is None:
-            return None
-        data = read_bounded(path, MAX_TABLE_BYTES, RegistryError)
-    try:
-        table = json.loads(data)
-        rows = pd.DataFrame(table["data"], columns=table["columns"])
-        return rows[["shown", *_KEY, "value", "low", "high", "n"]].astype({"n": "Int64"})
-    except (ValueError, TypeError, LookupError, RecursionError) as error:
-        raise RegistryError(
-            f"the evaluation {run.run_id} has a damaged table",
-            expected=f"{MEASURES_TABLE} as the evaluator writes it",
-            got=repr(error)[:200],
-            remedy="evaluate the version again",
-        ) from error
-
-
-def _is_shown(table: pd.DataFrame) -> pd.Series:
-    scenes = (table["task"] == RECONSTRUCTION) & (table["family"] == "uniform")
-    scenes &= table["sampler"].isin(["sampler", "confident"]) & table["measure"].isin(_SHOWN)
-    return scenes | ((table["task"] != RECONSTRUCTION) & table["measure"].isin(_PLANNING))
+    options = parser.parse_args(arguments)
+    found = [find(text, *stores.connect(environment)) for text in options.what]
+    print(aligned(compare_table(found, everything=options.all)))
+    if options.out is not None:
+        write_comparison(found, options.out, everything=options.all)
+    return 0

@@ -10,7 +10,7 @@ import argparse
 import hashlib
 import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,9 +18,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from cspace.errors import EvaluationError, InputError, RegistryError
+from cspace.errors import ConfigError, CspaceError, EvaluationError, InputError, RegistryError
 from cspace.planning.calibration import fit_calibration
 from cspace.planning.cost import calibration_error, confidence_of_cost
+from services.command_errors import report_error
+from services.evaluator import stores
 from services.evaluator.statistics import log_losses
 from services.names import (
     ALIAS_CHAMPION,
@@ -220,8 +222,12 @@ def reliability(plans: Plans, fit: Fit) -> Figure:
     return figure
 
 
-def make_parser() -> argparse.ArgumentParser:
-    """Of the command's arguments."""
+# Calibration error of a site's plans above which training on them is proposed.
+MISCALIBRATED = 0.05
+
+
+def main(arguments: Sequence[str], environment: Mapping[str, str]) -> int:
+    """Fit, print; returns the exit code."""
     parser = argparse.ArgumentParser(
         prog="python -m services.evaluator recalibrate",
         description="Fit the confidence of plans to the uploaded outcomes of a site, and register that.",
@@ -229,7 +235,30 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--site", required=True, help="as in POST /outcomes and POST /plan")
     parser.add_argument("--model", metavar="NAME/VERSION", help="default: that of most of the site's plans")
-    return parser
+    options = parser.parse_args(arguments)
+    try:
+        found = recalibrate(options.site, options.model, *stores.connect(environment))
+    except CspaceError as error:
+        return report_error(error, ConfigError, InputError, EvaluationError)
+    version, fit = found.version, found.fit
+    print(
+        f"{version} of {version.tags['model']}, {found.plans} plans, {fit.collide:.1%} collide\n"
+        f"calibration error {fit.error_before:.3f} before, {fit.error:.3f} after; "
+        f"log loss {fit.loss_before:.3f} before, {fit.loss:.3f} after (each fifth by a fit to the rest)\n"
+        + (
+            "in use for requests with this site"
+            if fit.better
+            else "not put into use, for it predicts no better"
+        )
+    )
+    if fit.error_before > MISCALIBRATED:
+        print(
+            f"the model misjudges this site; to train on its plans, if their pictures were kept:\n"
+            f"  python -m training.data import-outcomes $PWD/outcomes --site {options.site} --arm ROBOT\n"
+            "  ray job submit --working-dir . -- python training/cluster_train.py --preset panda_outcomes "
+            "--set data.robot=ROBOT --set data.outcomes=$PWD/outcomes"
+        )
+    return 0
 
 
 def _version(registry: ModelRegistry, text: str) -> ModelVersion:

@@ -1,15 +1,16 @@
 """Estimates with their uncertainty: bootstrap over scenarios, exact binomial limits, censored runs.
 
-An empty group is an error and never a zero. Resampling draws from the generator that is passed in.
+Resampling uses the generator that is passed in.
 """
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import binomtest
+from scipy.stats import binomtest, bootstrap
 
 from cspace.errors import EvaluationError
 
@@ -19,11 +20,13 @@ Statistic = Callable[[Floats], Floats]
 
 CONFIDENCE = 0.95
 RESAMPLES = 4000
+# Resampled tables that are held at once.
+_BATCH = 500
 
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """An estimate between its confidence limits, from ``count`` independent units."""
+    """An estimate between its confidence limits, from ``count`` independent units; NaN limits are unknown."""
 
     estimate: float
     low: float
@@ -34,7 +37,8 @@ class Interval:
     def __format__(self, spec: str) -> str:
         """``f"{interval:.3f}"`` reads ``0.857 [0.841, 0.872]``."""
         spec = spec or ".3f"
-        return f"{self.estimate:{spec}} [{self.low:{spec}}, {self.high:{spec}}]"
+        limits = "" if np.isnan(self.low) else f" [{self.low:{spec}}, {self.high:{spec}}]"
+        return f"{self.estimate:{spec}}{limits}"
 
     def scaled(self, factor: float) -> "Interval":
         """The interval of the estimate times a positive factor."""
@@ -45,35 +49,43 @@ class Interval:
         return asdict(self)
 
 
+def point(value: float, count: int) -> Interval:
+    """An estimate without limits."""
+    return Interval(value, np.nan, np.nan, count)
+
+
+def summary_rng(seed: int, *use: str) -> np.random.Generator:
+    """The generator of a bootstrap, apart from every scenario's; each use has its own."""
+    key = (99, *(crc32(one.encode()) for one in use))
+    return np.random.default_rng(np.random.SeedSequence(entropy=seed, spawn_key=key))
+
+
 def bootstrap_interval(
-    table: ArrayLike,
-    statistic: Statistic,
-    rng: np.random.Generator,
-    *,
-    resamples: int = RESAMPLES,
+    table: ArrayLike, statistic: Statistic, rng: np.random.Generator, *, resamples: int = RESAMPLES
 ) -> Interval:
-    """Percentile bootstrap over the rows of a table (Efron 1979).
+    """Percentile bootstrap over the rows of an (n,) or (n, k) table, one row per scenario (Efron 1979)."""
+    rows = np.asarray(table, dtype=np.float64)
+    rows = rows[:, None] if rows.ndim == 1 else rows
+    if not len(rows):
+        raise EvaluationError("the group is empty", expected="at least one row", got="none")
+    estimate = float(statistic(rows))
+    if len(rows) == 1:
+        return Interval(estimate, estimate, estimate, 1)
+    limits = bootstrap(
+        (np.arange(len(rows)),),
+        lambda picks, axis: statistic(rows[picks.astype(np.intp)]),  # noqa: ARG005 - scipy's form
+        n_resamples=resamples,
+        batch=_BATCH,
+        vectorized=True,
+        confidence_level=CONFIDENCE,
+        method="percentile",
+        rng=rng,
+    ).confidence_interval
+    return Interval(estimate, float(limits.low), float(limits.high), len(rows))
 
-    Args:
-        table: (n,) or (n, k), one row per scenario; the columns of a row stay together.
-        statistic: (..., n, k) to (...,).
-        rng: source of the resampling.
-        resamples: number of bootstrap tables.
 
-    Raises:
-        EvaluationError: no rows, or a value that is not finite.
-    """
-    rows = _rows(table)
-    picks = rng.integers(0, rows.shape[0], size=(resamples, rows.shape[0]))
-    tail = (1.0 - CONFIDENCE) / 2.0
-    low, high = np.quantile(statistic(rows[picks]), [tail, 1.0 - tail])
-    return Interval(float(statistic(rows)), float(low), float(high), rows.shape[0])
-
-
-def log_losses(
-    confidence: NDArray[np.floating], free: NDArray[np.bool_], least: float
-) -> NDArray[np.float64]:
-    """-log of what each confidence gave to what happened; none counts as surer than ``least`` leaves it."""
+def log_losses(confidence: NDArray[np.floating], free: NDArray[np.bool_], least: float) -> Floats:
+    """-log of what each confidence gave to what happened, with confidences kept ``least`` from 0 and 1."""
     sure = np.clip(confidence, least, 1.0 - least)
     return np.asarray(-np.where(free, np.log(sure), np.log1p(-sure)), dtype=np.float64)
 
@@ -97,97 +109,35 @@ def ratio_of_sums_interval(
     numerator: ArrayLike, denominator: ArrayLike, rng: np.random.Generator
 ) -> Interval:
     """Sum of (n,) over the sum of its pairs (n,); the pairs are resampled together."""
-    return _ratio_interval(lambda rows: rows.sum(axis=-2), numerator, denominator, rng)
+    return bootstrap_interval(_pairs(numerator, denominator), lambda rows: _ratio(rows.sum(axis=-2)), rng)
 
 
 def ratio_of_medians_interval(
     numerator: ArrayLike, denominator: ArrayLike, rng: np.random.Generator
 ) -> Interval:
     """Median of (n,) positive values over the median of its pairs (n,); the pairs are resampled together."""
-    return _ratio_interval(lambda rows: np.median(rows, axis=-2), numerator, denominator, rng)
-
-
-def _ratio_interval(
-    of: Statistic, numerator: ArrayLike, denominator: ArrayLike, rng: np.random.Generator
-) -> Interval:
-    def ratio(rows: Floats) -> Floats:
-        both = of(rows)
-        return np.asarray(both[..., 0] / both[..., 1])
-
-    return bootstrap_interval(_pairs(numerator, denominator), ratio, rng)
+    return bootstrap_interval(
+        _pairs(numerator, denominator), lambda rows: _ratio(np.median(rows, axis=-2)), rng
+    )
 
 
 def clopper_pearson(successes: int, trials: int) -> Interval:
-    """Exact binomial limits of a success probability (Clopper and Pearson 1934).
-
-    Raises:
-        EvaluationError: no trials, or successes outside 0...trials.
-    """
-    if trials < 1 or not 0 <= successes <= trials:
-        raise EvaluationError(
-            "a success rate needs trials",
-            expected="0 <= successes <= trials, trials >= 1",
-            got=f"{successes} of {trials}",
-        )
+    """Exact binomial limits of a success probability (Clopper and Pearson 1934)."""
+    if trials < 1:
+        raise EvaluationError("a success rate needs trials", expected="at least one", got=str(trials))
     limits = binomtest(int(successes), int(trials)).proportion_ci(CONFIDENCE, method="exact")
     return Interval(successes / trials, float(limits.low), float(limits.high), trials)
 
 
-@dataclass(frozen=True, slots=True)
-class CensoredSummary:
-    """Median and 90th percentile of runs of which some were cut off.
-
-    A quantile that falls among the censored runs is a lower bound, and its flag says so.
-    """
-
-    median: float
-    p90: float
-    median_is_bound: bool
-    p90_is_bound: bool
-    censored: int
-    count: int
-
-
-def summarise_censored(values: ArrayLike, censored: ArrayLike) -> CensoredSummary:
-    """Quantiles in which a censored run ranks behind all others; none is dropped.
-
-    Args:
-        values: (n,) what was measured, up to the cut where censored.
-        censored: (n,) whether the run was cut off.
-
-    Raises:
-        EvaluationError: no runs, or shapes that differ.
-    """
-    ranked, cut = censored_as_largest(values, censored), np.asarray(censored, dtype=bool)
-    finished = np.sort(np.where(cut, np.inf, ranked))
-    median, p90 = (float(np.quantile(ranked, q, method="higher")) for q in (0.5, 0.9))
-    bounds = [bool(np.isinf(np.quantile(finished, q, method="higher"))) for q in (0.5, 0.9)]
-    return CensoredSummary(median, p90, bounds[0], bounds[1], int(cut.sum()), int(cut.size))
-
-
 def censored_as_largest(values: ArrayLike, censored: ArrayLike) -> Floats:
     """(n,) values in which every censored run counts as much as the largest value seen."""
-    seen, cut = _rows(values)[:, 0], np.asarray(censored, dtype=bool)
-    if seen.shape != cut.shape:
-        raise EvaluationError(
-            "values and censoring do not pair", expected=str(seen.shape), got=str(cut.shape)
-        )
-    return np.where(cut, seen.max(), seen)
+    seen = np.asarray(values, dtype=np.float64)
+    return np.where(np.asarray(censored, dtype=bool), seen.max(), seen)
+
+
+def _ratio(both: Floats) -> Floats:
+    return np.asarray(both[..., 0] / both[..., 1])
 
 
 def _pairs(first: ArrayLike, second: ArrayLike) -> Floats:
-    left, right = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
-    if left.shape != right.shape or left.ndim != 1:
-        raise EvaluationError("the groups do not pair", expected=str(left.shape), got=str(right.shape))
-    return np.stack([left, right], axis=1)
-
-
-def _rows(table: ArrayLike) -> Floats:
-    rows = np.asarray(table, dtype=np.float64)
-    if rows.ndim == 1:
-        rows = rows[:, None]
-    if rows.ndim != 2 or rows.size == 0:
-        raise EvaluationError("the group is empty", expected="at least one row", got=f"shape {rows.shape}")
-    if not np.isfinite(rows).all():
-        raise EvaluationError("the group holds a value that is not finite", got=str(rows[~np.isfinite(rows)]))
-    return rows
+    return np.stack([np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)], axis=1)

@@ -1,4 +1,4 @@
-"""Tables of texts, rendered for reports and for terminals."""
+"""Tables, rendered for reports and for terminals."""
 
 from collections.abc import Sequence
 
@@ -23,4 +23,7 @@ def aligned(table: Table | pd.DataFrame) -> str:
 
 
 def _rows(table: Table | pd.DataFrame) -> Table:
-    return [list(table), *table.to_numpy().tolist()] if isinstance(table, pd.DataFrame) else table
+    if not isinstance(table, pd.DataFrame):
+        return table
+    rows = table.map(lambda cell: f"{cell:.4f}" if isinstance(cell, float) else str(cell)).to_numpy()
+    return [list(table), *rows.tolist()]

@@ -8,22 +8,19 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import httpx
-import numpy as np
+from numpy.typing import NDArray
 
 from cspace.errors import PlanningError, ServiceStartError
 from cspace.query import SampleQuery
 from cspace.simulator import Split
 from cspace.world import World
 from cspace.worlds import named_world, picture_file_of, robot_digest
-from services.evaluator.measures.sample_quality import (
-    ReconstructionSummary,
-    SamplerSummary,
-    SceneQuality,
-    summarise,
-)
-from services.evaluator.measures.scenes import Scene, Stage
+from services.evaluator.evaluation import estimates_of
+from services.evaluator.measure import Row, measure_samples
+from services.evaluator.scenes import Scene, Stage
 from services.evaluator.statistics import Interval
 from services.evaluator.tables import aligned
 from services.local.jobs import (
@@ -140,7 +137,10 @@ SAMPLES = 1000
 SEED = 1
 
 
-def served_quality(url: str, references: Sequence[str], tour: Tour) -> Mapping[str, ReconstructionSummary]:
+Quality = Mapping[tuple[str, str], Interval]
+
+
+def served_quality(url: str, references: Sequence[str], tour: Tour) -> Mapping[str, Quality]:
     """Ask for versions, without their validity filter and with it, and evaluate all on the same scenarios.
 
     Args:
@@ -149,35 +149,30 @@ def served_quality(url: str, references: Sequence[str], tour: Tour) -> Mapping[s
         tour: whose scenarios, and how many.
 
     Returns:
-        By reference the summary over all scenarios of ``SAMPLES`` samples each; ``confident`` is as
-        served, and None where too few samples came in some scenario.
-
-    Raises:
-        SamplerUnavailableError: the API does not answer.
-        SamplerError: it refused a request.
+        By reference the estimates over all scenarios, by sampler and measure; ``confident`` is as served, and
+        missing where too few samples came in some scenario.
     """
     stage = Stage(tour.world, Split.TEST, SEED)
+    rows: dict[str, list[Row]] = {reference: [] for reference in references}
     with SamplingClient(url, robot=robot_digest(stage.world)) as client:
-        rows = [_rows(Scene(stage, index), client, references) for index in range(tour.scenarios)]
-    return {one: summarise([row[one] for row in rows], np.random.default_rng(SEED)) for one in references}
+        for scene in (Scene(stage, index) for index in range(tour.scenarios)):
+            for reference in references:
+                rows[reference] += _rows(scene, client, reference)
+    return {reference: estimates_of(found, SEED) for reference, found in rows.items()}
 
 
-def _rows(scene: Scene, client: SampleSource, references: Sequence[str]) -> dict[str, SceneQuality]:
-    held_out = scene.free(SAMPLES, scene.rng(0))
-    uniform = scene.quality(scene.space.sample_uniform(scene.rng(1), SAMPLES), held_out)
-    real = scene.quality(scene.free(SAMPLES, scene.rng(2)), held_out)
-
+def _rows(scene: Scene, client: SampleSource, reference: str) -> list[Row]:
     picture = picture_file_of(scene.scenario)
-
-    def quality_of(reference: str) -> SceneQuality:
-        queries = (SampleQuery(SAMPLES, scene.sampler_seed(), min_confidence=least) for least in (0.0, None))
-        sampled, served = (client.answer(picture, query, reference).samples for query in queries)
-        as_served = scene.quality(served.astype(np.float64), held_out) if len(served) == SAMPLES else None
-        return SceneQuality(
-            scene.index, scene.quality(sampled.astype(np.float64), held_out), uniform, real, as_served
-        )
-
-    return {reference: quality_of(reference) for reference in references}
+    queries = (SampleQuery(SAMPLES, scene.sampler_seed(), min_confidence=least) for least in (0.0, None))
+    sampled, served = (client.answer(picture, query, reference).samples for query in queries)
+    groups: dict[str, NDArray[Any]] = {
+        "sampler": sampled,
+        "uniform": scene.space.sample_uniform(scene.rng(1), SAMPLES),
+        "real": scene.free(SAMPLES, scene.rng(2)),
+    }
+    if len(served) == SAMPLES:
+        groups["confident"] = served
+    return list(measure_samples(scene, groups, SAMPLES))
 
 
 PLANNING_SEED = 7
@@ -240,7 +235,7 @@ def run_shown(
 def summary(
     training: TrainingResult,
     evaluation: EvaluationResult,
-    quality: Mapping[str, ReconstructionSummary],
+    quality: Mapping[str, Quality],
     scenarios: int,
     pictures: Sequence[Path],
     elapsed_s: float,
@@ -265,21 +260,23 @@ def summary(
     )
 
 
-def quality_table(quality: Mapping[str, ReconstructionSummary]) -> str:
+def quality_table(quality: Mapping[str, Quality]) -> str:
     """Precision, coverage and energy ratio of models by reference, beside uniform and real samples."""
     rows: list[tuple[str, ...]] = [("sampler", "precision", "coverage", "EDr")]
-    for reference, summary in quality.items():
+    for reference, found in quality.items():
         name = f"{reference} (shipped)" if is_shipped(reference) else reference
-        rows.append((name, *_cells(summary.sampler)))
-        if summary.confident is not None:
-            rows.append((f"{name}, as served", *_cells(summary.confident)))
+        rows.append((name, *_cells(found, "sampler")))
+        if ("confident", "precision") in found:
+            rows.append((f"{name}, as served", *_cells(found, "confident")))
     any_of_them = next(iter(quality.values()))
-    rows += [("uniform", *_cells(any_of_them.uniform)), ("real samples", *_cells(any_of_them.real))]
+    rows += [
+        (name, *_cells(any_of_them, of)) for name, of in (("uniform", "uniform"), ("real samples", "real"))
+    ]
     return aligned(rows)
 
 
-def _cells(one: SamplerSummary) -> tuple[str, str, str]:
-    return (_text(one.precision), _text(one.coverage), _text(one.edr))
+def _cells(found: Quality, sampler: str) -> tuple[str, ...]:
+    return tuple(_text(found[sampler, measure]) for measure in ("precision", "coverage", "edr"))
 
 
 def _text(interval: Interval) -> str:

@@ -9,7 +9,7 @@ from cspace.bundle import Bundle
 from cspace.errors import JobError
 from cspace.simulator import Split
 from cspace.worlds.planar.world import PlanarWorld
-from services.evaluator.measures.scenes import Stage
+from services.evaluator.scenes import Stage
 from tests.bundles import write_tiny_bundle
 from training.config import TrainConfig
 

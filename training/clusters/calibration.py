@@ -24,7 +24,7 @@ from cspace.query import PlanQuery
 from cspace.simulator import Split
 from cspace.world import World
 from cspace.worlds import checker_of, picture_file_of, simulator_of
-from services.evaluator.measures.scenes import Scene, Stage
+from services.evaluator.scenes import Scene, Stage
 from training.models.autoencoders import blocks
 from training.models.settings import VaeConfig
 from training.trials.arrays import load_encoder

@@ -15,8 +15,8 @@ from cspace.dataset import Dataset, open_dataset
 from cspace.errors import ConfigError, DatasetError
 from cspace.simulator import ORIGINS, Split
 from cspace.space import JointSpace
-from services.evaluator.evaluation.report import gallery
-from services.evaluator.measures.scenes import Scene, Stage
+from services.evaluator.figures import gallery
+from services.evaluator.scenes import Scene, Stage
 from services.names import ALIAS_CHALLENGER, TAG_MODEL, label, recorded_name
 from services.planner.samples import BundleSampler
 from services.registry.mlflow_registry import MlflowRegistry

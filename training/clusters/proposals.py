@@ -13,8 +13,7 @@ from cspace.bundle.runtime import onnx_runtime
 from cspace.bundle.sampling import BUDGET, EXTRA
 from cspace.simulator import Split
 from cspace.world import World
-from services.evaluator.measures.sample_quality import SampleQuality
-from services.evaluator.measures.scenes import Scene, Stage
+from services.evaluator.scenes import Scene, Stage
 from services.evaluator.statistics import mean_interval
 from training.clusters.calibration import STREAM, Scored
 
@@ -262,7 +261,7 @@ def first_turn(passing: NDArray[np.float64], turn_rows: float) -> float:
 
 def evaluate(pools: Sequence[Pool], costs: Costs, share: float, threshold: float) -> Outcome:
     """A mixture at a threshold in all scenes."""
-    rows: list[SampleQuality | None] = []
+    rows: list[Mapping[str, float] | None] = []
     missing, passing = [], []
     for pool in pools:
         proposals, scored = pool.mixed(share)
@@ -274,7 +273,7 @@ def evaluate(pools: Sequence[Pool], costs: Costs, share: float, threshold: float
         rows.append(pool.scene.quality(kept.astype(np.float64), pool.held_out) if enough else None)
     has_coverage = bool(pools) and pools[0].scene.measures.coverage_share is not None
     precision, coverage, energy = (
-        np.array([nothing if row is None else getattr(row, name) for row in rows], dtype=np.float64)
+        np.array([nothing if row is None else row[name] for row in rows], dtype=np.float64)
         for name, nothing in (("precision", 1.0), ("coverage", 0.0), ("energy", 0.0))
     )
     shares = np.array(passing)

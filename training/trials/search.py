@@ -18,8 +18,7 @@ from torch import nn
 from cspace.errors import JobError
 from cspace.simulator import Split, derived_seed
 from cspace.world import World
-from services.evaluator.measures.sample_quality import SampleQuality
-from services.evaluator.measures.scenes import Scene, Stage
+from services.evaluator.scenes import Scene, Stage
 from services.names import EXPERIMENT, TAG_STAGE
 from services.registry.mlflow_tracking import MlflowTracking
 from training.config import ResourceConfig, TrainConfig
@@ -57,9 +56,9 @@ class Validation:
         scenes = [Scene(stage, index) for index in range(scenarios)]
         held_out = [scene.free(SAMPLES, scene.rng(0)) for scene in scenes]
         stood = cls(encoder.eval(), scenes, held_out, 1.0)
-        return replace(stood, uniform_energy=float(sum(row.energy for row in stood.rows(None))))
+        return replace(stood, uniform_energy=float(sum(row["energy"] for row in stood.rows(None))))
 
-    def rows(self, sampler: TorchSampler | None) -> list[SampleQuality]:
+    def rows(self, sampler: TorchSampler | None) -> list[Mapping[str, float]]:
         """A sampler in every scenario; uniform samples for None."""
         return [
             scene.quality(self._sample(sampler, scene), real)
@@ -70,9 +69,9 @@ class Validation:
         """Means of precision and coverage, and the energy ratio, as ``validation_*``."""
         rows = self.rows(sampler)
         return {
-            "validation_precision": float(np.mean([row.precision for row in rows])),
-            "validation_coverage": float(np.mean([row.coverage for row in rows])),
-            "validation_edr": float(np.sum([row.energy for row in rows])) / self.uniform_energy,
+            "validation_precision": float(np.mean([row["precision"] for row in rows])),
+            "validation_coverage": float(np.mean([row["coverage"] for row in rows])),
+            "validation_edr": float(np.sum([row["energy"] for row in rows])) / self.uniform_energy,
         }
 
     def _sample(self, sampler: TorchSampler | None, scene: Scene) -> NDArray[np.float64]:

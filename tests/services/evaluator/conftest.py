@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 
 from cspace.bundle import Bundle
-from services.evaluator import model_card
-from services.evaluator.evaluation import job, rivals
+from services.evaluator import job, model_card, rivals
 from services.registry import promotion
 
 

@@ -3,25 +3,26 @@ from pathlib import Path
 import pytest
 
 from cspace.bundle import Bundle
-from cspace.errors import EvaluationError
 from cspace.simulator import Split
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.problems import Family
 from cspace.worlds.planar.world import PlanarWorld
+from services.evaluator import cluster as ray_tasks
 from services.evaluator.cluster import join
-from services.evaluator.evaluation.job import run_here, run_on_ray
-from services.evaluator.evaluation.measured import flat_metrics
-from services.evaluator.evaluation.units import QUICK, Kind, Setting, Unit, assemble
-from services.evaluator.measures.scenes import PackedBundle
+from services.evaluator.evaluation import Evaluation, table_of
+from services.evaluator.job import run_here, run_on_ray
+from services.evaluator.measure import QUICK, Setting, Unit
+from services.evaluator.metrics import Task
+from services.evaluator.scenes import PackedBundle
 from tests.bundles import write_tiny_bundle
 
 ROOT = Path(__file__).resolve().parents[3]
 WORK = (
-    Unit(Kind.PLANNING, Split.VALIDATION, 0, 2, Family.UNIFORM),
-    Unit(Kind.PLANNING, Split.VALIDATION, 2, 2, Family.UNIFORM),
-    Unit(Kind.RECONSTRUCTION, Split.VALIDATION, 0, 2),
-    Unit(Kind.RECONSTRUCTION, Split.TEST, 0, 2),
+    Unit(Task.PLANNING, Split.VALIDATION, 0, 2, Family.UNIFORM),
+    Unit(Task.PLANNING, Split.VALIDATION, 2, 2, Family.UNIFORM),
+    Unit(Task.RECONSTRUCTION, Split.VALIDATION, 0, 2),
+    Unit(Task.RECONSTRUCTION, Split.TEST, 0, 2),
 )
 
 
@@ -50,8 +51,8 @@ def packed(tmp_path):
 
 
 def numbers(results, setting):
-    metrics = flat_metrics(assemble(results, setting))
-    return {name: value for name, value in metrics.items() if "time" not in name and "seconds" not in name}
+    found = Evaluation(setting, "m/1", table_of(list(results), "m/1"), 0.0).estimates
+    return found[~found["measure"].str.contains("time")].to_csv()
 
 
 @pytest.mark.parametrize(
@@ -78,11 +79,19 @@ def test_a_cluster_gives_the_same_numbers_as_this_process(cluster, packed):
     here = numbers(run_here(WORK, setting, packed), setting)
     there = numbers(run_on_ray(WORK, setting, packed), setting)
     assert there == here
-    assert "uniform_learned_iterations_median" in here
+    assert "iterations_median" in here
 
 
-@pytest.mark.e2e
-def test_an_error_of_a_unit_comes_back_as_itself(cluster, packed):
-    nameless = Unit(Kind.PLANNING, Split.TEST, 0, 1)
-    with pytest.raises(EvaluationError, match="names no family"):
-        list(run_on_ray([nameless], Setting(PlanarWorld(TWO_LINK, Camera()), 4, QUICK), packed))
+def test_what_has_ended_is_not_cancelled(monkeypatch):
+    cancelled = []
+
+    def wait(references, *, num_returns, timeout):
+        assert (num_returns, timeout) == (len(references), 0)
+        return references[::2], references[1::2]
+
+    monkeypatch.setattr(ray_tasks.ray, "wait", wait)
+    monkeypatch.setattr(ray_tasks.ray, "cancel", cancelled.append)
+    ray_tasks.cancel(["ended", "running", "over", "waiting"])
+    assert cancelled == ["running", "waiting"]
+    ray_tasks.cancel([])
+    assert cancelled == ["running", "waiting"]

@@ -2,21 +2,22 @@
 
 import csv
 import io
-from dataclasses import asdict, fields
 
+import pandas as pd
 import pytest
 
 from cspace.bundle import Bundle
 from cspace.errors import ConfigError, ModelNotFoundError, RegistryError
 from services.evaluator.compare import compare_csv, compare_table, find, write_comparison
-from services.evaluator.evaluation.measured import Measured
+from services.evaluator.evaluation import ESTIMATE_COLUMNS
+from services.evaluator.report import shown
 from tests.bundles import write_tiny_bundle
 from tests.fakes.registry import FakeRegistry, FakeTracking
 
 ROWS = (
-    Measured("reconstruction", "validation", "uniform", "sampler", "precision", 0.9, 0.88, 0.92, 60),
-    Measured("reconstruction", "test", "narrow", "sampler", "precision", 0.8, 0.7, 0.9, 5),
-    Measured("planning", "validation", "", "", "planning_success", 1.0, 0.9, 1.0, 30),
+    ("reconstruction", "validation", "uniform", "sampler", "precision", 0.9, 0.88, 0.92, 60),
+    ("reconstruction", "test", "narrow", "sampler", "precision", 0.8, 0.7, 0.9, 5),
+    ("planning", "validation", "", "learned", "success", 1.0, 0.9, 1.0, 30),
 )
 
 
@@ -46,8 +47,9 @@ def evaluated(tracking, version, rows=(), **metrics):
     ) as run:
         run.metrics(metrics, 0)
         if rows:
-            columns = {one.name: [asdict(row)[one.name] for row in rows] for one in fields(Measured)}
-            run.table({"shown": [str(row) for row in rows], **columns}, "measures")
+            table = pd.DataFrame(rows, columns=ESTIMATE_COLUMNS)
+            table["shown"] = [shown(*row[5:8]) for row in rows]
+            run.table(table.to_dict("list"), "measures")
         return run.run_id
 
 
@@ -58,20 +60,13 @@ def test_versions_stand_side_by_side_with_limits_and_gaps(tracking, registry, tm
     evaluated(tracking, second, ROWS[:1])
     found = [find(text, tracking, registry) for text in ("m/1", "m/2")]
     assert [one.title for one in found] == ["m/1", "m/2"]
-    header, *rows = compare_table(found)
-    assert header[-2:] == ["m/1", "m/2"]
-    assert rows == [
+    table = compare_table(found)
+    assert list(table)[-2:] == ["m/1", "m/2"]
+    assert table.to_numpy().tolist() == [
         ["validation", "reconstruction", "uniform", "sampler", "precision"] + 2 * ["0.9000 [0.8800, 0.9200]"],
-        ["validation", "planning", "", "", "planning_success", "1.0000 [0.9000, 1.0000]", "-"],
+        ["validation", "planning", "", "learned", "success", "1.0000 [0.9000, 1.0000]", "-"],
     ]
-    assert len(compare_table(found, everything=True)) == 4
-
-
-def test_the_last_evaluation_of_a_version_counts(tracking, registry, tmp_path):
-    version = registered(tracking, registry, tmp_path / "a")
-    evaluated(tracking, version, ROWS)
-    last = evaluated(tracking, version, ROWS[:1])
-    assert find("m/1", tracking, registry).run.run_id == last
+    assert len(compare_table(found, everything=True)) == 3
 
 
 def test_a_run_is_compared_by_its_own_evaluation_or_its_job_s(tracking, registry, tmp_path):
@@ -89,28 +84,6 @@ def test_what_was_never_evaluated_is_told_with_what_to_do(tracking, registry, tm
         find("m/9", tracking, registry)
     with pytest.raises(RegistryError):
         find("0" * 32, tracking, registry)
-
-
-def test_a_table_that_is_none_is_an_error_of_the_registry(tracking, registry, tmp_path):
-    version = registered(tracking, registry, tmp_path / "a")
-    evaluated(tracking, version, ROWS)
-    for text in ("[" * 10_000, "{}", '{"columns": ["split"], "data": [[1, 2]]}'):
-        with pytest.raises(RegistryError, match="damaged table"):
-            find("m/1", Damaged(tracking, text), registry)
-
-
-class Damaged(FakeTracking):
-    """Runs whose tables hold another text."""
-
-    def __init__(self, tracking, text):
-        super().__init__()
-        self.runs = tracking.runs
-        self._text = text
-
-    def file(self, run_id, path, folder):
-        found = super().file(run_id, path, folder)
-        found.write_text(self._text)
-        return found
 
 
 def test_it_is_kept_as_text_as_markdown_and_as_csv(tracking, registry, tmp_path):

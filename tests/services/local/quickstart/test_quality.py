@@ -51,8 +51,8 @@ def test_both_models_are_asked_on_the_same_scenarios_with_the_same_seeds_with_an
     assert [call[:2] for call in api.calls] == 2 * [(m, least) for m in MODELS for least in (0.0, None)]
     assert [len({seed for _, _, seed in api.calls[first : first + 4]}) for first in (0, 4)] == [1, 1]
     # Uniform samples under the same seeds: all equal, and so comparable.
-    assert len({one.sampler.precision.estimate for one in found.values()}) == 1
-    assert len({one.confident.precision.estimate for one in found.values()}) == 1
+    assert len({one["sampler", "precision"].estimate for one in found.values()}) == 1
+    assert len({one["confident", "precision"].estimate for one in found.values()}) == 1
 
 
 def test_the_summary_shows_both_models_side_by_side_and_why_the_shipped_one_was_left_out(api):

@@ -1,1 +1,0 @@
-"""What is measured of samplers: reconstruction, occupancy, topology, planning."""

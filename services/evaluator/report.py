@@ -1,0 +1,203 @@
+"""What an evaluation records in MLflow and prints: metrics, tables, report and pictures."""
+
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, astuple
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from cspace.simulator import UNIFORM
+from cspace.worlds import robot_digest, simulator_of
+from services.evaluator.evaluation import (
+    ESTIMATE_COLUMNS,
+    TEST,
+    VALIDATION,
+    Evaluation,
+    headline,
+    run_metrics,
+)
+from services.evaluator.figures import gallery, plan_figure
+from services.evaluator.gate import Comparison, Verdict
+from services.evaluator.measure import EVALUATED_SPLITS, Setting, planned, planner_of
+from services.evaluator.metrics import Task
+from services.evaluator.metrics.head import reliability_diagram
+from services.evaluator.scenes import Scene, Stage
+from services.evaluator.tables import aligned, markdown
+from services.names import NOTE as DESCRIPTION
+from services.planner.samples import SampleSource
+from services.registry.ports import RunLog, Shown
+
+MEASURES_TABLE, COMPARISONS, NOTE = "measures", "comparisons", "comparison.md"
+REPORT_FOLDER = "report"
+# The first of every family.
+GALLERY_SCENARIOS = 2
+COMPARISON_NOTE = """\
+Both on the same scenes and problems with the same seeds. The gain is above 0 where the version is better,
+with the limits of the paired difference by bootstrap; of edge checks it is the share saved. As served:
+filtered at the model's own threshold."""
+MEASURES_NOTE = """\
+Only validation decides, of scenes the uniform ones. docs/method.md defines the measures. Planning is by RRT,
+range {0.range_rad} rad, resolution {0.resolution_rad} rad a joint, at most {0.max_iterations} iterations. A
+run without success counts as the most expensive one. Ratios: uniform samples' median over that of these."""
+
+
+def scenes_text(setting: Setting) -> str:
+    """In one line the scenes on which a version is evaluated: world, families, how many, seed."""
+    world, budget = setting.world, setting.budget
+    there = [simulator_of(world).count(split) or budget.scenarios for split in EVALUATED_SPLITS]
+    validation, test = (min(budget.scenarios, count) for count in there)
+    uniform = f"{validation} validation and {test} test scenes of the family uniform, "
+    problems = f"{budget.validation_problems} validation and {budget.test_problems} test problems"
+    known = simulator_of(world).families
+    return (
+        f"evaluated on scenes of the {world.kind} world with {known.uniform_obstacles} "
+        f"(robot {robot_digest(world)[:12]}, "
+        f"{world.dim} joints): {'' if setting.paths else uniform}{problems} of each family "
+        f"({', '.join(planned(known))}), seed {setting.seed}"
+    )
+
+
+def shown(value: float, low: float, high: float, digits: str = ".4f") -> str:
+    """An estimate with its limits, if it has any."""
+    return f"{value:{digits}}" + ("" if pd.isna(low) else f" [{low:{digits}}, {high:{digits}}]")
+
+
+def measure_columns(evaluation: Evaluation) -> Mapping[str, Sequence[Any]]:
+    """Every estimate, one row each; MLflow shows runs side by side by ``estimate`` and ``shown``."""
+    rows = evaluation.estimates
+    titles = rows[["split", "family", "sampler", "task", "measure"]].apply(
+        lambda row: " ".join(filter(None, row)), axis=1
+    )
+    texts = [shown(*limits) for limits in zip(rows["value"], rows["low"], rows["high"], strict=True)]
+    table = pd.DataFrame({"estimate": titles, "shown": texts, **rows[ESTIMATE_COLUMNS]}).astype(object)
+    return {str(name): column.tolist() for name, column in table.where(table.notna(), None).items()}
+
+
+def comparison_table(comparison: Comparison) -> pd.DataFrame:
+    """Every gated measure of the version and of a rival, the gain with its limits, and what that means."""
+    words = {(True, False): "better", (False, True): "worse", (False, False): "within the interval"}
+    rows = [
+        (gain.name, gain.ours, gain.theirs, *astuple(gain.gain)[:3], words[gain.better, gain.worse])
+        for gain in comparison.gains
+    ]
+    return pd.DataFrame(rows, columns=["measure", "version", "theirs", "gain", "low", "high", "verdict"])
+
+
+def comparison_note(evaluation: Evaluation, verdict: Verdict) -> str:
+    """In Markdown what the gate decided and why, and the version beside its rivals."""
+    title, decided = evaluation.model, "promoted" if verdict.promoted else "not promoted"
+    parts = [f"## {title}: {decided}", "\n".join(f"- {reason}" for reason in verdict.reasons)]
+    for one in verdict.bar.comparisons:
+        parts += [f"### Beside {one.rival}", markdown(comparison_table(one))]
+    if verdict.bar.comparisons:
+        parts.append(COMPARISON_NOTE)
+    card = f"Model card: `python -m services.evaluator card {title}`."
+    scenes = scenes_text(evaluation.setting)
+    return "\n\n".join([*parts, f"{scenes[0].upper()}{scenes[1:]}.", card]) + "\n"
+
+
+def shown_of(evaluation: Evaluation, note: str) -> Shown:
+    """What a version's page shows, its run and its logged model."""
+    setting = evaluation.setting
+    name, digest = f"{setting.world.kind} scenes, seed {setting.seed}", sha256(scenes_text(setting).encode())
+    return Shown(headline(evaluation), note, name, digest.hexdigest())
+
+
+def _tables(evaluation: Evaluation, *, everything: bool) -> Iterator[tuple[str, Task, pd.DataFrame]]:
+    """Split, task and a table with a row for each family and sampler, of all or of the main estimates."""
+    rows = evaluation.estimates
+    rows = rows if everything else rows[rows["main"]]
+    texts = [shown(*one, ".4g") for one in zip(rows["value"], rows["low"], rows["high"], strict=True)]
+    rows = rows.assign(text=texts, family=rows["family"].replace("", "all"))
+    for split in (VALIDATION, TEST):
+        for task in Task:
+            mine = rows[(rows["split"] == split) & (rows["task"] == task)]
+            wide = {
+                (family, sampler): dict(zip(group["measure"], group["text"], strict=True))
+                for (family, sampler), group in mine.groupby(["family", "sampler"], sort=False)
+            }
+            if wide:
+                table = pd.DataFrame.from_dict(wide, orient="index")
+                table = table[list(dict.fromkeys(mine["measure"]))].fillna("-")
+                yield split, task, table.rename_axis(["family", "samples"]).reset_index()
+
+
+def to_markdown(evaluation: Evaluation, verdict: Verdict) -> str:
+    """The report: decision, comparisons, scenes, and every estimate."""
+    setting, budget = evaluation.setting, evaluation.setting.budget
+    parts = [comparison_note(evaluation, verdict).rstrip()]
+    for split, task, table in _tables(evaluation, everything=True):
+        parts += [f"## {task.capitalize()}, {split}", markdown(table)]
+    scenes = f"{budget.scenarios} scenarios a split, {budget.samples} samples each"
+    if setting.paths:
+        scenes = f"{budget.validation_problems} validation and {budget.test_problems} test problems a family"
+    parts += [
+        MEASURES_NOTE.format(planner_of(setting.world)),
+        simulator_of(setting.world).families.note,
+        f"Seed {setting.seed}, {scenes}; intervals of 95 % by bootstrap over scenarios, exact for success.",
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def terminal_table(evaluation: Evaluation, comparisons: Sequence[Comparison] = ()) -> str:
+    """The main estimates as aligned text."""
+    tables = [(f"{task}, {split}", table) for split, task, table in _tables(evaluation, everything=False)]
+    tables += [(f"beside {one.rival}, validation", comparison_table(one)) for one in comparisons]
+    return "\n\n".join(f"{name}\n{aligned(table)}" for name, table in tables)
+
+
+def log_evaluation(
+    run: RunLog, evaluation: Evaluation, verdict: Verdict, sampler: SampleSource
+) -> tuple[str, ...]:
+    """Metrics, settings, report and pictures into a run; returns the pictures' names."""
+    setting = evaluation.setting
+    run.params({"seed": setting.seed, **asdict(setting.budget)})
+    run.metrics(run_metrics(evaluation), 0)
+    note = comparison_note(evaluation, verdict)
+    run.tags({"promoted": str(verdict.promoted).lower(), DESCRIPTION: note})
+    run.table(measure_columns(evaluation), MEASURES_TABLE)
+    if verdict.bar.comparisons:
+        tables = [comparison_table(one).assign(rival=one.rival) for one in verdict.bar.comparisons]
+        run.table(dict(pd.concat(tables).to_dict("list")), COMPARISONS)
+    with tempfile.TemporaryDirectory(prefix="cspace-report-") as temporary:
+        folder = Path(temporary)
+        (folder / "evaluation.md").write_text(to_markdown(evaluation, verdict), encoding="utf-8")
+        (folder / NOTE).write_text(note, encoding="utf-8")
+        evaluation.table.to_parquet(folder / "evaluation.parquet")
+        run.artifact(folder, REPORT_FOLDER)
+        run.flush()
+    if sampler.with_ends:
+        return _log_plans(run, evaluation, sampler)
+    return _log_scenes(run, evaluation, sampler)
+
+
+def _log_plans(run: RunLog, evaluation: Evaluation, sampler: SampleSource) -> tuple[str, ...]:
+    """The first test problem of each family, solved with the model's samples."""
+    names, trials = [], evaluation.select(TEST, Task.PLANNING)
+    for family, index in trials.groupby("family")["number"].min().items():
+        names.append(f"plan-{family}")
+        figure = plan_figure(evaluation.setting, str(family), int(index), sampler, evaluation.model)
+        run.figure(figure, names[-1])
+    return tuple(names)
+
+
+def _log_scenes(run: RunLog, evaluation: Evaluation, sampler: SampleSource) -> tuple[str, ...]:
+    """The first scenarios of every family, and the reliability of the head."""
+    names, title, setting = [], evaluation.model, evaluation.setting
+    for split in EVALUATED_SPLITS:
+        stage = Stage(setting.world, split, setting.seed)
+        rows = evaluation.select(split, Task.RECONSTRUCTION)[["family", "number"]].drop_duplicates()
+        first = rows.sort_values("number").groupby("family", sort=False).head(GALLERY_SCENARIOS)
+        scenes = [Scene(stage, int(number), str(family)) for family, number in first.to_numpy()]
+        names.append(f"gallery-{split}")
+        run.figure(gallery(scenes, sampler, title), names[-1])
+    head = evaluation.select(TEST, Task.HEAD)
+    bins = head[(head["metric"] == "calibration") & (head["family"] == UNIFORM)]
+    if not bins.empty:
+        names.append("reliability")
+        values = bins.pivot(index="number", columns="part", values="value").to_numpy()
+        run.figure(reliability_diagram(values, title), names[-1])
+    return tuple(names)

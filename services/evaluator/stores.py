@@ -1,0 +1,15 @@
+"""The tracking server and registry that a command's environment names."""
+
+from collections.abc import Mapping
+
+from cspace.errors import ConfigError
+from services.registry.mlflow_registry import MlflowRegistry
+from services.registry.mlflow_tracking import MlflowTracking
+
+
+def connect(environment: Mapping[str, str]) -> tuple[MlflowTracking, MlflowRegistry]:
+    """Both on MLFLOW_TRACKING_URI."""
+    uri = environment.get("MLFLOW_TRACKING_URI", "")
+    if not uri:
+        raise ConfigError("no tracking server is named", remedy="set MLFLOW_TRACKING_URI")
+    return MlflowTracking(uri), MlflowRegistry(uri)

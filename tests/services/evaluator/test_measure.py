@@ -1,0 +1,292 @@
+"""Scenes and units of work: what is sampled where, determinism, and measures with and without a head."""
+
+import dataclasses
+import random
+
+import numpy as np
+import pytest
+
+from cspace.bundle import Bundle, write_bundle
+from cspace.errors import BundleIntegrityError, EvaluationError
+from cspace.simulator import Problem, Split
+from cspace.worlds import simulator_of
+from cspace.worlds.planar.arm import TWO_LINK
+from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.problems import Family, draw_problem
+from cspace.worlds.planar.world import Disc, PlanarWorld, Scenario
+from services.evaluator.evaluation import (
+    MAX_HEADLINE,
+    MAX_METRICS,
+    Evaluation,
+    estimates_of,
+    headline,
+    run_metrics,
+    table_of,
+)
+from services.evaluator.gate import Bar, decide, gated_metrics
+from services.evaluator.measure import (
+    QUICK,
+    Budget,
+    Setting,
+    Unit,
+    plan_problem,
+    planner_of,
+    reconstruct,
+    run_unit,
+    units,
+)
+from services.evaluator.metrics import Task
+from services.evaluator.report import to_markdown
+from services.evaluator.scenes import PackedBundle, Scene, Stage, bundle_sampler, unfiltered
+from services.planner.result import PlanResult
+from services.planner.samples import BundleSampler
+from tests.bundles import picture, tiny_graphs, tiny_spec, write_tiny_bundle
+from tests.fakes.sample_source import FakeSampleSource
+from tests.fakes.uniform_sampler import ScoredUniformSampler, UniformSampler
+from tests.scenarios import random_scenarios
+
+STAGE = Stage(PlanarWorld(TWO_LINK, Camera()), Split.VALIDATION, 5)
+TINY = Budget(4, 200, 2, 1, 1, 1, 2, narrow_scenarios=1, disconnected_scenarios=2, topology_samples=200)
+# One whose problems are found soon: drawing them takes longer than all that is measured on them.
+SETTING = Setting(PlanarWorld(TWO_LINK, Camera()), 12, TINY)
+UNIFORM = UniformSampler(TWO_LINK.space)
+
+
+@pytest.fixture(scope="module")
+def results():
+    return [run_unit(unit, SETTING, UNIFORM) for unit in units(SETTING)]
+
+
+def evaluation_of(results, setting=SETTING):
+    return Evaluation(setting, "m/1", table_of(results, "m/1"), 1.0)
+
+
+def timeless(evaluation):
+    """Everything that a seed fixes; times are not."""
+    found = evaluation.estimates
+    return found[~found["measure"].str.contains("time")].to_csv()
+
+
+def test_neither_order_nor_size_of_the_units_matters(results):
+    shuffled = list(results)
+    random.Random(1).shuffle(shuffled)  # noqa: S311 - an order, no secret
+    assert timeless(evaluation_of(shuffled)) == timeless(evaluation_of(results))
+    whole = next(one for one in results if one.unit == Unit(Task.RECONSTRUCTION, Split.TEST, 0, 4))
+    last = run_unit(Unit(Task.RECONSTRUCTION, Split.TEST, 3, 1), SETTING, UNIFORM)
+    assert [row for row in whole.rows if row.number == 3] == last.rows
+
+
+def test_units_cover_every_scenario_and_problem_once():
+    work = units(Setting(PlanarWorld(), 0, QUICK))
+    seen = {(one.task, one.split, one.family, one.first + k) for one in work for k in range(one.count)}
+    problems = 2 * (QUICK.validation_problems + QUICK.test_problems)
+    scenarios = 2 * (QUICK.scenarios + QUICK.disconnected_scenarios)
+    assert len(seen) == sum(one.count for one in work) == scenarios + QUICK.topology_scenarios + problems
+
+
+def test_families_are_estimated_each_for_itself_and_change_no_uniform_number(results):
+    found = evaluation_of(results)
+    counts = {
+        family: found.estimate("precision", "sampler", family, "test").count
+        for family in ("uniform", "narrow", "disconnected")
+    }
+    assert counts == {"uniform": 4, "narrow": 1, "disconnected": 2}
+    assert found.estimate("precision", "real", "narrow").estimate == 1.0
+    plain = evaluation_of([one for one in results if one.unit.family == Family.UNIFORM])
+    assert plain.estimate("precision", "real", "narrow") is None
+    for sampler in ("sampler", "uniform", "real"):
+        assert plain.estimate("edr", sampler, "uniform") == found.estimate("edr", sampler, "uniform")
+
+
+def test_a_run_has_few_metrics_by_group_and_a_headline_fewer(results):
+    found = evaluation_of(results)
+    logged, first = run_metrics(found), headline(found)
+    assert first.items() <= logged.items()
+    assert (len(first) <= MAX_HEADLINE, len(logged) <= MAX_METRICS) == (True, True)
+    assert {name.partition("/")[0] for name in logged} == {"validation", "test", "cost"}
+    assert {
+        "validation/precision",
+        "validation/edr",
+        "test/uniform_precision",
+        "test/narrow/precision",
+        "validation/narrow/edge_checks_saved",
+        "test/uniform/success",
+        "validation/planning_success",
+        "test/topology/gsc_true",
+    } <= logged.keys()
+    assert np.isfinite([*logged.values()]).all()
+    assert set(gated_metrics(found)) == set(simulator_of(PlanarWorld()).measures.margins)
+
+
+def test_the_report_has_the_decision_and_every_table(results):
+    found = evaluation_of(results)
+    text = to_markdown(found, decide(found, Bar(notes=("a note",))))
+    assert text.startswith("## m/1: ")
+    assert "- a note" in text
+    for heading in (
+        "Reconstruction, validation",
+        "Planning, test",
+        "Topology, test",
+    ):
+        assert f"## {heading}" in text
+
+
+def test_an_evaluation_without_scenarios_is_an_error(results):
+    planning = evaluation_of([one for one in results if one.unit.task == Task.PLANNING])
+    empty = dataclasses.replace(planning, table=planning.table[planning.table["task"] == Task.PLANNING])
+    with pytest.raises(EvaluationError, match="uniform scenes"):
+        decide(empty, Bar())
+
+
+def test_scenes_are_the_split_s_scenarios_and_those_of_a_family_its_problems():
+    assert [Scene(STAGE, index).scenario for index in range(3)] == random_scenarios(Split.VALIDATION, 5, 3)
+    camera = Camera(pixels=32)
+    scene = Scene(dataclasses.replace(STAGE, world=PlanarWorld(TWO_LINK, camera)), 1, Family.DISCONNECTED)
+    expected = draw_problem(Family.DISCONNECTED, Split.VALIDATION, 5, 1)
+    assert scene.scenario == dataclasses.replace(expected.scenario, camera=camera)
+
+
+def test_streams_are_reproducible_and_differ_by_number_family_and_scene():
+    scene = Scene(STAGE, 1)
+    assert scene.rng(0).random() == scene.rng(0).random()
+    scenes = [Scene(STAGE, 1, family) for family in simulator_of(STAGE.world).families.names]
+    assert len({one.rng(stream).random() for one in scenes for stream in range(5)}) == 15
+    assert scene.sampler_seed(0) != scene.sampler_seed(1) != Scene(STAGE, 2).sampler_seed(1)
+
+
+def test_free_configurations_are_free_and_collisions_are_not():
+    scene = Scene(STAGE, 0)
+    assert scene.checker.valid_batch(scene.free(500, scene.rng(0))).all()
+    assert not scene.checker.valid_batch(scene.collisions(500, scene.rng(0))).any()
+    scene.__dict__["scenario"] = Scenario(TWO_LINK, (Disc(0.0, 0.0),))
+    del scene.__dict__["checker"]
+    with pytest.raises(EvaluationError, match="no free space"):
+        scene.free(10, scene.rng(0))
+
+
+def values(rows, sampler):
+    return {row.metric: row.value for row in rows if row.sampler == sampler}
+
+
+def test_uniform_samples_score_as_uniform_and_real_ones_as_real():
+    rows = reconstruct(Scene(STAGE, 0), UNIFORM, samples=300)
+    sampler, uniform, real = (values(rows, name) for name in ("sampler", "uniform", "real"))
+    assert real["precision"] == 1.0
+    assert sampler["precision"] == pytest.approx(uniform["precision"], abs=0.1)
+    assert abs(real["energy"]) < 0.3 * uniform["energy"]
+
+
+def test_a_sampler_that_repeats_one_free_configuration_is_precise_and_covers_nothing():
+    scene = Scene(STAGE, 0)
+    collapsed = FakeSampleSource(lambda rng, n: np.tile(scene.free(1, scene.rng(0)), (n, 1)))
+    found = values(reconstruct(scene, collapsed, samples=400), "sampler")
+    assert found["precision"] == 1.0
+    assert found["coverage"] < 0.05
+    assert (found["knn_precision"], found["knn_recall"]) == (1.0, 0.0)
+
+
+@pytest.mark.parametrize("samples", [np.empty((0, 2)), np.array([[np.nan, 0.0], [0.0, 0.0]])])
+def test_no_samples_and_samples_that_are_not_finite_are_errors(samples):
+    with pytest.raises(EvaluationError):
+        Scene(STAGE, 0).quality(samples, np.zeros((10, 2)))
+
+
+def oracle(scene, threshold=0.5):
+    """Uniform samples, scored by the exact checker of the scene."""
+    return ScoredUniformSampler(TWO_LINK.space, CollisionChecker(scene.scenario).valid_batch, threshold)
+
+
+def test_confident_samples_are_as_many_and_all_pass_unless_too_few_do():
+    scene = Scene(STAGE, 0)
+    rows = reconstruct(scene, oracle(scene), 400)
+    assert values(rows, "confident")["precision"] == 1.0
+    drawn, head = values(rows, "sampler"), values(rows, "")
+    assert drawn["precision"] < 0.95
+    assert head["accuracy"] == 1.0
+    assert head["acceptance"] == pytest.approx(drawn["precision"], abs=0.06)
+    rows = reconstruct(scene, oracle(scene, 1.5), 50)
+    assert values(rows, "confident") == {}
+    assert values(rows, "")["acceptance"] == 0.0
+
+
+def test_a_bundle_with_head_and_threshold_is_measured_with_them(tmp_path):
+    spec = dataclasses.replace(tiny_spec(), confidence_threshold=0.3)
+    scored = bundle_sampler(Bundle.load(write_bundle(tmp_path / "a", spec, tiny_graphs(spec, validity=True))))
+    rows = [row for index in range(3) for row in reconstruct(Scene(STAGE, index), scored, 50)]
+    assert estimates_of(rows, 0)["confident", "precision"].count == 3
+    assert 0.0 < estimates_of(rows, 0, Task.HEAD)["", "acceptance"].estimate <= 1.0
+    plain = bundle_sampler(Bundle.load(write_tiny_bundle(tmp_path / "b")))
+    assert type(plain) is BundleSampler
+    assert {row.sampler for row in reconstruct(Scene(STAGE, 0), plain, 50)} == {"sampler", "uniform", "real"}
+
+
+def test_a_packed_bundle_arrives_as_it_was_and_is_verified(tmp_path):
+    bundle = Bundle.load(write_tiny_bundle(tmp_path / "bundle", validity=True))
+    packed = PackedBundle.pack(bundle)
+    arrived = packed.load()
+    assert (arrived.digest, arrived.folder.exists()) == (bundle.digest, False)
+    drawn = [unfiltered(BundleSampler(one), picture(), 9, 3) for one in (arrived, bundle)]
+    np.testing.assert_array_equal(*drawn)
+    with pytest.raises(BundleIntegrityError):
+        PackedBundle(packed.digest, packed.files | {"generator.onnx": b"other"}).load()
+
+
+# One disc on the y axis: turning the first joint through a quarter circle collides, through the others it
+# does not.
+BLOCKED = Scenario(TWO_LINK, (Disc(0.0, 3.0),))
+START, GOAL, MIDWAY = np.array([0.0, 0.0]), np.array([-3.0, 0.0]), np.array([3.0, 0.0])
+
+
+def planned(path, sampler=UNIFORM, *, solved=True):
+    """The runs of a planner that gives this path, and what it was asked."""
+    calls = []
+
+    def solver(*given):
+        calls.append(given)
+        rows = np.asarray(path, dtype=np.float64).reshape(-1, 2)
+        return PlanResult(
+            solved=solved,
+            path=rows,
+            length_rad=3.0,
+            iterations=10,
+            edge_checks=20,
+            solve_time_s=0.01,
+            learned_drawn=4,
+            uniform_drawn=6,
+            reason="iteration limit",
+        )
+
+    problem = Problem(BLOCKED, START, GOAL, Family.UNIFORM, 0.1)
+    return plan_problem(problem, 77, sampler, planner_of(PlanarWorld()), solver), calls
+
+
+@pytest.mark.parametrize(
+    ("path", "success"),
+    [
+        ([START, GOAL], True),
+        ([START, GOAL + np.array([9e-7, 0.0])], True),
+        ([START, GOAL + np.array([2e-6, 0.0])], False),
+        ([START + 0.1, GOAL], False),
+        ([START], False),
+        ([START, MIDWAY, GOAL], False),
+    ],
+)
+def test_a_path_is_a_success_that_meets_both_ends_and_no_obstacle(path, success):
+    assert planned(path)[0]["learned"].success is success
+    assert not planned(path, solved=False)[0]["learned"].success
+
+
+def test_runs_share_problem_and_seed_and_a_head_adds_one_with_samples_that_pass():
+    head = ScoredUniformSampler(TWO_LINK.space, lambda q: q[:, 0] < 0.0, 0.5)
+    runs, calls = planned([START, GOAL], head)
+    assert list(runs) == ["uniform", "learned", "confident"]
+    assert [call[1].seed for call in calls] == [77] * 3
+    uniform, learned, confident = (call[2] for call in calls)
+    assert uniform is None
+    assert learned.shape == confident.shape == (300, 2)
+    assert (learned[:, 0] > 0.0).any()
+    assert (confident[:, 0] < 0.0).all()
+    # Where too few pass there is none.
+    strict = ScoredUniformSampler(TWO_LINK.space, lambda q: q[:, 0] < 0.0, 2.0)
+    assert "confident" not in planned([START, GOAL], strict)[0]
