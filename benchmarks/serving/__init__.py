@@ -1,1 +1,1 @@
-"""What a request costs."""
+"""What requests to the API take."""

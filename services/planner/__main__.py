@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from cspace.errors import CspaceError, InputError
-from cspace.query import DEFAULT_PATHS, PLAIN, PlanQuery, SampleQuery
+from cspace.query import DEFAULT_PATHS, PlanQuery, SampleQuery
 from cspace.simulator import Problem, Split
 from cspace.strict_json import parse_json
 from cspace.world import World
@@ -26,24 +26,19 @@ from cspace_client import OutcomeSender
 from services.command_errors import finite, report_error
 from services.planner.client import DEFAULT_TIMEOUT_S, SamplingClient, usual_api
 from services.planner.ompl_planner import DEFAULT_UNIFORM_SHARE
-from services.planner.planning import (
-    DEFAULT_SAMPLES,
-    PAPER_SCHEDULE,
-    Comparison,
-    SampleRequest,
-    compare_with_api,
-)
+from services.planner.planning import DEFAULT_SAMPLES, SampleRequest
 from services.planner.plotting import check_figure_path, plot_plan, save_figure
 from services.planner.report import (
-    as_json,
     ask_for_plan,
+    compare,
     comparison_json,
-    comparison_table,
+    comparison_text,
+    plan_json,
     plan_text,
     problem_line,
     report_samples,
 )
-from services.planner.settings import LEARNED_PLANNERS, RRT, PlannerSettings, check_uniform_share
+from services.planner.settings import LEARNED_PLANNERS, RRT, PlannerSettings
 from services.scene_files import SceneFile, read_scene_file
 
 WORLDS = examples()
@@ -52,16 +47,7 @@ _CONSTRAINTS = ("limits", "upright", "unwrapped")
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What the user asked for, checked.
-
-    Args:
-        options: of :func:`make_parser`.
-        world: robot and sensor.
-        settings: of the planner.
-        request: to the sampling endpoint.
-        scene: a file that holds the problem; None for one of a family.
-        constraints: ``limits``, ``upright`` and ``unwrapped`` of its :class:`cspace.query.PlanQuery`.
-    """
+    """What the user asked for, checked; without a scene file the problem is one of a family."""
 
     options: argparse.Namespace
     world: World
@@ -83,7 +69,6 @@ def parse_command(arguments: Sequence[str] | None = None) -> Command:
     scene = None if options.scene is None else read_scene_file(options.scene)
     if options.plot is not None:
         check_figure_path(options.plot)
-    check_uniform_share(options.uniform_share)
     world = named_world(options.robot) if scene is None else scene.world
     measures = simulator_of(world).measures
     settings = PlannerSettings(
@@ -93,12 +78,9 @@ def parse_command(arguments: Sequence[str] | None = None) -> Command:
         time_limit_s=options.time_limit,
         max_iterations=options.max_iterations,
         seed=options.seed if options.planner_seed is None else options.planner_seed,
-        colliding_last=options.colliding_last,
     )
-    query = SampleQuery.checked(
-        options.n, settings.seed, options.epsilon_sigma, min_confidence=options.min_confidence
-    )
-    request = SampleRequest(query, options.model, with_ends=options.path_model, ordered=options.ordered)
+    query = SampleQuery.checked(options.n, settings.seed, min_confidence=options.min_confidence)
+    request = SampleRequest(query, options.model, with_ends=options.path_model)
     if scene is not None:
         request = request.of_robot(world, scene.name)
     elif options.robot not in WORLDS:
@@ -138,28 +120,9 @@ def make_parser() -> argparse.ArgumentParser:
     )
     samples.add_argument("--n", type=_count, default=DEFAULT_SAMPLES, help="default %(default)s")
     samples.add_argument(
-        "--epsilon-sigma",
-        type=finite,
-        nargs="+",
-        default=PLAIN,
-        metavar="E",
-        help="raise the encoder's standard deviation by each, in equal shares and in this order: the epsilon "
-        f"schedule of algorithm 3, for example {' '.join(f'{value:g}' for value in PAPER_SCHEDULE)}",
-    )
-    samples.add_argument(
         "--min-confidence", type=finite, help="of the model's validity head (default: the model's own)"
     )
     samples.add_argument("--path-model", action="store_true", help="send start and goal as well")
-    samples.add_argument(
-        "--ordered",
-        action="store_true",
-        help="take the samples along the path through them, from the start on",
-    )
-    samples.add_argument(
-        "--colliding-last",
-        action="store_true",
-        help="check each sample as its turn comes, and take those that collide after all others",
-    )
     whole = parser.add_argument_group("whole plans")
     whole.add_argument(
         "--whole-plan",
@@ -178,7 +141,7 @@ def make_parser() -> argparse.ArgumentParser:
     search.add_argument("--planner", choices=LEARNED_PLANNERS, default=RRT, help="default %(default)s")
     search.add_argument(
         "--uniform-share",
-        type=finite,
+        type=_share,
         default=DEFAULT_UNIFORM_SHARE,
         help="of uniform samples mixed in; default %(default)s",
     )
@@ -213,6 +176,13 @@ def _count(text: str) -> int:
     return value
 
 
+def _share(text: str) -> float:
+    value = float(text)
+    if not 0.0 <= value <= 1.0:
+        raise argparse.ArgumentTypeError(f"{text} is not within 0 to 1")
+    return value
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Parse, draw the problem, ask, solve, print; returns the exit code."""
     try:
@@ -224,13 +194,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 1
         if command.options.whole_plan:
             return _plan_whole(command, problem)
-        comparison = _compare(command, problem)
-        _report(command, partial(report_samples, comparison))
-        _print(command, comparison)
-        _draw(command, comparison)
+        return _compare(command, problem)
     except CspaceError as error:
         return report_error(error, CspaceError)
-    return 0 if comparison.learned.result.solved else 1
 
 
 def _problem(command: Command) -> Problem:
@@ -247,21 +213,30 @@ def _plan_whole(command: Command, problem: Problem) -> int:
     least, limit_s = request.query.min_confidence, settings.time_limit_s
     query = PlanQuery(start, goal, settings.seed, least, limit_s, options.ways, **command.constraints)
     # The search is a part of the request.
-    # The search is a part of the request.
     with SamplingClient(options.api, options.timeout + limit_s) as client:
         whole = ask_for_plan(problem, client, query, request.model)
     _report(command, whole.report)
-    print(json.dumps(as_json(whole), allow_nan=False) if options.json else plan_text(whole))
+    print(json.dumps(plan_json(whole), allow_nan=False) if options.json else plan_text(whole))
     if options.plot is not None:
         title = f"{problem_line(problem)}: {whole.found.status}"
         save_figure(plot_plan(problem, whole.result, None, title), options.plot)
     return 0 if whole.free else 1
 
 
-def _compare(command: Command, problem: Problem) -> Comparison:
+def _compare(command: Command, problem: Problem) -> int:
     options = command.options
     with SamplingClient(options.api, options.timeout) as client:
-        return compare_with_api(problem, client, command.settings, command.request, options.uniform_share)
+        comparison = compare(problem, client, command.settings, command.request, options.uniform_share)
+    _report(command, partial(report_samples, comparison))
+    text = comparison_text(comparison)
+    print(json.dumps(comparison_json(comparison), allow_nan=False) if options.json else text)
+    learned = comparison.learned
+    if options.plot is not None:
+        samples = None if learned.batch is None else learned.batch.samples
+        save_figure(plot_plan(problem, learned.result, samples), options.plot)
+        if not options.json:
+            print(f"\nfigure   {options.plot}")
+    return 0 if learned.result.solved else 1
 
 
 def _report(command: Command, report: Callable[[OutcomeSender], None]) -> None:
@@ -270,25 +245,6 @@ def _report(command: Command, report: Callable[[OutcomeSender], None]) -> None:
             report(sender)
         if not sender.sent:
             print("the API was not told of the outcome", file=sys.stderr)
-
-
-def _print(command: Command, comparison: Comparison) -> None:
-    planner = command.settings.planner
-    if command.options.json:
-        print(json.dumps(comparison_json(comparison, planner), allow_nan=False))
-    else:
-        print(comparison_table(comparison, planner))
-
-
-def _draw(command: Command, comparison: Comparison) -> None:
-    figure = command.options.plot
-    if figure is None:
-        return
-    learned = comparison.learned
-    samples = None if learned.batch is None else learned.batch.samples
-    save_figure(plot_plan(comparison.problem, learned.result, samples), figure)
-    if not command.options.json:
-        print(f"\nfigure   {figure}")
 
 
 if __name__ == "__main__":

@@ -1,164 +1,57 @@
 """Solving a planning problem with OMPL, with learned samples or with OMPL's own uniform ones.
 
-Without learned samples the planner is OMPL's as it stands. With them only the source of the states differs:
-metric, nearest neighbours, step, edge checks and goal test are the same. Single runs of the same seed still
-differ by chance, because the streams of random numbers do. PRM and SampledRRTConnect take uniform states from
-this project's generator in both cases.
+OMPL's binding can not replace a planner's state sampler. RRT and RRT* ask a sampleable goal for states, with
+the goal bias as probability. So with learned samples the goal bias is 1, and learned samples, uniform samples
+and the goal all come from the goal region (``cspace_client.ompl``). Metric, nearest neighbours, step, edge
+checks and goal test stay OMPL's.
 """
 
+import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from ompl import base as ob
+from ompl import geometric as og
+from ompl import util as ou
 
 from cspace.errors import PlanningError
 from cspace.simulator import Checker, Problem
+from cspace.space import JointSpace
 from cspace.worlds import checker_of
 from cspace_client.ompl import (
     DEFAULT_UNIFORM_SHARE,
+    DrawnGoal,
     SampleMixture,
     StateAccess,
     StateDraws,
+    make_state_space,
 )
-from services.planner.ompl_adapters import (
-    CostRecord,
-    EdgeValidator,
-    Roadmap,
-    StoppingRule,
-    copy_tree,
-    free_test,
-    set_up,
+from services.planner.result import (
+    CHECK_FACTOR,
+    CostPoint,
+    Counts,
+    PlanResult,
+    Reason,
+    SearchTree,
+    after,
+    outcome,
 )
-from services.planner.result import CHECK_FACTOR, Counts, PlanResult, Reason, after, outcome
 from services.planner.rrt_connect import connect
 from services.planner.settings import (
-    BIT_STAR,
     LEARNED_PLANNERS,
-    OPTIMISING_PLANNERS,
-    PRM,
     RRT_CONNECT,
+    RRT_STAR,
     SAMPLED_CONNECT,
     PlannerSettings,
-    check_uniform_share,
 )
 
-__all__ = ["DEFAULT_UNIFORM_SHARE", "DrawnMilestones", "solve", "solve_by_roadmap"]
+__all__ = ["DEFAULT_UNIFORM_SHARE", "solve"]
 
-
-class GoalOnly:
-    """Gives the goal; for planners that draw uniform states themselves."""
-
-    def __init__(self, goal: Sequence[float]) -> None:
-        self.goal_drawn = self.learned_drawn = self.uniform_drawn = self.state_checks = 0
-        self._goal = goal
-
-    def draw(self) -> Sequence[float]:
-        """The goal."""
-        self.goal_drawn += 1
-        return self._goal
-
-    def goal_reached(self) -> None:
-        """Nothing changes: OMPL itself stops drawing the goal."""
-
-
-class DrawnMilestones(ob.ValidStateSampler):  # type: ignore[misc]
-    """Gives a PRM its ends and then what a source draws, where that is free.
-
-    Args:
-        information: OMPL's space information.
-        access: to states of the joint space.
-        ends: start and goal, d values in rad each, known to be free.
-        draws: the source.
-        is_free: checks a state.
-        limit: how many may be drawn.
-    """
-
-    def __init__(
-        self,
-        information: Any,
-        access: StateAccess,
-        ends: Sequence[Sequence[float]],
-        draws: StateDraws,
-        is_free: Callable[[Any], bool],
-        limit: int,
-    ) -> None:
-        super().__init__(information)
-        self._access, self._draws, self._is_free, self._limit = access, draws, is_free, limit
-        self._ends = list(ends)
-
-    def sample(self, state: Any) -> bool:
-        """Write the next state; whether it is free."""
-        if self._ends:
-            self._access.write(state, self._ends.pop(0))
-            return True
-        # OMPL asks twice before it asks whether to go on.
-        if sample_count(self._draws) >= self._limit:
-            return False
-        self._access.write(state, self._draws.draw())
-        return self._is_free(state)
-
-
-def sample_count(draws: StateDraws) -> int:
-    """How many states a source gave."""
-    return draws.goal_drawn + draws.learned_drawn + draws.uniform_drawn
-
-
-def solve_by_roadmap(
-    problem: Problem,
-    settings: PlannerSettings,
-    draws: StateDraws,
-    checker: Checker,
-    *,
-    keep_tree: bool = False,
-) -> PlanResult:
-    """Grow a roadmap until it joins start and goal; see :func:`services.planner.ompl_planner.solve`.
-
-    ``PRM.solve`` looks for a solution in a second thread, which waits for the interpreter's lock while
-    the search waits for it: with a termination condition in Python it never ends. So OMPL only grows the
-    roadmap (``growRoadmap``: draw a free state, join it to its ten nearest milestones by free motions),
-    and the condition stops it once start and goal are connected. The rounds of expansion, which depend
-    on the clock, are left out. Start and goal are the first two milestones and no iterations.
-
-    Args:
-        problem: start and goal, both free.
-        settings: of the planner; there is no range and no goal bias.
-        draws: of the states; without a share of the goal.
-        checker: of the scenario.
-        keep_tree: whether the result holds the roadmap.
-    """
-    space = problem.space
-    run = set_up(problem, settings, draws, checker, Roadmap)
-    roadmap, access, is_free = run.edges, run.access, run.states
-    ends = [space.wrap(end).tolist() for end in (problem.start, problem.goal)]
-    # What OMPL keeps must not lead back to it: reference counts see no cycles through C++.
-    run.information.setValidStateSamplerAllocator(
-        lambda information: DrawnMilestones(
-            information, access, ends, draws, is_free, settings.max_iterations
-        )
-    )
-    start, goal = (roadmap.number(np.array(end)) for end in ends)
-    rule = StoppingRule(
-        settings.max_iterations, settings.time_limit_s, sample_count=lambda: sample_count(draws)
-    )
-    began, found = time.perf_counter(), None
-    run.planner.growRoadmapPtc(ob.PlannerTerminationCondition(lambda: roadmap.joined(start, goal) or rule()))
-    if roadmap.joined(start, goal):
-        found = roadmap.shortest_path(space, start, goal)
-    solve_time_s = time.perf_counter() - began
-    counts = Counts(
-        iterations=rule.iterations,
-        edge_checks=roadmap.checks,
-        state_checks=run.state_checks,
-        solve_time_s=solve_time_s,
-        learned_drawn=draws.learned_drawn,
-        uniform_drawn=draws.uniform_drawn,
-    )
-    tree = copy_tree(run) if keep_tree else None
-    return outcome(problem, settings, found, rule.reason or Reason.NO_PATH, counts, tree=tree)
+_ANY_COST = 1e9
 
 
 def solve(
@@ -171,9 +64,9 @@ def solve(
 ) -> PlanResult:
     """Solve one problem; the same arguments give the same result, in any process.
 
-    Where the independent check rejects the path, for it grazes an obstacle between two states that were
-    checked, the search begins again at the check's own resolution, with what is left of its limits. The
-    result counts both searches.
+    Where the independent check rejects the path, because it grazes an obstacle between two checked states,
+    the search begins again at the check's own resolution, with what is left of its limits. The result counts
+    both searches.
 
     OMPL holds the interpreter's lock while it searches and keeps its random seed in the process: one solve at
     a time in a process, no threads.
@@ -188,15 +81,13 @@ def solve(
 
     Raises:
         PlanningError: the samples or the problem do not fit the robot, or the planner takes no samples.
-        ConfigError: the uniform share is out of range.
     """
-    check_uniform_share(uniform_share)
-    checker = checker_of(problem.scenario)
     learned = _fitting(problem, settings, samples)
+    checker = checker_of(problem.scenario)
     for end, reason in ((problem.start, Reason.START_COLLIDES), (problem.goal, Reason.GOAL_COLLIDES)):
         if not checker.valid(end):
             return outcome(problem, settings, None, reason, Counts())
-    result = _once(problem, settings, learned, uniform_share, checker, keep_tree)
+    result = _once(problem, settings, learned, uniform_share, keep_tree)
     iterations = settings.max_iterations - result.iterations
     left_s = settings.time_limit_s - result.solve_time_s
     if result.reason is not Reason.REJECTED or iterations < 1 or left_s <= 0.0:
@@ -207,23 +98,7 @@ def solve(
         max_iterations=iterations,
         time_limit_s=left_s,
     )
-    return after(result, _once(problem, finer, learned, uniform_share, checker, keep_tree))
-
-
-def _once(
-    problem: Problem,
-    settings: PlannerSettings,
-    learned: NDArray[np.float64] | None,
-    uniform_share: float,
-    checker: Checker,
-    keep_tree: bool,
-) -> PlanResult:
-    if settings.planner == SAMPLED_CONNECT:
-        return connect(problem, settings, learned, uniform_share, keep_tree=keep_tree)
-    draws = _draws(problem, settings, learned, uniform_share, checker)
-    if settings.planner == PRM:
-        return solve_by_roadmap(problem, settings, draws, checker, keep_tree=keep_tree)
-    return _search(problem, settings, draws, checker, keep_tree)
+    return after(result, _once(problem, finer, learned, uniform_share, keep_tree))
 
 
 def _fitting(
@@ -249,62 +124,43 @@ def _fitting(
     return rows
 
 
-def _draws(
+def _once(
     problem: Problem,
     settings: PlannerSettings,
     learned: NDArray[np.float64] | None,
     uniform_share: float,
-    checker: Checker,
-) -> StateDraws:
-    space = problem.space
-    goal, goal_bias = space.wrap(problem.goal).tolist(), settings.goal_bias
-    if settings.planner == PRM:
-        # The goal is a milestone from the start, and uniform states come from here as well.
-        goal_bias, learned = 0.0, np.empty((0, space.dim)) if learned is None else learned
-    if learned is None:
-        return GoalOnly(goal)
-    rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(1,)))
-    is_free = free_test(checker) if settings.colliding_last else None
-    return SampleMixture(space, goal, learned, goal_bias, uniform_share, rng, is_free)
-
-
-def _search(
-    problem: Problem,
-    settings: PlannerSettings,
-    draws: StateDraws,
-    checker: Checker,
     keep_tree: bool,
 ) -> PlanResult:
-    validator = Roadmap if keep_tree and settings.planner == BIT_STAR else EdgeValidator
-    run = set_up(problem, settings, draws, checker, validator)
-    rule = StoppingRule(
-        settings.max_iterations,
-        settings.time_limit_s,
-        # BIT* draws in batches and asks before each edge. It checks what it draws, and the start.
-        sample_count=(lambda: max(0, run.states.checks - 1)) if settings.planner == BIT_STAR else None,
-    )
-    record = None
-    if settings.planner in OPTIMISING_PLANNERS:
-        record = CostRecord(rule, lambda: float(run.planner.bestCost().value()), lambda: run.edges.checks)
+    if settings.planner == SAMPLED_CONNECT:
+        return connect(problem, settings, learned, uniform_share, keep_tree=keep_tree)
+    space = problem.space
+    goal = space.wrap(problem.goal).tolist()
+    draws: StateDraws = GoalOnly(goal)
+    if learned is not None:
+        rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(1,)))
+        draws = SampleMixture(space, goal, learned, settings.goal_bias, uniform_share, rng)
+    run = set_up(problem, settings, draws)
+    rule = StoppingRule(settings, run)
     began = time.perf_counter()
-    status = run.planner.solve(ob.PlannerTerminationCondition(record or rule))
+    status = run.planner.solve(ob.PlannerTerminationCondition(rule))
     solve_time_s = time.perf_counter() - began
     found = None
     if status.getStatus() == ob.PlannerStatus.EXACT_SOLUTION:
         found = run.access.rows(run.definition.getSolutionPath().getStates())
-    if record is not None:
-        record.look()
-    tree = None
-    if keep_tree:
-        tree = run.edges.copy() if isinstance(run.edges, Roadmap) else copy_tree(run)
-    mixed = isinstance(draws, SampleMixture)
+    rule.note_cost()
+    uniform = rule.iterations - draws.goal_drawn
+    if learned is not None:
+        uniform = draws.uniform_drawn
+    elif settings.planner == RRT_CONNECT:
+        # It roots a tree in the goal and then draws a uniform state in every iteration.
+        uniform = rule.iterations
     counts = Counts(
         iterations=rule.iterations,
         edge_checks=run.edges.checks,
-        state_checks=run.state_checks,
+        state_checks=run.edges.states + run.states.checks,
         solve_time_s=solve_time_s,
         learned_drawn=draws.learned_drawn,
-        uniform_drawn=draws.uniform_drawn if mixed else _ompl_samples(settings, rule.iterations, draws),
+        uniform_drawn=uniform,
     )
     return outcome(
         problem,
@@ -312,11 +168,199 @@ def _search(
         found,
         rule.reason or Reason.NO_PATH,
         counts,
-        tree=tree,
-        costs=tuple(record.points) if record is not None else (),
+        tree=copy_tree(run) if keep_tree else None,
+        costs=tuple(rule.costs),
     )
 
 
-def _ompl_samples(settings: PlannerSettings, iterations: int, draws: StateDraws) -> int:
-    # RRTConnect roots a tree in the goal and then draws a uniform state in every iteration.
-    return iterations if settings.planner == RRT_CONNECT else iterations - draws.goal_drawn
+class GoalOnly:
+    """Gives the goal; for planners that draw uniform states themselves."""
+
+    def __init__(self, goal: Sequence[float]) -> None:
+        self.goal_drawn = self.learned_drawn = self.uniform_drawn = self.state_checks = 0
+        self._goal = goal
+
+    def draw(self) -> Sequence[float]:
+        """The goal."""
+        self.goal_drawn += 1
+        return self._goal
+
+    def goal_reached(self) -> None:
+        """Nothing changes: OMPL itself stops drawing the goal."""
+
+
+class EdgeValidator(ob.MotionValidator):  # type: ignore[misc]
+    """Checks the straight wrapped segment between two states and counts the edges and their states."""
+
+    def __init__(self, information: Any, checker: Checker, resolution_rad: float) -> None:
+        super().__init__(information)
+        self.checks = self.states = 0
+        self._access = StateAccess(checker.space)
+        self._from, self._to = np.zeros(checker.space.dim), np.zeros(checker.space.dim)
+        self._test = checker.edge_test(resolution_rad)
+
+    def checkMotion(self, start: Any, end: Any) -> bool:  # noqa: N802 - OMPL's name
+        """Whether the motion is free, both ends included."""
+        self.checks += 1
+        self._access.read(start, self._from)
+        self._access.read(end, self._to)
+        free, states = self._test(self._from, self._to)
+        self.states += states
+        return bool(free)
+
+
+class StateValidator:
+    """Checks one state and counts the checks."""
+
+    def __init__(self, checker: Checker) -> None:
+        self.checks = 0
+        self._access = StateAccess(checker.space)
+        self._buffer = np.zeros(checker.space.dim)
+        self._test = checker.state_test()
+
+    def __call__(self, state: Any) -> bool:
+        """Whether the state is free."""
+        self.checks += 1
+        self._access.read(state, self._buffer)
+        return self._test(self._buffer)
+
+
+class TorusLength(ob.OptimizationObjective):  # type: ignore[misc]
+    """Length (L2) of the straight wrapped segment between two states, rad.
+
+    OMPL's own path length adds up the joints (L1), so that many paths of different L2 length are equal to it:
+    in an open scene RRT* with it ended 8 % above the shortest path. An objective in Python costs 1 to 2 us an
+    edge, four to six times an iteration of RRT* with OMPL's own.
+    """
+
+    def __init__(self, information: Any, space: JointSpace) -> None:
+        super().__init__(information)
+        self._circles = [joint for joint in range(space.dim) if space.periodic[joint]]
+        self._intervals = [joint for joint in range(space.dim) if not space.periodic[joint]]
+
+    def stateCost(self, state: Any) -> Any:  # noqa: N802, ARG002 - OMPL's name and argument
+        """Nothing: a state has no length."""
+        return ob.Cost(0.0)
+
+    def motionCost(self, start: Any, end: Any) -> Any:  # noqa: N802
+        """The segment's length."""
+        total = 0.0
+        for joint in self._circles:
+            gap = abs(start[joint].value - end[joint].value)
+            if gap > math.pi:
+                gap = math.tau - gap
+            total += gap * gap
+        for joint in self._intervals:
+            total += (start[joint][0] - end[joint][0]) ** 2
+        return ob.Cost(math.sqrt(total))
+
+
+@dataclass(frozen=True, slots=True)
+class OmplSearch:
+    """The OMPL objects of one search; none of them outlives it."""
+
+    planner: Any
+    definition: Any
+    information: Any
+    edges: EdgeValidator
+    states: StateValidator
+    access: StateAccess
+
+
+class StoppingRule:
+    """Asked by OMPL before each iteration: counts iterations, ends the search, notes shorter paths of RRT*.
+
+    Args:
+        settings: with the limits.
+        run: the search.
+        clock: the time in s.
+    """
+
+    def __init__(
+        self, settings: PlannerSettings, run: OmplSearch, clock: Callable[[], float] = time.perf_counter
+    ) -> None:
+        self.iterations = 0
+        self.reason: Reason | None = None
+        self.costs: list[CostPoint] = []
+        self._settings, self._run, self._clock, self._began = settings, run, clock, clock()
+        self._optimising = settings.planner == RRT_STAR
+        self._best = math.inf
+
+    def __call__(self) -> bool:
+        """Whether the search has to end now."""
+        self.note_cost()
+        if self.reason is None:
+            if self.iterations >= self._settings.max_iterations:
+                self.reason = Reason.ITERATION_LIMIT
+            elif self._clock() - self._began >= self._settings.time_limit_s:
+                self.reason = Reason.TIME_LIMIT
+            else:
+                self.iterations += 1
+        return self.reason is not None
+
+    def note_cost(self) -> None:
+        """Notes the best path if it is new; OMPL's binding tells no Python function of a new solution."""
+        if not self._optimising:
+            return
+        cost = float(self._run.planner.bestCost().value())
+        if cost < self._best:
+            self._best = cost
+            elapsed_s = self._clock() - self._began
+            self.costs.append(CostPoint(self.iterations, self._run.edges.checks, elapsed_s, cost))
+
+
+def set_up(problem: Problem, settings: PlannerSettings, draws: StateDraws) -> OmplSearch:
+    """Everything that a search needs, seeded.
+
+    Args:
+        problem: start and goal in a scenario.
+        settings: of the planner.
+        draws: where the goal takes its states from; a mixture replaces OMPL's uniform sampler altogether.
+    """
+    # OMPL calls a second seed in a process an error, yet takes it for all generators made from then on.
+    ou.setLogLevel(ou.LOG_NONE)
+    ou.RNG.setSeed(_ompl_seed(settings.seed))
+    space, checker = problem.space, checker_of(problem.scenario)
+    access = StateAccess(space)
+    information = ob.SpaceInformation(make_state_space(space))
+    edges = EdgeValidator(information, checker, settings.resolution_rad)
+    states = StateValidator(checker)
+    information.setStateValidityChecker(states)
+    information.setMotionValidator(edges)
+    information.setup()
+    definition = ob.ProblemDefinition(information)
+    start = information.allocState()
+    access.write(start, space.wrap(problem.start).tolist())
+    definition.addStartState(start)
+    mixed = isinstance(draws, SampleMixture)
+    goal = space.wrap(problem.goal).tolist()
+    definition.setGoal(DrawnGoal(information, goal, draws, unlimited=mixed))
+    if settings.planner == RRT_STAR:
+        # The wrapper spares OMPL a look for Python's versions of all other methods of an objective.
+        objective = ob.MultiOptimizationObjective(information)
+        objective.addObjective(TorusLength(information, space), 1.0)
+        if settings.stop_at_first:
+            objective.setCostThreshold(ob.Cost(_ANY_COST))
+        definition.setOptimizationObjective(objective)
+    planner = getattr(og, settings.planner)(information)
+    planner.setRange(settings.range_rad)
+    if settings.planner != RRT_CONNECT:
+        planner.setGoalBias(1.0 if mixed else settings.goal_bias)
+    planner.setProblemDefinition(definition)
+    planner.setup()
+    return OmplSearch(planner, definition, information, edges, states, access)
+
+
+def _ompl_seed(seed: int) -> int:
+    """OMPL takes no zero, and neighbouring seeds should not be neighbours in its generator."""
+    return int(np.random.SeedSequence(seed).generate_state(1)[0] % (2**31 - 1)) + 1
+
+
+def copy_tree(run: OmplSearch) -> SearchTree:
+    """The planner's tree as arrays that outlive it."""
+    data = ob.PlannerData(run.information)
+    run.planner.getPlannerData(data)
+    count = data.numVertices()
+    vertices = run.access.rows([data.getVertex(index).getState() for index in range(count)])
+    edges = [(index, child) for index in range(count) for child in data.getEdges(index)]
+    return SearchTree(vertices, np.array(edges, dtype=np.intp).reshape(-1, 2))

@@ -43,17 +43,8 @@ def wrapped_segments(
 ) -> NDArray[np.float64]:
     """Segments in the plane of two joints, with a shifted copy of each one that crosses a seam.
 
-    Every copy is a straight line of the true length; what lies outside the joints' ranges is for the axes to
-    clip.
-
-    Args:
-        space: the joint space.
-        starts: (N, d) rad.
-        ends: (N, d) rad.
-        joints: which two make the plane.
-
-    Returns:
-        (M, 2, 2): M lines, two ends, two joints, rad.
+    Starts and ends are (N, d) rad; the result is (M, 2, 2): M lines, two ends, two joints. The axes clip what
+    lies outside the joints' ranges.
     """
     plane = list(joints)
     first = space.wrap(starts)[:, plane]
@@ -80,15 +71,7 @@ def plot_configurations(
     samples: NDArray[np.float32] | None,
     joints: tuple[int, int],
 ) -> None:
-    """Draw one plane of the configuration space.
-
-    Args:
-        axes: of matplotlib.
-        problem: scenario, start and goal.
-        result: path and, where it was kept, tree.
-        samples: (n, d) learned samples in rad, or None.
-        joints: which two make the plane.
-    """
+    """Plots obstacles, tree, samples (n, d), path, start and goal in the plane of two joints."""
     space, plane = problem.space, list(joints)
     extent = [v for joint in joints for v in (space.lower[joint], space.upper[joint])]
     share = collision_share(problem, joints, CELLS if space.dim == 2 else CELLS_AVERAGED)
@@ -97,13 +80,13 @@ def plot_configurations(
     )
     if result.tree is not None and len(result.tree.edges):
         ends = result.tree.vertices[result.tree.edges]
-        _draw_lines(axes, wrapped_segments(space, ends[:, 0], ends[:, 1], joints), TREE, 0.9, 1)
+        _plot_lines(axes, wrapped_segments(space, ends[:, 0], ends[:, 1], joints), TREE, 0.9, 1)
     if samples is not None and len(samples):
         axes.scatter(*samples[:, plane].T, s=7, color=LEARNED, linewidths=0, alpha=0.75, zorder=2)
     if len(result.path) > 1:
         lines = wrapped_segments(space, result.path[:-1], result.path[1:], joints)
-        _draw_lines(axes, lines, "white", 4.2, 3)
-        _draw_lines(axes, lines, PATH, 2.4, 4)
+        _plot_lines(axes, lines, "white", 4.2, 3)
+        _plot_lines(axes, lines, PATH, 2.4, 4)
     for configuration, colour, marker in (
         (problem.start, START, "o"),
         (problem.goal, GOAL, "D"),
@@ -116,8 +99,7 @@ def plot_configurations(
 def collision_share(problem: Problem, joints: tuple[int, int], cells: int) -> NDArray[np.float64]:
     """Share of colliding configurations behind each point of a plane, (cells, cells): second joint by rows.
 
-    0 or 1 for a robot of two joints; for more, over one fixed set of draws of the joints that the plane does
-    not show.
+    For more than two joints it is over fixed draws of the joints that the plane does not show.
     """
     space = problem.space
     checker = checker_of(problem.scenario)
@@ -134,7 +116,7 @@ def collision_share(problem: Problem, joints: tuple[int, int], cells: int) -> ND
     return (total / len(hidden)).reshape(cells, cells)
 
 
-def _draw_lines(axes: Any, lines: NDArray[np.float64], colour: str, width: float, order: int) -> None:
+def _plot_lines(axes: Any, lines: NDArray[np.float64], colour: str, width: float, order: int) -> None:
     axes.add_collection(
         LineCollection(list(lines), colors=colour, linewidths=width, capstyle="round", zorder=order),
         autolim=False,
@@ -156,13 +138,7 @@ _TRACE_POINTS = 400
 
 
 def plot_workspace(axes: Any, problem: Problem, path: NDArray[np.float64]) -> None:
-    """Draw a problem's workspace and, where there is one, the sweep of a path.
-
-    Args:
-        axes: of matplotlib.
-        problem: scenario, start and goal.
-        path: (k, d) rad; (0, d) for none.
-    """
+    """Plots a problem's workspace and, unless it is empty, the sweep of a path (k, d) rad."""
     simulator = simulator_of(problem.scenario.world)
     simulator.draw_scene(axes, problem.scenario, OBSTACLE)
     if len(path) > 1:
@@ -202,14 +178,7 @@ def plot_plan(
     samples: NDArray[np.float32] | None = None,
     title: str | None = None,
 ) -> Figure:
-    """The workspace and up to two planes of the configuration space, side by side.
-
-    Args:
-        problem: that was solved.
-        result: of the planner; its tree is drawn where it was kept.
-        samples: (n, d) learned samples in rad, or None.
-        title: over the panels; None for the outcome in words.
-    """
+    """The workspace and up to two planes of the configuration space; the default title is the outcome."""
     dim = problem.space.dim
     planes = [(joint, joint + 1) for joint in range(min(dim - 1, 2))]
     with rc_context(_STYLE):
@@ -233,12 +202,7 @@ def outcome_title(problem: Problem, result: PlanResult) -> str:
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure; the format is the file name's suffix.
-
-    Raises:
-        ConfigError: the suffix names no format.
-        StorageError: the file can not be written.
-    """
+    """Write a figure in the format of the file name's suffix."""
     check_figure_path(path)
     try:
         figure.savefig(path)
@@ -249,11 +213,7 @@ def save_figure(figure: Figure, path: Path) -> None:
 
 
 def check_figure_path(path: Path) -> None:
-    """Whether a figure could be written there, before it costs anything to find out.
-
-    Raises:
-        ConfigError: the suffix names no format, or the folder does not exist.
-    """
+    """Raises ConfigError where the suffix names no format or the folder does not exist."""
     if path.suffix.lower().removeprefix(".") not in FORMATS:
         raise ConfigError(
             "the figure's format is unknown",

@@ -1,11 +1,12 @@
-"""The outcome of a comparison, or of the API's own plan, as text and as JSON, and reported to the API."""
+"""What came of a problem, as text, JSON and a report to the API: a comparison, or the API's own plan."""
 
 import math
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+from tabulate import tabulate
 
 from cspace.planning.paths import spaced
 from cspace.query import PlanQuery
@@ -13,40 +14,82 @@ from cspace.simulator import OWN, Problem
 from cspace.worlds import checker_of, picture_file_of, simulator_of
 from cspace_client import OutcomeSender, PictureWarning
 from services.planner.client import FoundPlan, SamplingClient
-from services.planner.planning import Comparison
-from services.planner.result import PlanResult, Reason
+from services.planner.ompl_planner import DEFAULT_UNIFORM_SHARE, solve
+from services.planner.planning import SampledPlan, SampleRequest, plan
+from services.planner.result import CHECK_FACTOR, PlanResult, Reason
+from services.planner.samples import SampleSource
+from services.planner.settings import RRT_CONNECT, PlannerSettings
 
 _HEADINGS = (
     "planner", "outcome", "iterations", "edges", "states", "learned", "uniform", "length rad", "time ms",
 )  # fmt: skip
 
 
-def comparison_table(comparison: Comparison, planner: str) -> str:
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """One problem solved under one seed with learned samples, with uniform ones, and by OMPL's RRTConnect."""
+
+    problem: Problem
+    planner: str
+    learned: SampledPlan
+    uniform: PlanResult
+    connect: PlanResult
+
+    @property
+    def results(self) -> dict[str, PlanResult]:
+        """The runs by name, the one with the source's samples first."""
+        first = "learned" if self.learned.batch is not None else "no samples"
+        return {
+            f"{self.planner}, {first}": self.learned.result,
+            f"{self.planner}, uniform": self.uniform,
+            "RRTConnect, uniform": self.connect,
+        }
+
+
+def compare(
+    problem: Problem,
+    source: SampleSource,
+    settings: PlannerSettings,
+    request: SampleRequest | None = None,
+    uniform_share: float = DEFAULT_UNIFORM_SHARE,
+) -> Comparison:
+    """Solves the problem in all three ways and keeps the trees.
+
+    Raises:
+        SamplerError: the source refused the request.
+    """
+    learned = plan(problem, source, settings, request, uniform_share, keep_tree=True)
+    uniform = solve(problem, settings, keep_tree=True)
+    connect = solve(problem, replace(settings, planner=RRT_CONNECT), keep_tree=True)
+    return Comparison(problem, settings.planner, learned, uniform, connect)
+
+
+def comparison_text(comparison: Comparison) -> str:
     """Problem, samples and one line for each run."""
-    cells = [
-        _HEADINGS,
-        *(_row(name, result) for name, result in named_results(comparison, planner)),
-    ]
-    widths = [max(len(row[column]) for row in cells) for column in range(len(_HEADINGS))]
-    # Words to the left, numbers to the right.
-    lines = [
-        "  ".join(
-            cell.ljust(width) if column < 2 else cell.rjust(width)
-            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in cells
-    ]
     batch = comparison.learned.batch
-    head = [f"problem  {problem_line(comparison.problem)}", f"samples  {_samples_line(comparison)}"]
-    return "\n".join([*head, *warning_lines(() if batch is None else batch.warnings), "", *lines])
+    samples = f"none, going on with uniform samples: {comparison.learned.unavailable}"
+    if batch is not None:
+        dropped = f" ({batch.shortfall} too few)" if batch.shortfall else ""
+        new = "" if batch.novelty is None else f", novelty {batch.novelty:.2f}"
+        samples = (
+            f"{len(batch.samples)}{dropped} from {batch.model_name}/{batch.model_version} "
+            f"(digest {batch.digest[:12]}, seed {batch.seed}) in {1e3 * batch.round_trip_s:.1f} ms{new}"
+        )
+    rows = [
+        (
+            name, str(result.reason), result.iterations, result.edge_checks, result.state_checks,
+            result.learned_drawn, result.uniform_drawn,
+            f"{result.length_rad:.2f}" if result.solved else "-", f"{1e3 * result.solve_time_s:.2f}",
+        )
+        for name, result in comparison.results.items()
+    ]  # fmt: skip
+    align = ("left", "left", *["right"] * 7)
+    table = tabulate(rows, _HEADINGS, tablefmt="plain", disable_numparse=True, colalign=align)
+    head = [f"problem  {problem_line(comparison.problem)}", f"samples  {samples}"]
+    return "\n".join([*head, *warning_lines(() if batch is None else batch.warnings), "", table])
 
 
-def warning_lines(warnings: Iterable[PictureWarning]) -> list[str]:
-    """What is wrong, or may be, with a problem's pictures, a line each."""
-    return [f"warning  {one.code}: {one.message}" for one in warnings]
-
-
-def comparison_json(comparison: Comparison, planner: str) -> dict[str, Any]:
+def comparison_json(comparison: Comparison) -> dict[str, Any]:
     """The same as plain values; a number that does not exist is null."""
     problem, batch = comparison.problem, comparison.learned.batch
     samples = None
@@ -72,8 +115,19 @@ def comparison_json(comparison: Comparison, planner: str) -> dict[str, Any]:
         },
         "samples": samples,
         "sampler_unavailable": comparison.learned.unavailable,
-        "runs": {name: _run(result) for name, result in named_results(comparison, planner)},
+        "runs": {name: _run(result) for name, result in comparison.results.items()},
     }
+
+
+def _run(result: PlanResult) -> dict[str, Any]:
+    values = asdict(replace(result, tree=None))
+    del values["tree"]
+    numbers = {name: _number(values[name]) for name in ("resolution_rad", "length_rad")}
+    return values | numbers | {"reason": str(result.reason), "path": result.path.tolist()}
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None
 
 
 def report_samples(comparison: Comparison, sender: OutcomeSender) -> None:
@@ -84,16 +138,6 @@ def report_samples(comparison: Comparison, sender: OutcomeSender) -> None:
         sender.samples(batch, checked=len(batch.samples), free=int(free))
 
 
-def named_results(comparison: Comparison, planner: str) -> list[tuple[str, PlanResult]]:
-    """The runs of a comparison by name, the one with the API's samples first."""
-    first = "learned" if comparison.learned.batch is not None else "no samples"
-    return [
-        (f"{planner}, {first}", comparison.learned.result),
-        (f"{planner}, uniform", comparison.uniform),
-        ("RRTConnect, uniform", comparison.connect),
-    ]
-
-
 def problem_line(problem: Problem) -> str:
     """A problem in a few words."""
     if problem.family == OWN:
@@ -102,65 +146,19 @@ def problem_line(problem: Problem) -> str:
     return ", ".join(filter(None, words))
 
 
-def _samples_line(comparison: Comparison) -> str:
-    batch = comparison.learned.batch
-    if batch is None:
-        return f"none, going on with uniform samples: {comparison.learned.unavailable}"
-    dropped = f" ({batch.shortfall} too few)" if batch.shortfall else ""
-    new = "" if batch.novelty is None else f", novelty {batch.novelty:.2f}"
-    return (
-        f"{len(batch.samples)}{dropped} from {batch.model_name}/{batch.model_version} "
-        f"(digest {batch.digest[:12]}, seed {batch.seed}) in {1e3 * batch.round_trip_s:.1f} ms{new}"
-    )
-
-
-def _row(name: str, result: PlanResult) -> tuple[str, ...]:
-    return (
-        name,
-        str(result.reason),
-        str(result.iterations),
-        str(result.edge_checks),
-        str(result.state_checks),
-        str(result.learned_drawn),
-        str(result.uniform_drawn),
-        f"{result.length_rad:.2f}" if result.solved else "-",
-        f"{1e3 * result.solve_time_s:.2f}",
-    )
-
-
-def _run(result: PlanResult) -> dict[str, Any]:
-    return {
-        "solved": result.solved,
-        "reason": str(result.reason),
-        "iterations": result.iterations,
-        "edge_checks": result.edge_checks,
-        "state_checks": result.state_checks,
-        "resolution_rad": _number(result.resolution_rad),
-        "learned_drawn": result.learned_drawn,
-        "uniform_drawn": result.uniform_drawn,
-        "length_rad": _number(result.length_rad),
-        "solve_time_s": result.solve_time_s,
-        "costs": [asdict(point) for point in result.costs],
-        "path": result.path.tolist(),
-    }
-
-
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
-# Paths are checked at a tenth of the resolution of the planners.
-_FINER = 0.1
+def warning_lines(warnings: Iterable[PictureWarning]) -> list[str]:
+    """What is wrong, or may be, with a problem's pictures, a line each."""
+    return [f"warning  {one.code}: {one.message}" for one in warnings]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WholePlan:
-    """What came of it.
+    """The API's plan for a problem, checked against the true scene.
 
     Args:
         problem: that was asked about.
         found: the API's answer.
-        clearance_m: least of all states along the path, in the scene as it is; NaN without a path.
+        clearance_m: least of all states along the path, in the true scene; NaN without a path.
     """
 
     problem: Problem
@@ -184,7 +182,7 @@ class WholePlan:
 
     @property
     def result(self) -> PlanResult:
-        """As planners return it, for drawings."""
+        """As planners return it, for plots."""
         plan = self.found
         return PlanResult(
             solved=len(plan.path) > 0,
@@ -200,20 +198,14 @@ def ask_for_plan(
 ) -> WholePlan:
     """Requests a plan and checks its path against the true scene.
 
-    Args:
-        problem: start and goal in a scene.
-        client: of the API.
-        query: with the problem's start and goal.
-        model: as the client has it.
-
     Raises:
         SamplerError: as the client has it.
     """
     found = client.plan(picture_file_of(problem.scenario), query, model)
     clearance_m = math.nan
     if len(found.path):
-        measures = simulator_of(problem.scenario.world).measures
-        states = spaced(found.path, problem.space, _FINER * measures.resolution_rad)
+        step_rad = simulator_of(problem.scenario.world).measures.resolution_rad / CHECK_FACTOR
+        states = spaced(found.path, problem.space, step_rad)
         clearance_m = float(np.min(checker_of(problem.scenario).clearance(states)))
     return WholePlan(problem, found, clearance_m)
 
@@ -221,10 +213,8 @@ def ask_for_plan(
 def plan_text(whole: WholePlan) -> str:
     """The outcome in words; the last line is the ground truth."""
     plan, model = whole.found, whole.found.model
-    times = (
-        f"{1e3 * plan.round_trip_s:.0f} ms: search {plan.timing_ms.search:.0f}, "
-        f"scoring {plan.timing_ms.score:.0f}"
-    )
+    parts = f"search {plan.timing_ms.search:.0f}, scoring {plan.timing_ms.score:.0f}"
+    times = f"{1e3 * plan.round_trip_s:.0f} ms: {parts}"
     lines = [
         f"problem  {problem_line(whole.problem)}",
         f"plan     {plan.status} by {model.name}/{model.version} in {times}",
@@ -245,7 +235,7 @@ def plan_text(whole: WholePlan) -> str:
     return "\n".join(lines)
 
 
-def as_json(whole: WholePlan) -> dict[str, Any]:
+def plan_json(whole: WholePlan) -> dict[str, Any]:
     """The same as plain values."""
     plan = whole.found
     return {

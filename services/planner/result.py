@@ -12,9 +12,13 @@ from cspace.simulator import Problem
 from cspace.worlds import checker_of
 from services.planner.settings import PlannerSettings
 
+GOAL_TOLERANCE_RAD = 1e-6
+# Paths are checked at the planner's resolution divided by this.
+CHECK_FACTOR = 10.0
+
 
 class Reason(StrEnum):
-    """Why a search ended, in words."""
+    """Why a search ended."""
 
     SOLVED = "solved"
     START_COLLIDES = "the start is not a free configuration"
@@ -28,14 +32,7 @@ class Reason(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SearchTree:
-    """The tree when the search ended: two for RRTConnect, PRM's roadmap without lone vertices.
-
-    For BIT* all motions that it found free, of which its tree is a part.
-
-    Args:
-        vertices: (V, d) rad.
-        edges: (E, 2) indices into the vertices.
-    """
+    """The tree when the search ended, two for RRT-Connect: (V, d) rad, and (E, 2) indices of vertices."""
 
     vertices: NDArray[np.float64]
     edges: NDArray[np.intp]
@@ -43,14 +40,7 @@ class SearchTree:
 
 @dataclass(frozen=True, slots=True)
 class CostPoint:
-    """A path of an optimising planner that was shorter than all before.
-
-    Args:
-        iterations: states that the planner had drawn.
-        edge_checks: motions that it had had checked.
-        time_s: since the search began.
-        length_rad: torus length (L2) of the path, which was checked at the planner's resolution only.
-    """
+    """A path of RRT* that was shorter than all before; its torus length (L2) and what it took until then."""
 
     iterations: int
     edge_checks: int
@@ -63,10 +53,9 @@ class Counts:
     """What a search took.
 
     Args:
-        iterations: states that the planner drew, free or not, the goal among them; for PRM without the goal,
-            which it holds from the start. InformedRRT* counts those that its sampler gave up as well.
+        iterations: states that the planner drew, free or not, the goal among them.
         edge_checks: motions that the planner had checked.
-        state_checks: states that were looked at, within motions and alone.
+        state_checks: states that were checked, within motions and alone.
         solve_time_s: wall time of the search alone.
         learned_drawn: how many of the drawn states came from the batch of learned samples.
         uniform_drawn: how many were uniform.
@@ -82,17 +71,17 @@ class Counts:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PlanResult(Counts):
-    """One run of a planner, with what it took.
+    """One run of a planner.
 
     Args:
-        solved: a path from the start to within 1e-6 rad of the goal passed the check at ten times the
+        solved: a path from the start to within 1e-6 rad of the goal passed the check at a tenth of the
             resolution.
         path: (k, d) rad; (0, d) unless solved.
         length_rad: torus length (L2) of the path; nan unless solved.
         reason: why the search ended.
         tree: the search tree, where it was asked for.
         resolution_rad: largest distance between checked states of a motion in any joint.
-        costs: how the length fell, from the first solution on; empty unless solved by an optimising planner.
+        costs: how the length fell, from the first solution on; of RRT* only.
     """
 
     solved: bool
@@ -104,25 +93,15 @@ class PlanResult(Counts):
     costs: tuple[CostPoint, ...] = ()
 
 
-GOAL_TOLERANCE_RAD = 1e-6
-CHECK_FACTOR = 10.0
-
-
 def check_path(problem: Problem, path: NDArray[np.float64], resolution_rad: float) -> Reason:
-    """Whether a path leads from start to goal and is free at ten times the resolution.
-
-    Args:
-        problem: start, goal and scenario.
-        path: (k, d) rad.
-        resolution_rad: the planner's.
+    """Whether a path (k, d) rad leads from start to goal and is free at a tenth of the planner's resolution.
 
     Returns:
         ``Reason.SOLVED``, or what is wrong.
     """
-    space = problem.space
     if len(path) < 2:
         return Reason.WRONG_ENDS
-    ends = space.distance(path[[0, -1]], np.stack([problem.start, problem.goal]))
+    ends = problem.space.distance(path[[0, -1]], np.stack([problem.start, problem.goal]))
     if not np.all(ends <= GOAL_TOLERANCE_RAD):
         return Reason.WRONG_ENDS
     checker = checker_of(problem.scenario)
@@ -140,17 +119,7 @@ def outcome(
     tree: SearchTree | None = None,
     costs: tuple[CostPoint, ...] = (),
 ) -> PlanResult:
-    """The result of a search.
-
-    Args:
-        problem: that was to be solved.
-        settings: of the planner.
-        found: (k, d) rad, the path that the planner returned; None if it found none.
-        reason: why the search ended, for the case that there is no path.
-        counts: what it took.
-        tree: the search tree, where it was asked for.
-        costs: how the length fell.
-    """
+    """The result of a search: ``found`` is the planner's path, ``reason`` holds where it is None."""
     path = np.empty((0, problem.space.dim))
     if found is not None:
         reason = check_path(problem, found, settings.resolution_rad)
@@ -170,13 +139,13 @@ def outcome(
 
 
 def after(first: PlanResult, second: PlanResult) -> PlanResult:
-    """The second search's result, with what both of them took."""
+    """The second search's result, with what both searches took."""
     costs = tuple(
-        replace(
-            point,
-            iterations=point.iterations + first.iterations,
-            edge_checks=point.edge_checks + first.edge_checks,
-            time_s=point.time_s + first.solve_time_s,
+        CostPoint(
+            point.iterations + first.iterations,
+            point.edge_checks + first.edge_checks,
+            point.time_s + first.solve_time_s,
+            point.length_rad,
         )
         for point in second.costs
     )

@@ -31,17 +31,11 @@ class SampleSource(Protocol):
         return False
 
     def answer(self, picture: Picture, query: SampleQuery, model: str | None = None) -> SampleBatch:
-        """One batch of at most ``query.n`` samples.
-
-        Args:
-            picture: of the scenario.
-            query: what is asked; its ``n`` is at most ``MAX_SAMPLES``.
-            model: ``name``, ``name@alias``, ``name/version`` or ``pretrained``; None for the default.
+        """One batch of at most ``query.n`` samples; the model is a reference, None for the default.
 
         Raises:
             SamplerUnavailableError: the source does not answer or has no model ready.
-            SamplerError: it refused the request; of this kind, SamplerAnswerError: its answer can not be
-                used.
+            SamplerError: it refused the request, or its answer can not be used.
         """
         ...
 
@@ -54,13 +48,10 @@ class SampleSource(Protocol):
         model: str | None = None,
         **options: Unpack[QueryOptions],
     ) -> SampleBatch:
-        """:meth:`answer` to the query of these arguments, which :class:`cspace.query.SampleQuery` tells of.
-
-        Without a seed one is drawn here.
+        """:meth:`answer` to the query of these arguments; None draws a seed.
 
         Raises:
-            SamplerUnavailableError: as :meth:`answer` has it.
-            SamplerError: likewise, or a value is out of its range.
+            SamplerError: as :meth:`answer` has it, or a value is out of its range.
         """
         try:
             query = SampleQuery.checked(n, random_seed(seed), **options)
@@ -73,13 +64,9 @@ PRETRAINED = "pretrained"
 
 
 class BundleSampler(SampleSource):
-    """Answers from a loaded bundle as the inference API would; safe to share between threads.
+    """Answers from a loaded bundle as the inference API would, under a name and version; thread-safe.
 
-    Args:
-        bundle: that answers.
-        name: under which it answers, and the one ``model`` beside None that it accepts.
-        version: its number in the registry.
-        robot: that is planned for, where a query names none, as the clients have it.
+    ``robot`` is the one that is planned for where a query names none.
     """
 
     def __init__(
@@ -94,11 +81,7 @@ class BundleSampler(SampleSource):
         return bool(self.bundle.spec.endpoints)
 
     def answer(self, picture: Picture, query: SampleQuery, model: str | None = None) -> SampleBatch:
-        """See :class:`services.planner.samples.SampleSource`.
-
-        Raises:
-            SamplerError: the request does not fit the bundle.
-        """
+        """One batch; raises SamplerError where the request does not fit the bundle."""
         if query.robot is None:
             query = replace(query, robot=self._robot)
         known = (None, self._name, f"{self._name}/{self._version}")
@@ -140,12 +123,6 @@ class BundleSampler(SampleSource):
 
 class LocalSampler(BundleSampler):
     """Answers from a bundle's folder, which a worker process verifies first.
-
-    Args:
-        bundle_folder: a bundle.
-        name: as :class:`BundleSampler` has it.
-        version: likewise.
-        robot: likewise.
 
     Raises:
         SamplerUnavailableError: the bundle can not be used.

@@ -2,9 +2,9 @@
 
 from collections.abc import Iterator, Sequence
 
-from services.evaluator.benchmark.arms import Setting, Unit
-from services.evaluator.benchmark.execution import run_unit
+from services.evaluator.benchmark.job import run_unit
 from services.evaluator.benchmark.sources import SourceSpec
+from services.evaluator.benchmark.variants import Setting, Unit
 
 
 def run_here(work: Sequence[Unit], setting: Setting, specs: Sequence[SourceSpec]) -> Iterator[list[dict]]:

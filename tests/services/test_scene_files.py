@@ -16,7 +16,7 @@ from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.scenes import DiscScenes, GivenScenes
 from cspace.worlds.planar.world import Disc, PlanarWorld, Scenario
 from services.planner.__main__ import main
-from services.planner.planning import SampleRequest, plan_scene, plan_with_api
+from services.planner.planning import SampleRequest, plan, plan_scene
 from services.planner.samples import SampleBatch
 from services.planner.settings import PlannerSettings
 from services.scene_files import given_scenes, read_scene_file, schema
@@ -210,17 +210,17 @@ def test_a_scene_file_s_robot_has_its_own_model_and_goes_without_where_there_is_
     request = SampleRequest(SampleQuery(3, 0)).of_robot(scene.world, scene.name)
     assert (request.model, request.or_uniform) == ("bench-arm-sampler", True)
     there, away = _Source("bench-arm-sampler"), _Source("cspace-sampler")
-    assert plan_with_api(scene.problem(), there, PlannerSettings(), request).batch is not None
-    plan = plan_with_api(scene.problem(), away, PlannerSettings(), request)
-    assert plan.unavailable == "there is no bench-arm-sampler yet"
-    assert plan.result.solved
+    assert plan(scene.problem(), there, PlannerSettings(), request).batch is not None
+    found = plan(scene.problem(), away, PlannerSettings(), request)
+    assert found.unavailable == "there is no bench-arm-sampler yet"
+    assert found.result.solved
 
 
 def test_a_model_that_the_user_names_has_to_be_there(write):
     scene = read_scene_file(write(WHOLE))
     request = SampleRequest(SampleQuery(3, 0), "bench-sampler").of_robot(scene.world, scene.name)
     with pytest.raises(SamplerModelError):
-        plan_with_api(scene.problem(), _Source("bench-arm-sampler"), PlannerSettings(), request)
+        plan(scene.problem(), _Source("bench-arm-sampler"), PlannerSettings(), request)
 
 
 def test_the_default_robot_s_model_is_left_to_the_api(write):

@@ -17,7 +17,7 @@ from cspace.worlds.planar.arm import THREE_LINK, JointLimits, PlanarArm
 from cspace.worlds.planar.problems import Family, draw_problem
 from inference_api.settings import PRETRAINED_FOLDER
 from services.planner.client import SamplingClient
-from services.planner.planning import SampleRequest, plan_with_api
+from services.planner.planning import SampleRequest, plan
 from services.planner.samples import LocalSampler
 from services.planner.settings import PlannerSettings
 from tests.bundles import picture, write_tiny_bundle
@@ -78,8 +78,8 @@ def test_the_shipped_head_makes_a_sampler_that_a_planner_gains_by(tmp_path: Path
         problem = draw_problem(Family.NARROW, Split.DEMO, 21, index)
         settings = PlannerSettings(seed=index + 1, max_iterations=20_000)
         paths = SampleRequest(SampleQuery(300, index + 1, min_confidence=0.0), with_ends=True)
-        learned = plan_with_api(problem, sampler, settings, paths, 0.3)
-        uniform = plan_with_api(problem, sampler, settings, paths, 1.0)
+        learned = plan(problem, sampler, settings, paths, 0.3)
+        uniform = plan(problem, sampler, settings, paths, 1.0)
         assert learned.result.solved
         assert learned.result.learned_drawn > 0 == uniform.result.learned_drawn
         iterations["learned"].append(learned.result.iterations)
@@ -102,7 +102,7 @@ def test_a_registered_path_sampler_is_served_by_name(tmp_path: Path, monkeypatch
             SamplingClient(address) as client,
         ):
             request = SampleRequest(SampleQuery(300, 3), "path-sampler@challenger", with_ends=True)
-            found = plan_with_api(problem, client, PlannerSettings(), request)
+            found = plan(problem, client, PlannerSettings(), request)
     assert found.batch is not None
     assert (found.batch.model_name, found.batch.model_version) == ("path-sampler", 1)
     assert found.result.solved
@@ -158,6 +158,6 @@ def test_samples_along_ways_of_the_arm_in_space_lead_to_a_path(tmp_path: Path) -
         problem = simulator_of(made.spec.world).problem("uniform", Split.DEMO, 21, index)
         request = SampleRequest(SampleQuery(200, 1, min_confidence=0.0), with_ends=True)
         settings = PlannerSettings(planner="SampledRRTConnect", seed=1, range_rad=2.0, resolution_rad=0.02)
-        found = plan_with_api(problem, sampler, settings, request, 0.3)
+        found = plan(problem, sampler, settings, request, 0.3)
         assert found.result.solved
         assert found.result.learned_drawn > 0

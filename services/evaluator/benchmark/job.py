@@ -1,40 +1,45 @@
-"""The job of a benchmark: run what is missing, summarise, write table, report and figures, log them."""
+"""The job of a benchmark: run what is missing, write table, report and figures, log them."""
 
-import shutil
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import json
+import multiprocessing
+import os
+import platform
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from functools import lru_cache
+from importlib.metadata import version
+from itertools import product
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
-import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from cspace.errors import StorageError
-from services.evaluator.benchmark import report
-from services.evaluator.benchmark.arms import Protocol, Setting, Unit
-from services.evaluator.benchmark.execution import Execute
-from services.evaluator.benchmark.figures import pages, safety_figure, sample_figures
-from services.evaluator.benchmark.plans import plan_units
-from services.evaluator.benchmark.runs import MANIFEST, RunStore
-from services.evaluator.benchmark.samples import sample_units
+from cspace.errors import ConfigError, JobError, StorageError
+from cspace.files import make_output_folder, write_json
+from services.evaluator.benchmark.figures import figures
+from services.evaluator.benchmark.report import Results
+from services.evaluator.benchmark.runs import COLUMNS, Row, Worker
 from services.evaluator.benchmark.sources import SourceSpec
-from services.evaluator.benchmark.summary import metric_name, metrics, summarise_plans, summarise_samples
-from services.evaluator.tables import markdown
+from services.evaluator.benchmark.variants import Key, Protocol, Setting, Unit, Variant
+from services.evaluator.cluster import on_cluster, spread
 from services.names import EXPERIMENT, NOTE, TAG_STAGE
 from services.progress import Progress
-from services.registry.ports import ID, RunLog, Tracking
+from services.registry.ports import ID, Tracking
 
 Show = Callable[[str], None]
-PARQUET, REPORT, COMPARISON = "runs.parquet", "report.md", "comparison.md"
-FIGURES, PAGES = "figures", "pages"
-STAGE = "planning-benchmark"
-# The measures that become metrics of the tracking run; the table of arms holds all of them.
-METRICS = (
-    "solved", "iterations_median", "close_iterations_median", "edge_checks_median",
-    "close_edge_checks_median", "iterations_ratio_median", "close_iterations_ratio_median", "collide", "more",
-    "calibration_error", "surer_half_collide", "states_ratio_median", "states_ratio_p90",
+Execute = Callable[[Sequence[Unit], Setting, Sequence[SourceSpec]], Iterator[list[Row]]]
+Shared = tuple[Setting, tuple[SourceSpec, ...]]
+PARQUET, REPORT, RUNS, MANIFEST, FIGURES = (
+    "runs.parquet", "report.md", "runs.jsonl", "manifest.json", "figures",
 )  # fmt: skip
+STAGE = "planning-benchmark"
+# Each process computes on one core; the thread pools of numeric libraries would compete for the others.
+_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @dataclass(frozen=True)
@@ -45,11 +50,10 @@ class Request:
         out: folder of runs and report.
         setting: of all runs.
         problems: number of each family.
-        repeats: runs of each problem; of protocol ``plans`` those with exact checks.
-        arms: that are compared.
-        specs: the models of the arms.
-        pages: number of single problems that are plotted, of each family.
-        pictures: of protocol ``plans``, by which each problem is seen.
+        repeats: runs of each problem; without exact checks there is one.
+        variants: that are compared.
+        specs: their models.
+        pictures: by which each problem is seen; (0,) where depth pictures do not matter.
         folder: of problems that do not ship.
     """
 
@@ -57,63 +61,25 @@ class Request:
     setting: Setting
     problems: Mapping[str, int]
     repeats: int
-    arms: tuple[Any, ...]
+    variants: tuple[Variant, ...]
     specs: tuple[SourceSpec, ...]
-    pages: int = 3
-    pictures: tuple[int, ...] = ()
+    pictures: tuple[int, ...] = (0,)
     folder: Path | None = None
 
-    def units(self) -> Iterable[Unit]:
-        """Everything that is run."""
-        if self.setting.protocol is Protocol.PLANS:
-            return plan_units(self.problems, self.pictures, self.repeats, self.arms, self.folder)
-        return sample_units(self.setting, self.problems, self.repeats, self.arms)
-
-
-@dataclass(frozen=True)
-class Results:
-    """A finished benchmark: its runs, one row each, their summary, and the report's first line and tables."""
-
-    request: Request
-    runs: pd.DataFrame
-    summary: pd.DataFrame
-    headline: str
-    sections: tuple[report.Section, ...]
-
-    @classmethod
-    def of(cls, request: Request, runs: pd.DataFrame) -> "Results":
-        """Summarise the runs.
-
-        Raises:
-            EvaluationError: no problem was run by all arms.
-        """
-        setting, arms = request.setting, request.arms
-        if setting.protocol is Protocol.PLANS:
-            summary = summarise_plans(runs, request.pictures, arms, setting)
-            headline = report.collision_line(summary, request.pictures, arms, setting)
-            sections = report.plan_sections(summary, runs, request.pictures, arms, setting)
-        else:
-            summary = summarise_samples(runs, request.problems, arms, setting)
-            headline = report.break_even_line(summary, arms, setting)
-            sections = report.sample_sections(summary, arms, setting)
-        return cls(request, runs, summary, headline, tuple(sections))
-
-    @property
-    def note(self) -> str:
-        """The short form: the headline, and the tables of work."""
-        work = [markdown(table) for heading, _, table in self.sections if heading.startswith("Work")]
-        return "\n\n".join([self.headline, *work]) + "\n"
-
-    def figures(self) -> Iterable[tuple[str, Figure]]:
-        """Every figure with its name."""
-        setting, arms = self.request.setting, self.request.arms
-        if setting.protocol is Protocol.PLANS:
-            return [("safety", safety_figure(self.runs, self.request.pictures, arms, setting))]
-        return sample_figures(self.runs, list(self.request.problems), arms, setting)
-
-    def terminal(self) -> str:
-        """The tables for a terminal."""
-        return report.terminal(self.headline, self.sections)
+    def units(self) -> Iterator[Unit]:
+        """Everything that is run; problems without a path have no optimising variants."""
+        setting = self.setting
+        for family, count in self.problems.items():
+            if setting.protocol is Protocol.PLANS:
+                for index, seen in product(range(count), (0, *self.pictures)):
+                    own = [one for one in self.variants if one.pictured == (seen > 0)]
+                    todo = [(one, run) for one in own for run in range(self.repeats if one.checked else 1)]
+                    yield Unit(family, index, tuple(todo), seen, self.folder)
+            else:
+                solvable = family in setting.families.solvable
+                own = [one for one in self.variants if one.stop_at_first or solvable]
+                for index, run in product(range(count), range(self.repeats)):
+                    yield Unit(family, index, tuple((one, run) for one in own))
 
 
 def run_benchmark(
@@ -123,95 +89,188 @@ def run_benchmark(
 
     Raises:
         ConfigError: the folder holds runs of another setting.
-        EvaluationError: no problem was run by all arms.
+        EvaluationError: no problem was run by all variants.
         CspaceError: a run failed; those before it are kept.
     """
-    store = RunStore(request.out, request.setting, request.arms, request.specs)
+    store = RunStore(request)
     units = list(request.units())
-    done = store.keys()
+    done = {_key(row) for row in store.rows()}
     work = [left for unit in units if (left := unit.without(done)).todo]
-    what = "views of problems" if request.pictures else "runs of problems"
-    show(f"{len(request.arms)} arms; {len(work)} {what} to do")
+    show(f"{len(request.variants)} variants; {len(work)} units to do")
     with Progress("planning", len(work), show) as progress:
         for found in execute(work, request.setting, request.specs) if work else ():
             store.append(found)
             progress.advance()
-    results = Results.of(request, store.frame(key for unit in units for key in unit.run_keys()))
-    _write(results, store)
+    wanted = {key for unit in units for key in unit.run_keys()}
+    rows = sorted((row for row in store.rows() if _key(row) in wanted), key=_key)
+    runs = pd.DataFrame(rows, columns=list(COLUMNS)).astype(COLUMNS)
+    results = Results(runs, request.setting, request.variants, request.pictures, store.manifest)
+    plots = dict(figures(results))
+    _write(results, request.out, plots)
     if tracking is not None:
-        show(f"logged as run {_log(tracking, results, store)}")
+        show(f"logged as run {_log(tracking, results, request, plots)}")
     return results
 
 
-def _write(results: Results, store: RunStore) -> None:
-    """Write the table, figures, pages, and the report that shows them."""
-    out, request = store.folder, results.request
-    plotted = {family: min(request.pages, count) for family, count in request.problems.items()}
-    try:
-        results.runs.to_parquet(out / PARQUET, index=False)
-        shown = _save(results.figures(), out, FIGURES)
-        figures = []
-        if request.setting.protocol is not Protocol.PLANS:
-            figures = _save(pages(plotted, request.arms, request.setting, request.specs), out, PAGES)
-            (out / COMPARISON).write_text(results.note, "utf-8")
-        facts = report.about(results.runs, request.setting, store.manifest)
-        text = report.report(
-            results.headline, facts, results.sections, request.setting.protocol, shown, figures
-        )
-        (out / REPORT).write_text(text, "utf-8")
-    except OSError as error:
-        raise StorageError(f"the folder {out} can not be written", got=str(error)) from error
+def _write(results: Results, out: Path, plots: Mapping[str, Figure]) -> None:
+    results.runs.to_parquet(out / PARQUET, index=False)
+    (out / FIGURES).mkdir(exist_ok=True)
+    for name, figure in plots.items():
+        figure.savefig(out / FIGURES / f"{name}.png")
+    (out / REPORT).write_text(results.markdown([f"{FIGURES}/{name}.png" for name in plots]), "utf-8")
 
 
-def _save(figures: Iterable[tuple[str, Figure]], out: Path, folder: str) -> list[str]:
-    names = []
-    for name, figure in figures:
-        (out / folder).mkdir(exist_ok=True)
-        names.append(f"{folder}/{name}.png")
-        figure.savefig(out / names[-1])
-    return names
-
-
-def _log(tracking: Tracking, results: Results, store: RunStore) -> str:
+def _log(tracking: Tracking, results: Results, request: Request, plots: Mapping[str, Figure]) -> str:
     """Settings, metrics and files as a tracking run; its id."""
-    setting, families = results.request.setting, ", ".join(results.request.problems)
-    what = setting.split if setting.protocol is Protocol.PLANS else families
+    setting, out = request.setting, request.out
+    what = setting.split if setting.protocol is Protocol.PLANS else ", ".join(request.problems)
     name = f"planning, {setting.protocol}, {what}, seed {setting.seed}, {ID}"
     with tracking.start(EXPERIMENT, name, tags={"protocol": setting.protocol.value, TAG_STAGE: STAGE}) as run:
-        samplers = {name: one["digest"] for name, one in store.manifest["samplers"].items()}
+        samplers = {spec.name: spec.digest for spec in request.specs}
         run.params({"setting": asdict(setting), "samplers": samplers})
-        run.metrics(metrics(results.summary, METRICS), 0)
-        run.table(_columns(results.summary), "arms")
-        run.tags({NOTE: results.note if setting.protocol is not Protocol.PLANS else results.headline})
-        _log_files(run, store.folder)
+        run.metrics(results.metrics(), 0)
+        run.table(results.columns(), "variants")
+        run.tags({NOTE: results.note()})
+        for part in (MANIFEST, PARQUET, REPORT):
+            run.artifact(out / part)
+        for name, figure in plots.items():
+            run.figure(figure, name)
         run.flush()
         return run.run_id
 
 
-def _log_files(run: RunLog, folder: Path) -> None:
-    for part in (MANIFEST, PARQUET, REPORT, COMPARISON):
-        if (folder / part).is_file():
-            run.artifact(folder / part)
-    for path in sorted((folder / FIGURES).glob("*.png")):
-        run.figure(_Saved(path), path.stem)
-    if (folder / PAGES).is_dir():
-        run.artifact(folder / PAGES, PAGES)
+def _key(row: Mapping[str, Any]) -> Key:
+    return row["family"], row["problem"], row["pictures"], row["run"], row["variant"]
 
 
-def _columns(summary: pd.DataFrame) -> dict[str, Sequence[Any]]:
-    """The summary for the tracking run: finite numbers, metric names."""
-    found = summary[np.isfinite(summary["value"])]
-    limits = found[["low", "high"]]
-    limits = limits.astype(object).where(np.isfinite(limits), None)
-    return dict(found.assign(arm=found["arm"].map(metric_name), **limits).to_dict("list"))
+class RunStore:
+    """Runs as a line of JSON each beside a manifest; a stopped benchmark goes on, further variants may join.
+
+    Raises:
+        ConfigError: the folder holds runs of another setting, or other variants or models of the same names.
+        StorageError: the folder can not be used.
+    """
+
+    def __init__(self, request: Request) -> None:
+        self._path, manifest = request.out / RUNS, request.out / MANIFEST
+        described: dict[str, Any] = {
+            "setting": asdict(request.setting) | {"world": request.setting.world.to_dict()},
+            "variants": {one.name: asdict(one) for one in request.variants},
+            "samplers": {spec.name: spec.described for spec in request.specs},
+        }
+        # As JSON has it: lists for tuples.
+        self.manifest = json.loads(json.dumps(described))
+        try:
+            make_output_folder(request.out)
+            old = json.loads(manifest.read_text("utf-8")) if manifest.is_file() else {}
+            self._join(old)
+            write_json(manifest, self.manifest, indent=1)
+            if self._path.is_file():
+                # A killed process leaves half a line.
+                os.truncate(self._path, self._path.read_bytes().rfind(b"\n") + 1)
+        except OSError as error:
+            raise StorageError(f"the folder {request.out} can not be used", got=str(error)) from error
+
+    def _join(self, old: dict[str, Any]) -> None:
+        new = self.manifest
+        for part in ("setting", "variants", "samplers"):
+            before = old.get(part, {})
+            for name, value in new[part].items():
+                if before.get(name, value) != value:
+                    raise ConfigError(
+                        f"the folder holds runs of another setting: {part}, {name}",
+                        expected=json.dumps(before[name]),
+                        got=json.dumps(value),
+                        remedy="name another folder with --out",
+                    )
+            new[part] = before | new[part]
+        # Times depend on the machine; each command that runs here adds its own.
+        packages = {name: version(name) for name in ("ompl", "numpy", "numba", "onnxruntime")}
+        session = {
+            "started": datetime.now(UTC).isoformat(timespec="seconds"),
+            "machine": platform.platform(),
+            "cores": os.cpu_count(),
+            "packages": packages,
+        }
+        new["sessions"] = [*old.get("sessions", []), session]
+
+    def rows(self) -> list[Row]:
+        """All runs in the order in which they came."""
+        lines = self._path.read_text("utf-8").splitlines() if self._path.is_file() else []
+        return [json.loads(line) for line in lines]
+
+    def append(self, rows: Iterable[Row]) -> None:
+        """Keep the runs of a unit."""
+        with self._path.open("a", encoding="utf-8") as file:
+            file.write("".join(json.dumps(row, allow_nan=False) + "\n" for row in rows))
 
 
-@dataclass(frozen=True, slots=True)
-class _Saved:
-    """A picture that is a PNG file already."""
+_worker_of = lru_cache(maxsize=1)(Worker)
 
-    path: Path
 
-    def savefig(self, fname: Path, *, format: str) -> None:  # noqa: A002, ARG002 - matplotlib's own names
-        """Copy it."""
-        shutil.copyfile(self.path, fname)
+def run_unit(unit: Unit, shared: Shared) -> list[Row]:
+    """One unit in this process, whose models stay open between units.
+
+    Raises:
+        SamplerError: a model does not answer.
+    """
+    return _worker_of(*shared).run(unit)
+
+
+def executor(environment: Mapping[str, str], count: int) -> Execute:
+    """Over the Ray cluster where RAY_ADDRESS names one, else over so many processes of this machine."""
+    return run_on_ray if on_cluster(environment) else processes(count)
+
+
+def run_on_ray(work: Sequence[Unit], setting: Setting, specs: Sequence[SourceSpec]) -> Iterator[list[Row]]:
+    """Runs as they come from the cluster that RAY_ADDRESS names; a lost worker's unit is run again."""
+    return spread(run_unit, work, (setting, tuple(specs)), "benchmark")
+
+
+def processes(count: int) -> Execute:
+    """Units over so many spawned processes of this machine."""
+
+    def run(work: Sequence[Unit], setting: Setting, specs: Sequence[SourceSpec]) -> Iterator[list[Row]]:
+        for name in _ONE_THREAD:
+            os.environ.setdefault(name, "1")
+        shared = (setting, tuple(specs))
+        context = multiprocessing.get_context("spawn")
+        pool = ProcessPoolExecutor(count, context, _begin, (shared,))
+        try:
+            for done in as_completed([pool.submit(_run, unit) for unit in work]):
+                yield done.result()
+        except BrokenProcessPool as error:
+            raise JobError(
+                "a process of the benchmark ended",
+                got=str(error),
+                remedy="give the command again: it goes on from the runs that it has",
+            ) from error
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+    return run
+
+
+_shared: list[Shared] = []
+
+
+def _begin(shared: Shared) -> None:
+    end_with_parent()
+    _shared[:] = [shared]
+
+
+def _run(unit: Unit) -> list[Row]:
+    return run_unit(unit, _shared[0])
+
+
+def end_with_parent() -> None:
+    """In a process of a pool: ends when the process that made it has ended, in whatever way."""
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+
+    def follow() -> None:
+        parent.join()
+        os._exit(1)
+
+    Thread(target=follow, name="parent", daemon=True).start()

@@ -1,188 +1,216 @@
-"""The runs of a benchmark: a line of JSON each beside a manifest, so that a stopped benchmark goes on."""
+"""Runs of the benchmark: a problem solved by all variants of a unit with the same seed, a row each."""
 
-import json
-import os
-import platform
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
-from datetime import UTC, datetime
-from importlib.metadata import version
-from pathlib import Path
+import math
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from functools import cache, lru_cache
 from typing import Any
 
-import pandas as pd
+import numpy as np
 
-from cspace.errors import ConfigError, EvaluationError, StorageError
-from cspace.files import make_output_folder, write_json
-from services.evaluator.benchmark.arms import Key, Protocol, Setting
-from services.evaluator.benchmark.sources import SourceSpec
+from cspace.plan import load_kernels
+from cspace.planning.paths import length_rad, spaced
+from cspace.planning.search import find_paths
+from cspace.query import DEFAULT_PATHS, AlternativePath, SampleQuery
+from cspace.simulator import Problem
+from cspace.simulator import Taken as Unseen
+from cspace.worlds import checker_of, partly_seen, picture_file_of
+from services.evaluator.benchmark.sources import Model, SourceSpec, opened, plan_query
+from services.evaluator.benchmark.variants import Group, Protocol, Setting, Unit, Variant
+from services.planner.ompl_planner import solve
+from services.planner.result import CostPoint, PlanResult
+from services.planner.rrt_connect import solve_with_paths
+from services.planner.samples import SampleBatch
 
 Row = dict[str, Any]
-
-# Columns of a protocol's table with their pandas types (object: lists); docs/benchmark.md describes them.
-SAMPLE_COLUMNS = {
-    "protocol": "str", "family": "str", "problem": "int64", "run": "int64", "seed": "int64", "arm": "str",
-    "group": "str", "planner": "str", "sampler": "str", "learned_share": "float64",
-    "samples_asked": "int64", "samples_got": "int64", "epsilon_sigma": "object",
-    "min_confidence": "float64", "range_rad": "float64", "stop_at_first": "bool",
-    "iteration_limit": "int64", "time_limit_s": "float64", "solved": "bool", "reason": "str",
-    "iterations": "int64", "edge_checks": "int64", "state_checks": "int64", "learned_drawn": "int64",
-    "uniform_drawn": "int64", "solve_s": "float64", "state_check_s": "float64", "check_s": "float64",
-    "plan_s": "float64", "request_s": "float64", "decode_s": "float64", "encode_s": "float64",
-    "generate_s": "float64", "server_s": "float64", "transport_s": "float64", "total_s": "float64",
-    "length_rad": "float64", "first_iterations": "Int64", "first_edge_checks": "Int64",
-    "first_s": "float64", "first_length_rad": "float64", "cost_iterations": "object",
-    "cost_edge_checks": "object", "cost_s": "object", "cost_length_rad": "object", "novelty": "float64",
-    "bottleneck_rad": "float64",
+# Columns with their pandas types (object: lists); docs/benchmark.md describes them.
+COLUMNS = {
+    "protocol": "str", "source": "str", "family": "str", "problem": "int64", "pictures": "int64",
+    "run": "int64", "seed": "int64", "variant": "str", "group": "str", "planner": "str", "sampler": "str",
+    "learned_share": "float64", "samples": "int64", "solved": "bool", "status": "str",
+    "iterations": "Int64", "edge_checks": "Int64", "state_checks": "Int64", "learned_drawn": "Int64",
+    "uniform_drawn": "Int64", "length_rad": "float64", "first_length_rad": "float64",
+    "cost_iterations": "object", "cost_edge_checks": "object", "cost_s": "object",
+    "cost_length_rad": "object", "solve_s": "float64", "state_check_s": "float64",
+    "request_s": "float64", "server_s": "float64", "total_s": "float64",
+    "confidence": "float64", "clearance_m": "float64", "meshes_free": "boolean",
+    "search_s": "float64", "score_s": "float64", "as_is": "boolean", "bottleneck_rad": "float64",
 }  # fmt: skip
-PLAN_COLUMNS = {
-    "checked": "bool", "source": "str", "family": "str", "problem": "int64", "pictures": "int64",
-    "run": "int64", "arm": "str", "sampler": "str", "status": "str", "solved": "bool",
-    "confidence": "float64", "clearance_m": "float64", "meshes_free": "boolean", "unseen": "float64",
-    "length_rad": "float64", "search_s": "float64", "score_s": "float64", "request_s": "float64",
-    "as_is": "boolean", "state_checks": "Int64", "edge_checks": "Int64", "iterations": "Int64",
-    "solve_s": "float64", "state_check_s": "float64", "mesh_check_s": "float64",
-}  # fmt: skip
-MANIFEST, RUNS = "manifest.json", "runs.jsonl"
-SCHEMA = 2
+# Status of a problem whose start or goal collides; it is left out.
+NO_PROBLEM = "start or goal collides"
+# Spacing of the states at which a path is checked.
+LOOK_RAD = 0.01
+_STATES, _REPEATS = 5000, 5
 
 
-def key_of(row: Mapping[str, Any]) -> Key:
-    """Family, problem, pictures, run and arm of a row."""
-    return row["family"], row["problem"], row.get("pictures", 0), row["run"], row["arm"]
-
-
-def frame_of(rows: Iterable[Row], protocol: Protocol) -> pd.DataFrame:
-    """The table of rows, in the order of their keys.
+class Worker:
+    """Runs units in one process; the models stay open as long as it exists.
 
     Raises:
-        EvaluationError: a row has other columns than the protocol's.
-    """
-    columns = PLAN_COLUMNS if protocol is Protocol.PLANS else SAMPLE_COLUMNS
-    ordered = sorted(rows, key=key_of)
-    for row in ordered:
-        if wrong := set(row) ^ set(columns):
-            raise EvaluationError(
-                "a run can not be read", expected="the columns of this release", got=", ".join(sorted(wrong))
-            )
-    return pd.DataFrame(ordered, columns=list(columns)).astype(columns)
-
-
-class RunStore:
-    """Appends runs to a folder and reads them back; one process writes at a time.
-
-    Starts a folder, or goes on with one of the same setting; further arms and samplers may be added to it.
-
-    Args:
-        folder: of runs and manifest.
-        setting: of the runs.
-        arms: dataclasses with a ``name``.
-        specs: the models.
-
-    Raises:
-        ConfigError: the folder holds runs of another setting, or other arms or samplers of the same names.
-        StorageError: the folder can not be written.
+        SamplerError: a model does not answer.
     """
 
-    def __init__(
-        self, folder: Path, setting: Setting, arms: Iterable[Any], specs: Iterable[SourceSpec]
-    ) -> None:
-        self.folder, self._path, self._protocol = folder, folder / RUNS, setting.protocol
-        described: dict[str, Any] = {
-            "schema": SCHEMA,
-            # What is off is left out, so that folders without it go on.
-            "setting": {
-                name: value
-                for name, value in asdict(setting).items()
-                if name != "world" and value is not False
-            },
-            "world": setting.world.to_dict(),
-            "arms": {arm.name: asdict(arm) for arm in arms},
-            "samplers": {spec.name: spec.described for spec in specs},
+    def __init__(self, setting: Setting, specs: Sequence[SourceSpec]) -> None:
+        self._setting, self._open = setting, ExitStack()
+        plans = setting.protocol is Protocol.PLANS
+        self._models = opened(specs, setting.world, self._open, plans=plans)
+
+    def run(self, unit: Unit) -> list[Row]:
+        """The rows of a unit; nothing in them depends on another unit.
+
+        Raises:
+            SamplerError: a model does not answer: a run without its samples would measure another variant.
+        """
+        setting, problem = self._setting, self._setting.problem(unit)
+        if problem is None:
+            nothing = {"status": NO_PROBLEM, "solved": False}
+            return [self._row(unit, variant, run) | nothing for variant, run in unit.todo]
+        case = _Case(problem, unit, setting, self._models)
+        rows = []
+        # Each unit has its own order, so that no variant is always the one that finds the caches warm.
+        first = setting.planner(unit.todo[0][0], unit.index, unit.todo[0][1]).seed
+        for position in np.random.default_rng([first, 1]).permutation(len(unit.todo)):
+            variant, run = unit.todo[position]
+            rows.append(self._row(unit, variant, run) | case.solve(variant, run))
+        return rows
+
+    def _row(self, unit: Unit, variant: Variant, run: int) -> Row:
+        setting, source = self._setting, ""
+        if setting.protocol is Protocol.PLANS:
+            sources = partly_seen(setting.world).sources
+            source = next((name for name, families in sources.items() if unit.family in families), "")
+        return dict.fromkeys(COLUMNS) | {
+            "protocol": setting.protocol.value,
+            "source": source,
+            "family": unit.family,
+            "problem": unit.index,
+            "pictures": unit.pictures,
+            "run": run,
+            "seed": setting.planner(variant, unit.index, run).seed,
+            "variant": variant.name,
+            "group": variant.group.value,
+            "planner": variant.planner,
+            "sampler": variant.sampler,
+            "learned_share": variant.share,
+            "samples": variant.samples,
+            "cost_iterations": [],
+            "cost_edge_checks": [],
+            "cost_s": [],
+            "cost_length_rad": [],
+            "request_s": 0.0,
+            "search_s": 0.0,
+            "score_s": 0.0,
         }
-        # As JSON has it: lists for tuples.
-        described, path = json.loads(json.dumps(described)), folder / MANIFEST
-        try:
-            make_output_folder(folder)
-            old = json.loads(path.read_text("utf-8")) if path.is_file() else None
-            self.manifest = described if old is None else _merged(old, described)
-            # Times depend on the machine; each command that runs here adds its own.
-            self.manifest["sessions"] = [*self.manifest.get("sessions", []), _session()]
-            write_json(path, self.manifest, indent=1)
-            self._drop_partial_line()
-        except OSError as error:
-            raise StorageError(f"the folder {folder} can not be used", got=str(error)) from error
-
-    def rows(self) -> list[Row]:
-        """All runs in the order in which they came.
-
-        Raises:
-            EvaluationError: a line can not be read.
-        """
-        if not self._path.is_file():
-            return []
-        try:
-            return [json.loads(line) for line in self._path.read_text("utf-8").splitlines()]
-        except ValueError as error:
-            raise EvaluationError(f"{self._path} can not be read", got=str(error)) from error
-
-    def keys(self) -> set[Key]:
-        """The keys of the runs that there are."""
-        return {key_of(row) for row in self.rows()}
-
-    def frame(self, keys: Iterable[Key]) -> pd.DataFrame:
-        """The runs of some keys as a table.
-
-        Raises:
-            EvaluationError: a line can not be read.
-        """
-        wanted = set(keys)
-        return frame_of((row for row in self.rows() if key_of(row) in wanted), self._protocol)
-
-    def append(self, rows: Sequence[Row]) -> None:
-        """Keep the runs of a unit.
-
-        Raises:
-            StorageError: they can not be written.
-        """
-        try:
-            with self._path.open("a", encoding="utf-8") as file:
-                file.write("".join(json.dumps(row, allow_nan=False) + "\n" for row in rows))
-        except OSError as error:
-            raise StorageError("the runs can not be kept", got=str(error)) from error
-
-    def _drop_partial_line(self) -> None:
-        """Drop what a killed process left of a last line."""
-        if self._path.is_file():
-            content = self._path.read_bytes()
-            os.truncate(self._path, content.rfind(b"\n") + 1)
 
 
-def _merged(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
-    pairs = [(part, old.get(part), new[part], "") for part in ("schema", "setting", "world")]
-    pairs += [
-        (f"{part[:-1]} named {name}", old.get(part, {}).get(name, value), value, "give it another name, or ")
-        for part in ("arms", "samplers")
-        for name, value in new[part].items()
-    ]
-    for what, there, requested, instead in pairs:
-        if there != requested:
-            raise ConfigError(
-                f"the folder holds runs of another {what}",
-                expected=json.dumps(there),
-                got=json.dumps(requested),
-                remedy=f"{instead}name another folder with --out",
-            )
-    joined = {part: old[part] | new[part] for part in ("arms", "samplers")}
-    return {**new, "sessions": old.get("sessions", []), **joined}
+class _Case:
+    """A unit's problem, and what its variants share: batches of samples, paths, and prices of a check."""
+
+    def __init__(self, problem: Problem, unit: Unit, setting: Setting, models: dict[str, Model]) -> None:
+        self.problem, self.unit, self.setting, self.models = problem, unit, setting, models
+        self.truth = checker_of(problem.scenario)
+        self.seen = self.meshes = None
+        if setting.protocol is Protocol.PLANS:
+            self.seen = partly_seen(setting.world)
+            self.meshes = self.seen.mesh_checker(problem, unit.folder)
+            self.image = problem.scenario.world.read_picture(picture_file_of(problem.scenario))
+        self.batch = cache(self._batch)
+        self.paths = cache(self._paths)
+
+    def solve(self, variant: Variant, run: int) -> Row:
+        """The measured columns of one run."""
+        bottleneck_rad = self.problem.bottleneck_rad
+        row: Row = {"bottleneck_rad": bottleneck_rad if math.isfinite(bottleneck_rad) else None}
+        if variant.group is Group.PLANS:
+            paths, times = self.paths(variant.sampler, variant.unseen)
+            return row | times | self._evaluated(paths)
+        settings = self.setting.planner(variant, self.unit.index, run)
+        row["state_check_s"] = _state_check_s(self.problem)
+        if variant.sampler is None and variant.unseen is None:
+            result = solve(self.problem, settings)
+        elif variant.group is Group.PATHS:
+            paths, times = self.paths(variant.sampler, variant.unseen)
+            result = solve_with_paths(self.problem, settings, paths)
+            row |= times | {"as_is": result.solved and result.iterations == 0}
+        else:
+            batch = self.batch(variant.sampler, variant.query(settings.seed))
+            result = solve(self.problem, settings, batch.samples, 1.0 - variant.share)
+            row["request_s"] = batch.round_trip_s
+            row["server_s"] = None if batch.timing is None else batch.timing.total_s
+        total_s = row.get("request_s", 0.0) + result.solve_time_s
+        return row | _of_result(result) | {"total_s": total_s}
+
+    def _batch(self, sampler: str, query: SampleQuery) -> SampleBatch:
+        return self.models[sampler].sample(self.problem, query)
+
+    def _paths(self, sampler: str | None, unseen: Unseen | None) -> tuple[tuple[AlternativePath, ...], Row]:
+        """The paths of a model, or of a search by a fixed rule, the best first; and their columns."""
+        limit_s = self.setting.plan_limit_s
+        if sampler is not None:
+            query = plan_query(self.problem, self.setting.seed, limit_s)
+            plan, request_s = self.models[sampler].plan(self.problem, query)
+            solved = plan.status == "solved"
+            return plan.alternatives, {
+                "status": plan.status,
+                "confidence": plan.confidence if solved else None,
+                "search_s": 1e-3 * plan.search_ms,
+                "score_s": 1e-3 * plan.score_ms,
+                "request_s": request_s,
+            }
+        assert self.seen is not None and unseen is not None  # noqa: S101, PT018 - of the protocol plans only
+        problem, checkers = self.problem, self.seen.checkers(self.problem, self.image, unseen)
+        load_kernels(checkers[0], problem.start, LOOK_RAD)
+        began, until_s = time.perf_counter(), time.thread_time() + limit_s
+        found = find_paths(checkers, problem.start, problem.goal, DEFAULT_PATHS, self.setting.seed, until_s)
+        spent_s = time.perf_counter() - began
+        shortest = sorted(found.paths, key=lambda path: length_rad(path, problem.space))
+        paths = tuple(AlternativePath(path, 1.0, np.ones(len(path) - 1, np.float32)) for path in shortest)
+        status = "solved" if paths else "timeout" if found.late else "refused"
+        return paths, {"status": status, "search_s": spent_s, "request_s": spent_s}
+
+    def _evaluated(self, paths: Sequence[AlternativePath]) -> Row:
+        """The first path in the true scene."""
+        if not paths:
+            return {"solved": False}
+        path, space = paths[0].path, self.problem.space
+        states = spaced(path, space, LOOK_RAD)
+        row: Row = {
+            "solved": True,
+            "clearance_m": float(self.truth.clearance(states).min()),
+            "length_rad": length_rad(path, space),
+        }
+        if self.meshes is not None:
+            row["meshes_free"] = bool(self.meshes.valid_batch(states).all())
+        return row
 
 
-def _session() -> dict[str, Any]:
-    return {
-        "started": datetime.now(UTC).isoformat(timespec="seconds"),
-        "processor": platform.processor() or platform.machine(),
-        "cores": os.cpu_count(),
-        "python": platform.python_version(),
-        "packages": {name: version(name) for name in ("ompl", "numpy", "numba", "onnxruntime")},
-        "cluster": os.environ.get("RAY_ADDRESS") or None,
+def _of_result(result: PlanResult) -> Row:
+    costs = result.costs
+    end = CostPoint(result.iterations, result.edge_checks, result.solve_time_s, float(result.length_rad))
+    names = ("solved", "iterations", "edge_checks", "state_checks", "learned_drawn", "uniform_drawn")
+    return {name: getattr(result, name) for name in names} | {
+        "status": str(result.reason),
+        "length_rad": end.length_rad if result.solved else None,
+        "first_length_rad": [*costs, end][0].length_rad if result.solved else None,
+        "cost_iterations": [point.iterations for point in costs],
+        "cost_edge_checks": [point.edge_checks for point in costs],
+        "cost_s": [point.time_s for point in costs],
+        "cost_length_rad": [point.length_rad for point in costs],
+        "solve_s": result.solve_time_s,
     }
+
+
+@lru_cache(maxsize=4)
+def _state_check_s(problem: Problem) -> float:
+    """Seconds for one state check, the fastest of some compiled loops over uniform states.
+
+    The step from OMPL to Python does not count: it is the planner's.
+    """
+    checker, taken = checker_of(problem.scenario), []
+    states = problem.space.sample_uniform(np.random.default_rng(0), _STATES)
+    for _ in range(_REPEATS):
+        began = time.perf_counter()
+        checker.valid_batch(states)
+        taken.append(time.perf_counter() - began)
+    return min(taken) / _STATES

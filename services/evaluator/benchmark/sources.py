@@ -1,50 +1,31 @@
 """The models of a benchmark: behind an API, or bundles in this process; each one pinned by its digest."""
 
-import struct
+import io
 import time
-import zlib
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from PIL import Image, PngImagePlugin
 
 from cspace.bundle import Bundle
 from cspace.bundle.verification import load_verified
 from cspace.errors import ConfigError, SamplerError, SamplerUnavailableError
-from cspace.query import AlternativePath, Plan, PlanQuery, SampleQuery
+from cspace.query import DEFAULT_PATHS, AlternativePath, Plan, PlanQuery, SampleQuery
 from cspace.simulator import UNIFORM, Problem, Split
-from cspace.space import JointSpace
-from cspace.view_file import is_view, pack_view, unpack_view
 from cspace.world import World
 from cspace.worlds import picture_file_of, robot_digest, simulator_of
 from services.evaluator.scenes import PackedBundle
 from services.planner.client import FoundPlan, SamplingClient
 from services.planner.planning import between_ends
-from services.planner.samples import BundleSampler, SampleBatch, SampleSource
+from services.planner.samples import BundleSampler, SampleBatch
 
-_END = struct.pack(">I", 0) + b"IEND" + struct.pack(">I", zlib.crc32(b"IEND"))
 # A server's first plan may wait for its compiler.
-_PATIENCE_S = 60.0
-
-
-def fresh_picture(file: bytes, note: str) -> bytes:
-    """A picture's file with a comment in its first PNG: another file with the same pixels.
-
-    Raises:
-        ValueError: the PNG does not end with an empty IEND chunk.
-        ImageError: the view can not be read.
-    """
-    if is_view(file):
-        view = unpack_view(file)
-        pictures = [fresh_picture(view.pictures[0], note), *view.pictures[1:]]
-        return pack_view(pictures, view.cameras, view.state, view.depth_scale_m, view.known)
-    if not file.endswith(_END):
-        raise ValueError("a PNG file ends with an empty IEND chunk")
-    content = b"tEXtComment\0" + note.encode("latin-1")
-    chunk = struct.pack(">I", len(content) - 4) + content + struct.pack(">I", zlib.crc32(content))
-    return file.removesuffix(_END) + chunk + _END
+_TIMEOUT_S = 60.0
+_PNG = b"\x89PNG\r\n\x1a\n"
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +33,7 @@ class SourceSpec:
     """All that a worker process needs to ask a model.
 
     Args:
-        name: in the names of arms.
+        name: in the names of variants.
         digest: of the bundle that has to answer.
         with_ends: whether start and goal are sent, as path models require and others refuse.
         model: reference at the API, pinned to a version; None for a bundle.
@@ -68,17 +49,13 @@ class SourceSpec:
     packed: PackedBundle | None = None
 
     @property
-    def described(self) -> dict[str, object]:
+    def described(self) -> dict[str, Any]:
         """For manifest and report."""
         over = "HTTP" if self.url is not None else "none: a bundle in the planner's process"
         return {"model": self.model, "digest": self.digest, "with_ends": self.with_ends, "transport": over}
 
     def check(self, digest: str) -> None:
-        """Refuse the answer of another model.
-
-        Raises:
-            SamplerError: the digest is not this model's.
-        """
+        """Raises SamplerError where another model answered."""
         if digest != self.digest:
             raise SamplerError(
                 f"another model answers for {self.name}", expected=self.digest[:12], got=digest[:12]
@@ -96,186 +73,149 @@ def parse_named(text: str) -> tuple[str, str]:
         name, value = text.partition("@")[0].partition("/")[0], text
     if not name or not value or "," in name:
         raise ConfigError(
-            "the sampler has no proper name", expected="NAME=VALUE without a comma", got=repr(text)
+            "the model has no proper name", expected="NAME=VALUE without a comma", got=repr(text)
         )
     return name, value
 
 
-def bundled(name: str, folder: Path) -> SourceSpec:
-    """A bundle that answers in the planner's own process.
-
-    Raises:
-        BundleError: it is damaged.
-    """
-    bundle = load_verified(folder)
-    return SourceSpec(name, bundle.digest, bundle.spec.kind == "path", packed=PackedBundle.pack(bundle))
-
-
-def served(name: str, model: str, url: str, world: World) -> SourceSpec:
-    """A sampler behind an API, pinned to the version that answers now.
-
-    Raises:
-        SamplerError: the API refuses, or does not answer.
-    """
-    problem, query = _example(world), SampleQuery(10, 1, min_confidence=0.0, robot=robot_digest(world))
-    picture, with_ends = picture_file_of(problem.scenario), True
-    with SamplingClient(url) as client:
-        # Only its answers show whether a model takes start and goal.
-        try:
-            batch = client.answer(picture, between_ends(query, problem), model)
-        except SamplerUnavailableError:
-            raise
-        except SamplerError:
-            with_ends, batch = False, client.answer(picture, query, model)
-    return SourceSpec(name, batch.digest, with_ends, _pinned(batch.model_name, batch.model_version), url)
-
-
-def _pinned(name: str, version: int | None) -> str:
-    # The shipped model has no number in a registry.
-    return f"{name}/{version}" if version else name
-
-
-@contextmanager
-def opened(specs: Sequence[SourceSpec], world: World) -> Iterator[Mapping[str, SampleSource]]:
-    """The samplers by name, each asked once, so that no run pays for a first request.
-
-    Raises:
-        SamplerError: one of them does not answer.
-        BundleError: a bundle is damaged.
-    """
-    with ExitStack() as stack:
-        found: dict[str, SampleSource] = {}
-        for spec in specs:
-            if spec.packed is not None:
-                found[spec.name] = BundleSampler(spec.packed.load(), name=spec.name)
-            else:
-                found[spec.name] = stack.enter_context(SamplingClient(spec.url or ""))
-            ask(found[spec.name], spec, _example(world), SampleQuery(10, 1, min_confidence=0.0))
-        yield found
-
-
-def ask(source: SampleSource, spec: SourceSpec, problem: Problem, query: SampleQuery) -> SampleBatch:
-    """One batch for a problem's picture, as for a picture that was never sent before.
-
-    Raises:
-        SamplerUnavailableError: the source does not answer.
-        SamplerError: it refused, or another model answered.
-    """
-    query = replace(query, robot=robot_digest(problem.scenario.world))
-    note = f"{query.seed} {query.n} {query.epsilon_sigma} {query.min_confidence}"
-    picture = fresh_picture(picture_file_of(problem.scenario), note)
-    batch = source.answer(picture, between_ends(query, problem) if spec.with_ends else query, spec.model)
-    spec.check(batch.digest)
-    return batch
-
-
-@dataclass(frozen=True, slots=True)
-class PlanModel:
-    """A model that plans, as a bundle in this process or behind an API."""
-
-    spec: SourceSpec
-    engine: Bundle | SamplingClient
-    space: JointSpace
-
-    def plan(self, picture: bytes, query: PlanQuery, world: World) -> tuple[Plan, float]:
-        """The plan for a picture's file, and the time from the file to the answer, s.
-
-        A problem that needs wider joint limits than a served model has counts as refused; a bundle takes the
-        limits of ``world``.
-
-        Raises:
-            SamplerError: the API does not answer, or another model does.
-        """
-        if isinstance(self.engine, Bundle):
-            bundle, began = self.engine.within(world), time.perf_counter()
-            read = world.examine_picture(picture)
-            plan = bundle.plan(bundle.prepare(read), query)
-            return plan, time.perf_counter() - began
-        if not self.space.contains(np.array([query.start, query.goal], dtype=np.float64)).all():
-            return Plan("refused", np.empty((0, self.space.dim))), 0.0
-        found = self.engine.plan(picture, query, self.spec.model)
-        self.spec.check(found.model.digest)
-        return _plan_of(found), found.round_trip_s
-
-
-def _plan_of(found: FoundPlan) -> Plan:
-    """An API's plan as a bundle's."""
-    return Plan(
-        found.status,
-        found.path,
-        confidence=found.confidence,
-        edges=found.edges,
-        unseen=found.unseen,
-        length_rad=found.length_rad,
-        found=found.ways,
-        alternatives=tuple(
-            AlternativePath(one.path, one.confidence, one.edges) for one in found.alternatives or ()
-        ),
-        search_ms=found.timing_ms.search,
-        score_ms=found.timing_ms.score,
-    )
-
-
-def bundled_planner(name: str, folder: Path, world: World) -> SourceSpec:
-    """A bundle that plans in this process.
+def bundled(name: str, folder: Path, plans_for: World | None = None) -> SourceSpec:
+    """A bundle that answers in the planner's own process; with a world it has to plan for its robot.
 
     Raises:
         BundleError: it is damaged.
         ConfigError: it is another robot's, or has no validity head.
     """
     bundle = load_verified(folder)
-    if bundle.robot != robot_digest(world) or not bundle.has_validity:
+    if plans_for is not None and not (bundle.has_validity and bundle.robot == robot_digest(plans_for)):
         raise ConfigError(
             f"the bundle {name} does not plan for this robot",
             expected="a validity head, and the robot of --robot",
             got=f"{'one' if bundle.has_validity else 'none'}, robot {bundle.robot[:12]}",
         )
-    return bundled(name, folder)
+    return SourceSpec(name, bundle.digest, bundle.spec.kind == "path", packed=PackedBundle.pack(bundle))
 
 
-def served_planner(name: str, model: str, url: str, world: World) -> SourceSpec:
+def served(name: str, model: str, url: str, world: World, *, plans: bool = False) -> SourceSpec:
     """A model behind an API, pinned to the version that answers now.
 
     Raises:
         SamplerError: the API refuses, or does not answer.
     """
-    problem = _example(world)
-    with _plan_client(url, world) as client:
-        answering = client.plan(picture_file_of(problem.scenario), plan_query(problem), model).model
-    pinned = _pinned(answering.name, answering.version)
-    return SourceSpec(name, answering.digest, with_ends=True, model=pinned, url=url)
+    problem, with_ends = _example(world), True
+    query = SampleQuery(10, 1, min_confidence=0.0, robot=robot_digest(world))
+    picture = picture_file_of(problem.scenario)
+    with _client(url, world) as client:
+        if plans:
+            found: Any = client.plan(picture, plan_query(problem, 0, 1.0), model).model
+        else:
+            # Only its answers show whether a model takes start and goal.
+            try:
+                found = client.answer(picture, between_ends(query, problem), model)
+            except SamplerUnavailableError:
+                raise
+            except SamplerError:
+                with_ends, found = False, client.answer(picture, query, model)
+    # The shipped model has no number in a registry.
+    name_there, number = (found.name, found.version) if plans else (found.model_name, found.model_version)
+    pinned = f"{name_there}/{number}" if number else name_there
+    return SourceSpec(name, found.digest, with_ends, pinned, url)
 
 
-def plan_query(problem: Problem, seed: int = 0, time_limit_s: float = 1.0, paths: int = 1) -> PlanQuery:
-    """For the path of the highest confidence and all others, at any confidence."""
-    start, goal = (tuple(float(angle) for angle in end) for end in (problem.start, problem.goal))
-    return PlanQuery(start, goal, seed, 0.0, time_limit_s, paths, alternatives=True)
+class Model:
+    """An opened model."""
+
+    def __init__(self, spec: SourceSpec, world: World, stack: ExitStack) -> None:
+        self._spec, self._space = spec, world.space
+        if spec.packed is not None:
+            self._bundle: Bundle | None = spec.packed.load()
+            self._source: BundleSampler | SamplingClient = BundleSampler(self._bundle, name=spec.name)
+        else:
+            self._bundle = None
+            self._source = stack.enter_context(_client(spec.url or "", world))
+
+    def sample(self, problem: Problem, query: SampleQuery) -> SampleBatch:
+        """One batch for a problem's picture, as for a picture that the model has not seen before.
+
+        Raises:
+            SamplerError: the model does not answer, or another one does.
+        """
+        query = replace(query, robot=robot_digest(problem.scenario.world))
+        query = between_ends(query, problem) if self._spec.with_ends else query
+        picture = fresh_picture(picture_file_of(problem.scenario), f"{query.seed} {query.n}")
+        batch = self._source.answer(picture, query, self._spec.model)
+        self._spec.check(batch.digest)
+        return batch
+
+    def plan(self, problem: Problem, query: PlanQuery) -> tuple[Plan, float]:
+        """The plan for a problem's picture, and the time from the file to the answer, s.
+
+        A problem that needs wider joint limits than a served model has counts as refused; a bundle takes the
+        limits of the problem's world.
+
+        Raises:
+            SamplerError: the API does not answer, or another model does.
+        """
+        picture, world = picture_file_of(problem.scenario), problem.scenario.world
+        if self._bundle is not None:
+            bundle, began = self._bundle.within(world), time.perf_counter()
+            plan = bundle.plan(bundle.prepare(world.examine_picture(picture)), query)
+            return plan, time.perf_counter() - began
+        if not self._space.contains(np.array([query.start, query.goal], dtype=np.float64)).all():
+            return Plan("refused", np.empty((0, self._space.dim))), 0.0
+        found = self._source.plan(picture, query, self._spec.model)  # type: ignore[union-attr]
+        self._spec.check(found.model.digest)
+        return _plan_of(found), found.round_trip_s
 
 
-@contextmanager
-def opened_planners(specs: Sequence[SourceSpec], world: World) -> Iterator[Mapping[str, PlanModel]]:
-    """The planners by name, each asked once, so that no run pays for a first request.
+def opened(specs: Sequence[SourceSpec], world: World, stack: ExitStack, *, plans: bool) -> dict[str, Model]:
+    """The models by name, each asked once, so that no run pays for a first request.
 
     Raises:
         SamplerError: one of them does not answer.
         BundleError: a bundle is damaged.
     """
-    problem = _example(world)
-    with ExitStack() as stack:
-        found = {}
-        for spec in specs:
-            engine: Bundle | SamplingClient
-            if spec.packed is None:
-                engine = stack.enter_context(_plan_client(spec.url or "", world))
-            else:
-                engine = spec.packed.load()
-            found[spec.name] = PlanModel(spec, engine, world.space)
-            found[spec.name].plan(picture_file_of(problem.scenario), plan_query(problem), world)
-        yield found
+    problem, found = _example(world), {}
+    for spec in specs:
+        found[spec.name] = model = Model(spec, world, stack)
+        if plans:
+            model.plan(problem, plan_query(problem, 0, 1.0))
+        else:
+            model.sample(problem, SampleQuery(10, 1, min_confidence=0.0))
+    return found
 
 
-def _plan_client(url: str, world: World) -> SamplingClient:
-    return SamplingClient(url, _PATIENCE_S, deadline_s=2.0 * _PATIENCE_S, robot=robot_digest(world))
+def plan_query(problem: Problem, seed: int, time_limit_s: float) -> PlanQuery:
+    """For the path of the highest confidence and all others, at any confidence."""
+    start, goal = (tuple(float(angle) for angle in end) for end in (problem.start, problem.goal))
+    return PlanQuery(start, goal, seed, 0.0, time_limit_s, DEFAULT_PATHS, alternatives=True)
+
+
+def fresh_picture(file: bytes, note: str) -> bytes:
+    """A PNG with a comment: another file with the same pixels; depth views stay as they are."""
+    if not file.startswith(_PNG):
+        return file
+    info, target = PngImagePlugin.PngInfo(), io.BytesIO()
+    info.add_text("Comment", note)
+    Image.open(io.BytesIO(file)).save(target, "PNG", pnginfo=info)
+    return target.getvalue()
+
+
+def _client(url: str, world: World) -> SamplingClient:
+    return SamplingClient(url, _TIMEOUT_S, deadline_s=2.0 * _TIMEOUT_S, robot=robot_digest(world))
+
+
+def _plan_of(found: FoundPlan) -> Plan:
+    """An API's plan as a bundle's."""
+    paths = (AlternativePath(one.path, one.confidence, one.edges) for one in found.alternatives or ())
+    return Plan(
+        found.status,
+        found.path,
+        confidence=found.confidence,
+        edges=found.edges,
+        alternatives=tuple(paths),
+        search_ms=found.timing_ms.search,
+        score_ms=found.timing_ms.score,
+    )
 
 
 def _example(world: World) -> Problem:

@@ -15,7 +15,7 @@ import sys
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 
-from services.evaluator.benchmark.execution import end_with_parent
+from services.evaluator.benchmark.job import end_with_parent
 from tests.services.evaluator.test_processes import pid_of
 
 if __name__ == "__main__":

@@ -34,7 +34,7 @@ def test_a_solved_problem_prints_a_table_draws_a_figure_and_returns_0(api, tmp_p
 def test_the_same_command_gives_the_same_outcome_as_json(api, capsys):
     runs = []
     for _ in range(2):
-        assert command.main([*api, *UNIFORM, "--n", "50", "--colliding-last", "--json"]) == 0
+        assert command.main([*api, *UNIFORM, "--n", "50", "--json"]) == 0
         outcome = json.loads(capsys.readouterr().out)
         for run in outcome["runs"].values():
             assert run.pop("solve_time_s") > 0.0
@@ -92,7 +92,6 @@ def test_a_problem_without_a_path_returns_1_and_null_lengths(capsys):
     [
         ["--plot", "plan.gif"],
         ["--api", "nonsense"],
-        ["--uniform-share", "2"],
         ["--range", "0"],
         ["--max-iterations", "0"],
         ["--timeout", "0"],
@@ -108,8 +107,7 @@ def test_a_wrong_value_returns_2_and_is_named(arguments, capsys):
 @pytest.mark.parametrize(
     "arguments",
     [
-        *(["--family", "wide"], ["--planner", "RRTConnect"], ["--seed", "-1"], ["--timeout", "inf"]),
-        ["--epsilon-sigma", "1", "inf"],
+        *(["--family", "wide"], ["--planner", "RRTConnect"], ["--uniform-share", "2"], ["--timeout", "inf"]),
     ],
     ids=" ".join,
 )

@@ -10,7 +10,7 @@ from cspace.worlds.planar.render import render
 from services.planner.__main__ import make_parser
 from services.planner.client import usual_api
 from services.planner.ompl_planner import solve
-from services.planner.planning import SampleRequest, compare_with_api, plan_with_api, raised_share
+from services.planner.planning import SampleRequest, plan, raised_share
 from services.planner.settings import PlannerSettings
 from tests.fakes.sample_source import FakeSampleSource
 
@@ -19,37 +19,35 @@ SETTINGS = PlannerSettings(seed=3)
 
 def test_the_source_is_asked_once_for_the_picture_of_the_scenario(blocked):
     source = FakeSampleSource()
-    plan = plan_with_api(blocked, source, SETTINGS, SampleRequest(SampleQuery(40, SETTINGS.seed)))
-    assert plan.result.solved
+    found = plan(blocked, source, SETTINGS, SampleRequest(SampleQuery(40, SETTINGS.seed)))
+    assert found.result.solved
     assert len(source.requests) == 1
     request = source.requests[0]
     assert np.array_equal(decode_png(request.image_png), render(blocked.scenario))
     assert (request.query.n, request.query.seed, request.query.start) == (40, 3, None)
-    assert plan.batch is not None
-    assert plan.unavailable is None
+    assert found.batch is not None
+    assert found.unavailable is None
 
 
 def test_the_planner_draws_the_samples_of_the_source(make_problem):
     corner = FakeSampleSource(lambda rng, n: rng.uniform(0.0, 0.4, (n, 2)))
     settings = PlannerSettings(goal_bias=0.0, max_iterations=60)
-    plan = plan_with_api(
-        make_problem(), corner, settings, SampleRequest(SampleQuery(60, 1)), 0.0, keep_tree=True
-    )
-    assert plan.result.learned_drawn == 60
-    assert plan.result.tree is not None
-    assert plan.result.tree.vertices.min() >= 0.0
-    assert plan.result.tree.vertices.max() <= 0.4
+    found = plan(make_problem(), corner, settings, SampleRequest(SampleQuery(60, 1)), 0.0, keep_tree=True)
+    assert found.result.learned_drawn == 60
+    assert found.result.tree is not None
+    assert found.result.tree.vertices.min() >= 0.0
+    assert found.result.tree.vertices.max() <= 0.4
 
 
 def test_a_refused_request_is_not_hidden_by_uniform_samples(blocked):
     with pytest.raises(SamplerError, match="No such model"):
-        plan_with_api(blocked, FakeSampleSource(), SETTINGS, SampleRequest(SampleQuery(300, 3), "nobody/1"))
+        plan(blocked, FakeSampleSource(), SETTINGS, SampleRequest(SampleQuery(300, 3), "nobody/1"))
 
 
 def test_samples_of_another_robot_are_refused_by_name(blocked):
     source = FakeSampleSource(lambda rng, n: rng.uniform(-1, 1, (n, 3)))
     with pytest.raises(SamplerError, match=r"pretrained/0 are for another robot.*2 joints.*3"):
-        plan_with_api(blocked, source, SETTINGS)
+        plan(blocked, source, SETTINGS)
 
 
 @pytest.mark.parametrize(
@@ -65,10 +63,10 @@ def test_a_picture_like_no_other_is_planned_with_uniform_samples_alone(blocked):
         def answer(self, *arguments):
             return replace(super().answer(*arguments), novelty=1.0)
 
-    alarmed = plan_with_api(blocked, Alarmed(), SETTINGS)
+    alarmed = plan(blocked, Alarmed(), SETTINGS)
     assert alarmed.uniform_share == 1.0
     assert (alarmed.result.learned_drawn, alarmed.batch.shortfall) == (0, 0)
-    calm = plan_with_api(blocked, FakeSampleSource(), SETTINGS)
+    calm = plan(blocked, FakeSampleSource(), SETTINGS)
     assert calm.uniform_share < 1.0
     assert calm.result.learned_drawn > 0
 
@@ -76,29 +74,18 @@ def test_a_picture_like_no_other_is_planned_with_uniform_samples_alone(blocked):
 def test_a_batch_from_which_all_was_dropped_is_planned_uniformly(blocked):
     source = FakeSampleSource(lambda rng, n: rng.uniform(-1, 1, (n, 2)))
     request = SampleRequest(SampleQuery(3, 0, min_confidence=1.0))
-    plan = plan_with_api(blocked, source, SETTINGS, request)
-    assert plan.batch is not None
-    assert plan.batch.shortfall == 3
-    assert np.array_equal(plan.result.path, solve(blocked, SETTINGS).path)
+    found = plan(blocked, source, SETTINGS, request)
+    assert found.batch is not None
+    assert found.batch.shortfall == 3
+    assert np.array_equal(found.result.path, solve(blocked, SETTINGS).path)
 
 
 def test_the_ends_are_sent_where_a_path_model_needs_them(blocked):
     source = FakeSampleSource()
     with pytest.raises(SamplerError):
-        plan_with_api(blocked, source, SETTINGS, SampleRequest(SampleQuery(300, 3), with_ends=True))
+        plan(blocked, source, SETTINGS, SampleRequest(SampleQuery(300, 3), with_ends=True))
     assert source.requests[0].query.start == tuple(blocked.start.tolist())
     assert source.requests[0].query.goal == tuple(blocked.goal.tolist())
-
-
-def test_a_comparison_holds_both_kinds_of_samples_and_rrtconnect_under_one_seed(blocked):
-    comparison = compare_with_api(blocked, FakeSampleSource(), SETTINGS)
-    assert comparison.learned.result.learned_drawn > 0
-    assert np.array_equal(comparison.uniform.path, solve(blocked, SETTINGS).path)
-    assert comparison.connect.solved
-    assert all(
-        result.tree is not None
-        for result in (comparison.learned.result, comparison.uniform, comparison.connect)
-    )
 
 
 def test_the_address_is_the_shell_s_or_the_usual_one(monkeypatch):

@@ -1,16 +1,12 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
-from matplotlib import rcParams
 from matplotlib.figure import Figure
 from PIL import Image
 
-from cspace.errors import ConfigError, StorageError
+from cspace.errors import ConfigError
 from cspace.simulator import Split
 from cspace.worlds import examples, simulator_of
-from cspace.worlds.planar.arm import THREE_LINK
-from cspace.worlds.planar.render import capsule_outline
+from cspace.worlds.planar.arm import THREE_LINK, PlanarArm
 from services.planner.ompl_planner import solve
 from services.planner.plotting import (
     PATH,
@@ -20,6 +16,7 @@ from services.planner.plotting import (
     plot_plan,
     plot_workspace,
     save_figure,
+    wrapped_segments,
 )
 from services.planner.settings import PlannerSettings
 
@@ -85,28 +82,15 @@ def test_the_collision_region_of_two_joints_is_exact(blocked):
     assert share[32, 16] == 0.0
 
 
-def test_drawing_leaves_matplotlib_s_settings_alone(blocked):
-    before = dict(rcParams)
-    plot_plan(blocked, solve(blocked, PlannerSettings()))
-    assert dict(rcParams) == before
-
-
-def test_a_capsule_s_outline_keeps_its_distance():
-    base, tip = np.array([1.0, 1.0]), np.array([1.0, 3.0])
-    outline = capsule_outline(base, tip, 0.1)
-    assert np.allclose(outline.min(axis=0), [0.9, 0.9], atol=2e-3)
-    assert np.allclose(outline.max(axis=0), [1.1, 3.1], atol=2e-3)
+def test_a_segment_over_a_seam_is_plotted_at_both_sides_and_a_limited_joint_has_none():
+    limited = PlanarArm(joint_limits_rad=((-3.0, 3.0), None)).space
+    start, end = np.array([[2.9, 0.0]]), np.array([[-2.9, 0.0]])
+    assert np.allclose(wrapped_segments(limited, start, end, (0, 1)), [[[2.9, 0.0], [-2.9, 0.0]]])
+    ends = sorted(tuple(line[:, 0]) for line in wrapped_segments(PlanarArm().space, start, end, (0, 1)))
+    assert np.allclose(ends, [[2.9 - 2 * np.pi, -2.9], [2.9, 2 * np.pi - 2.9]])
 
 
 @pytest.mark.parametrize("name", ["plan.gif", "missing/plan.png"])
 def test_a_file_that_can_not_become_a_figure_is_named_first(tmp_path, name):
     with pytest.raises(ConfigError, match="figure's"):
         check_figure_path(tmp_path / name)
-
-
-def test_a_figure_that_can_not_be_written_is_a_storage_error(blocked, tmp_path):
-    figure = plot_plan(blocked, solve(blocked, PlannerSettings()))
-    target: Path = tmp_path / "taken.png"
-    target.mkdir()
-    with pytest.raises(StorageError, match=r"taken\.png"):
-        save_figure(figure, target)

@@ -10,7 +10,7 @@ from cspace.simulator import Split
 from cspace.worlds import default_world, examples, robot_digest
 from cspace.worlds.planar.problems import Family, draw_problem
 from services.planner.client import ClientSource, SamplingClient
-from services.planner.planning import SampleRequest, plan_with_api
+from services.planner.planning import SampleRequest, plan
 from services.planner.samples import LocalSampler
 from services.planner.settings import PlannerSettings
 from tests.bundles import picture, write_tiny_bundle
@@ -63,5 +63,5 @@ def test_a_fallback_of_another_robot_does_not_stand_in(tmp_path):
 
 def test_a_planner_names_the_robot_of_its_problem():
     source, problem = FakeSampleSource(), draw_problem(Family.UNIFORM, Split.DEMO, 1)
-    plan_with_api(problem, source, PlannerSettings(seed=3), SampleRequest(SampleQuery(40, 3)))
+    plan(problem, source, PlannerSettings(seed=3), SampleRequest(SampleQuery(40, 3)))
     assert source.requests[0].query.robot == robot_digest(default_world())

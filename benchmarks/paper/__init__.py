@@ -1,1 +1,0 @@
-"""The paper's comparison: four columns over one data set, trained by the real job, judged alike."""

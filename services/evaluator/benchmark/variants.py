@@ -1,0 +1,249 @@
+"""What the benchmark compares: variants (planner and source of samples), settings, and units of work."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from pathlib import Path
+
+import numpy as np
+
+from cspace.errors import ConfigError
+from cspace.query import SampleQuery
+from cspace.simulator import Families, Problem, ProblemRequest, Split
+from cspace.simulator import Taken as Unseen
+from cspace.world import World
+from cspace.worlds import default_world, partly_seen, simulator_of
+from services.planner.settings import (
+    LEARNED_PLANNERS,
+    PLANNERS,
+    RRT,
+    RRT_CONNECT,
+    RRT_STAR,
+    SAMPLED_CONNECT,
+    PlannerSettings,
+)
+
+SAMPLES = 300
+SHARES = (0.7, 1.0)
+PICTURES = (1, 2, 3)
+AIMS = ("goal", "scene")
+NAMES = {RRT: "RRT", RRT_STAR: "RRT*", RRT_CONNECT: "RRT-Connect", SAMPLED_CONNECT: "own RRT-Connect"}
+
+
+class Protocol(StrEnum):
+    """A preset: many problems once each, the paper's few problems often, or plans from depth pictures."""
+
+    FAMILIES = "families"
+    PAPER = "paper"
+    PLANS = "plans"
+
+
+class Group(StrEnum):
+    """Purpose of a variant."""
+
+    UNIFORM = "uniform"
+    LEARNED = "learned"
+    OPTIMISING = "optimising"
+    PLANS = "plans"
+    PATHS = "paths"
+
+
+GROUPS: Mapping[Protocol, tuple[Group, ...]] = {
+    Protocol.FAMILIES: (Group.UNIFORM, Group.LEARNED, Group.OPTIMISING),
+    Protocol.PAPER: (Group.UNIFORM, Group.LEARNED, Group.OPTIMISING),
+    Protocol.PLANS: (Group.PLANS, Group.PATHS),
+}
+RUNS = {Protocol.FAMILIES: 1, Protocol.PAPER: 100, Protocol.PLANS: 3}
+LIMITS: Mapping[Protocol, Mapping[str, float]] = {
+    Protocol.FAMILIES: {"max_iterations": 20_000, "optimising_iterations": 2000, "time_limit_s": 10.0},
+    # The paper stops by the clock alone; no planner here makes so many iterations in a second.
+    Protocol.PAPER: {"max_iterations": 200_000, "optimising_iterations": 200_000, "time_limit_s": 1.0},
+    Protocol.PLANS: {"max_iterations": 200_000, "optimising_iterations": 2000, "time_limit_s": 20.0},
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """One way to solve a problem.
+
+    Args:
+        name: unique.
+        group: its purpose.
+        planner: with exact checks, by its name in ``services.planner.settings``; None plans without.
+        base: name of the variant that it is compared with.
+        sampler: name of the model; None for none.
+        share: of learned samples among the drawn ones while there are any, 0 to 1.
+        samples: number of learned samples that are requested.
+        stop_at_first: whether the search ends with its first solution.
+        unseen: what unseen space counts as where paths are searched for without a model.
+    """
+
+    name: str
+    group: Group
+    planner: str | None
+    base: str | None = None
+    sampler: str | None = None
+    share: float = 0.0
+    samples: int = 0
+    stop_at_first: bool = True
+    unseen: Unseen | None = None
+
+    @property
+    def checked(self) -> bool:
+        """Whether a planner with exact checks runs."""
+        return self.planner is not None
+
+    @property
+    def pictured(self) -> bool:
+        """Whether the result depends on the depth pictures."""
+        return self.sampler is not None or self.unseen not in (None, Unseen.KNOWN)
+
+    def query(self, seed: int) -> SampleQuery:
+        """The request for samples, unfiltered and without start and goal."""
+        return SampleQuery(self.samples, seed, min_confidence=0.0)
+
+
+UNIFORM_CONNECT = f"{NAMES[RRT_CONNECT]}, uniform"
+
+
+def table(
+    protocol: Protocol, models: Sequence[str], samples: int = SAMPLES, shares: Sequence[float] = SHARES
+) -> tuple[Variant, ...]:
+    """All variants of a protocol for the names of models, in the order of the report."""
+    return tuple(_plans(models) if protocol is Protocol.PLANS else _samples(models, samples, shares))
+
+
+def _samples(models: Sequence[str], samples: int, shares: Sequence[float]) -> Iterator[Variant]:
+    def uniform(planner: str) -> str:
+        return f"{NAMES[planner]}, uniform"
+
+    for planner in PLANNERS:
+        yield Variant(uniform(planner), Group.UNIFORM, planner, uniform(planner))
+    base = f"{uniform(RRT_STAR)}, optimising"
+    yield Variant(base, Group.OPTIMISING, RRT_STAR, base, stop_at_first=False)
+    for model in models:
+        for share in shares:
+            for planner in LEARNED_PLANNERS:
+                name = f"{NAMES[planner]}, {model}, {100.0 * share:g} %"
+                one = Variant(name, Group.LEARNED, planner, uniform(planner), model, share, samples)
+                yield one
+                if planner == RRT_STAR:
+                    name = f"{name}, optimising"
+                    yield replace(one, name=name, group=Group.OPTIMISING, base=base, stop_at_first=False)
+
+
+def _plans(models: Sequence[str]) -> Iterator[Variant]:
+    free = Unseen.FREE.value
+    yield from (Variant(model, Group.PLANS, None, free, model) for model in models)
+    yield from (Variant(unseen.value, Group.PLANS, None, free, unseen=unseen) for unseen in Unseen)
+    own, name = (Group.PATHS, SAMPLED_CONNECT, UNIFORM_CONNECT), "RRT-Connect, paths of"
+    yield Variant(UNIFORM_CONNECT, *own)
+    yield from (Variant(f"{name} {model}", *own, sampler=model) for model in models)
+    yield Variant(f"{name} the truth", *own, unseen=Unseen.KNOWN)
+
+
+def pick(variants: Sequence[Variant], wanted: Sequence[str]) -> tuple[Variant, ...]:
+    """The variants of some names or groups, and their bases.
+
+    Raises:
+        ConfigError: a name is unknown.
+    """
+    if unknown := set(wanted) - {variant.name for variant in variants} - set(Group):
+        raise ConfigError(
+            "there is no such variant or group", expected=", ".join(Group), got=", ".join(unknown)
+        )
+    found = [variant for variant in variants if {variant.name, variant.group} & set(wanted)]
+    chosen = {name for variant in found for name in (variant.name, variant.base)}
+    return tuple(variant for variant in variants if variant.name in chosen)
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """What all runs of a folder have in common.
+
+    Args:
+        protocol: what is run.
+        split: of the problems.
+        seed: of problems, planners and samplers.
+        max_iterations: states drawn after which a search ends without a path.
+        optimising_iterations: the same for a search that goes on after its first solution.
+        time_limit_s: wall time after which a search ends.
+        aim: what cameras look at, ``goal`` or ``scene``.
+        plan_limit_s: time in which paths are planned without exact checks.
+        world: robot and sensor.
+        held: whether the robot holds what goals grasp, and planners know this and the table.
+    """
+
+    protocol: Protocol
+    split: Split
+    seed: int
+    max_iterations: int
+    optimising_iterations: int
+    time_limit_s: float
+    aim: str = AIMS[0]
+    plan_limit_s: float = 2.0
+    world: World = field(default_factory=default_world)
+    held: bool = False
+
+    @property
+    def families(self) -> Families:
+        """Of the world's problems."""
+        return simulator_of(self.world).families
+
+    def problem(self, unit: "Unit") -> Problem | None:
+        """A unit's problem; None where an end of it collides."""
+        if self.protocol is not Protocol.PLANS:
+            return simulator_of(self.world).problem(unit.family, self.split, self.seed, unit.index)
+        request = ProblemRequest(self.split, self.seed, self.aim, unit.folder, self.held)
+        return partly_seen(self.world).problem(request, unit.family, unit.index, max(1, unit.pictures))
+
+    def planner(self, variant: Variant, index: int, run: int) -> PlannerSettings:
+        """The settings of one run; the seed is the same for every variant."""
+        measures = simulator_of(self.world).measures
+        return PlannerSettings(
+            planner=variant.planner or SAMPLED_CONNECT,
+            range_rad=measures.range_rad,
+            resolution_rad=measures.resolution_rad,
+            time_limit_s=self.time_limit_s,
+            max_iterations=self.max_iterations if variant.stop_at_first else self.optimising_iterations,
+            seed=planner_seed(self.seed, index, run),
+            stop_at_first=variant.stop_at_first,
+        )
+
+
+def planner_seed(seed: int, index: int, run: int) -> int:
+    """The seed of one run, in 1...2^31 - 1; OMPL takes no zero."""
+    state = np.random.SeedSequence(entropy=seed, spawn_key=(98, index, run)).generate_state(1)
+    return 1 + int(state[0]) % (2**31 - 1)
+
+
+# Family, problem, pictures, run and variant.
+Key = tuple[str, int, int, int, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """One problem with the runs that one process does at a time.
+
+    Args:
+        family: of the problem.
+        index: of the problem within its family.
+        todo: variants and the numbers of their runs.
+        pictures: by which the scene is seen; 0 where the runs do not depend on depth pictures.
+        folder: of problems that do not ship.
+    """
+
+    family: str
+    index: int
+    todo: tuple[tuple[Variant, int], ...]
+    pictures: int = 0
+    folder: Path | None = None
+
+    def run_keys(self) -> list[Key]:
+        """The key of every run."""
+        return [(self.family, self.index, self.pictures, run, variant.name) for variant, run in self.todo]
+
+    def without(self, done: set[Key]) -> "Unit":
+        """The unit with the runs that are still missing."""
+        todo = zip(self.run_keys(), self.todo, strict=True)
+        return replace(self, todo=tuple(one for key, one in todo if key not in done))

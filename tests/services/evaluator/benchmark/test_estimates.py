@@ -1,0 +1,197 @@
+"""Estimates of runs whose figures are known."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cspace.errors import EvaluationError
+from services.evaluator.benchmark.estimates import break_even_us, confidence_curve, ratios
+from services.evaluator.benchmark.runs import NO_PROBLEM
+from services.evaluator.benchmark.variants import Protocol
+
+UNIFORM, LEARNED = "RRT, uniform", "RRT, model, 70 %"
+STAR, LEARNED_STAR = "RRT*, uniform, optimising", "RRT*, model, 70 %, optimising"
+MODEL, FREE, KNOWN = "model", "unseen is free", "truth everywhere"
+CONNECT, PATHS = "RRT-Connect, uniform", "RRT-Connect, paths of model"
+GROUP = "MotionBenchMaker, 1"
+MS = 1e-3
+
+
+def found(results, variant, group="narrow"):
+    return results.estimates[group][variant]
+
+
+@pytest.mark.parametrize(
+    ("values", "base", "expected"),
+    [
+        ([2.0, 20.0, 100.0], [10.0, 100.0, 500.0], 0.2),
+        # A failure counts as the largest value of both: the median of 400, 100, 100 over 400.
+        ([np.inf, 100.0, 100.0], [400.0, 400.0, 400.0], 0.25),
+        ([np.inf, np.inf, 100.0], [400.0, 400.0, 400.0], 1.0),
+        # What takes no iteration counts as one.
+        ([0.0, 0.0], [2.0, 2.0], 0.5),
+    ],
+)
+def test_ratios_are_of_quantiles_over_problems(values, base, expected):
+    rng = np.random.default_rng(0)
+    estimate = dict(ratios("x", np.array(values), np.array(base), rng))["x_median"]
+    assert estimate.value == pytest.approx(expected)
+    assert estimate.low <= estimate.value <= estimate.high
+
+
+@pytest.mark.parametrize(
+    ("learned", "others", "expected"),
+    [
+        # Learned samples save 150 checks, which have to pay for 9 ms.
+        ((10 * MS, 50.0), [(1 * MS, 200.0)], 60.0),
+        ((1 * MS, 50.0), [(1 * MS, 200.0)], 0.0),
+        ((0.5 * MS, 50.0), [(1 * MS, 50.0)], 0.0),
+        ((10 * MS, 200.0), [(1 * MS, 50.0)], math.inf),
+        # Of several others, the dearest counts: 9 ms for 30 checks.
+        ((10 * MS, 50.0), [(1 * MS, 200.0), (1 * MS, 80.0)], 300.0),
+        ((10 * MS, 50.0), [(1 * MS, 200.0), (1 * MS, 40.0)], math.inf),
+    ],
+)
+def test_break_even_by_hand(learned, others, expected):
+    assert break_even_us(np.array([learned, *others])) == pytest.approx(expected)
+
+
+lines = st.tuples(st.floats(0.0, 1.0, allow_subnormal=False), st.integers(0, 1000).map(float))
+
+
+@given(learned=lines, others=st.lists(lines, min_size=1, max_size=4), above_us=st.floats(0.0, 1e6))
+def test_above_the_break_even_cost_it_takes_no_more_time_than_any_other(learned, others, above_us):
+    from_us = float(break_even_us(np.array([learned, *others])))
+    if math.isfinite(from_us):
+        check_s = 1e-6 * (from_us + above_us)
+        for fixed_s, checks in others:
+            assert learned[0] + learned[1] * check_s <= fixed_s + checks * check_s + 1e-6 * (1.0 + check_s)
+
+
+@pytest.fixture
+def planar():
+    """Three problems: learned samples take a tenth of the work, and uniform ones fail in the last."""
+    rows = []
+    for problem, count in enumerate((100, 200, 2000)):
+        work = {"problem": problem, "state_check_s": 1e-6}
+        done = problem < 2
+        rows += [
+            work | {"variant": UNIFORM, "iterations": count, "edge_checks": count, "state_checks": 10 * count,
+                    "solved": done, "solve_s": 3e-5 * count, "length_rad": 4.0 if done else None,
+                    "first_length_rad": 4.0 if done else None},
+            work | {"variant": LEARNED, "iterations": count // 10, "edge_checks": count // 10,
+                    "state_checks": count, "solve_s": 3e-6 * count, "request_s": 0.02, "length_rad": 3.0,
+                    "first_length_rad": 3.0},
+        ]  # fmt: skip
+    return rows
+
+
+def test_success_work_and_what_pays(planar, results_of):
+    results = results_of(planar)
+    uniform, learned = found(results, UNIFORM), found(results, LEARNED)
+    assert (uniform["solved"].value, learned["solved"].value) == (pytest.approx(2 / 3), 1.0)
+    assert (uniform["iterations_median"].value, uniform["iterations_p90"].value) == (200.0, math.inf)
+    # The failure counts as 200, the largest number of both: 20 of 200.
+    assert learned["iterations_ratio_median"].value == pytest.approx(20 / 200)
+    assert learned["length_ratio"].value == pytest.approx(0.75)
+    # 60 ms of requests and 6.9 ms - 2.3 ms of planning against 69 ms - 23 ms; 230 checks against 2300.
+    costs_us = 1e6 * (0.0646 - 0.046)
+    assert learned["break_even_edge_base_from_us"].value == pytest.approx(costs_us / (2300 - 230))
+    assert learned["break_even_state_base_from_us"].value == pytest.approx(costs_us / (23000 - 2300))
+    assert not [name for name in uniform if name.startswith("break_even")]
+    assert results.metrics()["narrow/RRT_model_70/iterations_ratio_median"] == pytest.approx(0.1)
+    assert "narrow/RRT_uniform/iterations_p90" not in results.metrics()
+    assert results.headline().startswith("Cost of an edge check")
+    assert "| RRT, model, 70 % |" in results.markdown([])
+
+
+def test_problems_are_those_that_all_variants_have_run(planar, results_of):
+    assert found(results_of(planar[:-1]), LEARNED)["iterations_p90"].value == 20.0
+    with pytest.raises(EvaluationError, match="all variants"):
+        results_of([planar[0], planar[3]]).note()
+
+
+def test_close_is_within_five_per_cent_of_the_best_of_all_and_may_never_come(results_of):
+    def star(variant, problem, lengths, iterations):
+        costs = {f"cost_{name}": iterations for name in ("iterations", "edge_checks")}
+        return {
+            "variant": variant, "problem": problem, "iterations": 1000, "length_rad": lengths[-1],
+            "cost_length_rad": lengths, "cost_s": [1e-3 * one for one in iterations], **costs,
+        }  # fmt: skip
+
+    results = results_of(
+        [
+            star(STAR, 0, [6.0, 4.3, 4.1], [50, 200, 400]),
+            star(STAR, 1, [6.0, 3.2], [50, 200]),
+            star(LEARNED_STAR, 0, [4.5, 4.15], [20, 40]),
+            star(LEARNED_STAR, 1, [3.0], [30]),
+        ]
+    )
+    uniform, learned = found(results, STAR), found(results, LEARNED_STAR)
+    assert (uniform["close"].value, learned["close"].value) == (0.5, 1.0)
+    assert (uniform["close_iterations_median"].value, learned["close_ms_median"].value) == (math.inf, 40.0)
+    # The run that never comes close counts as the largest of both, 200: 35 of 200.
+    assert learned["close_iterations_ratio_median"].value == pytest.approx(35 / 200)
+
+
+def planned(variant, problem, clearance_m, **values):
+    solved = clearance_m is not None
+    status = "solved" if solved else "refused"
+    return {
+        "variant": variant, "problem": problem, "pictures": 0 if variant == KNOWN else 1, "status": status,
+        "solved": solved, "clearance_m": clearance_m, "search_s": 0.1, "request_s": 0.2,
+        "family": "motionbench_table_pick",
+    } | values  # fmt: skip
+
+
+@pytest.fixture
+def four(results_of):
+    """Four problems: the model's paths by confidence free, free, 5 mm deep, and none."""
+    sure = {0: (0.9, 0.01), 1: (0.8, 0.02), 2: (0.2, -0.005)}
+    rows = [planned(MODEL, at, depth, confidence=value) for at, (value, depth) in sure.items()]
+    rows += [planned(FREE, at, -0.02, meshes_free=at > 0) for at in range(3)]
+    rows += [planned(MODEL, 3, None), planned(FREE, 3, 0.03, meshes_free=True)]
+    rows += [planned(KNOWN, at, 0.01) for at in range(4)]
+    rows += [planned(one, 4, None, status=NO_PROBLEM) for one in (MODEL, FREE, KNOWN)]
+    return results_of(rows, Protocol.PLANS)
+
+
+def test_plans_collide_by_paths_and_are_compared_where_both_solve(four):
+    model, free = found(four, MODEL, GROUP), found(four, FREE, GROUP)
+    assert (model["solved"].value, model["refused"].value, model["deep"].value) == (0.75, 0.25, 0.0)
+    assert (model["collide"].value, free["collide"].value) == (pytest.approx(1 / 3), 0.75)
+    assert (free["meshes"].value, "meshes" in model) == (0.25, False)
+    assert model["more"].value == pytest.approx(1 / 3 - 1.0)
+    assert found(four, KNOWN, GROUP)["more"].value == -0.75
+    # 0.1, 0.2 and 0.2 away from the truth.
+    assert model["calibration_error"].value == pytest.approx(0.5 / 3)
+    assert model["surer_half_collide"].value == 0.0
+    assert set(four.groups) == {GROUP, "motionbench_table_pick, 1"}
+    curve = confidence_curve(four.runs[four.runs["variant"] == MODEL])
+    np.testing.assert_allclose(curve["collide"], [0.0, 0.0, 1 / 3])
+    assert "1 problems are left out" in four.markdown([])
+
+
+def test_exact_checks_are_compared_with_uniform_rrt_connect_by_the_median_of_a_problems_runs(results_of):
+    rows = []
+    for variant, request_s, counts in ((CONNECT, 0.0, (100, 200, 1000)), (PATHS, 0.01, (50, 100, 100))):
+        for problem, count in enumerate(counts):
+            for run, factor in enumerate((1, 1, 9)):
+                states = factor * count
+                rows.append(
+                    {"variant": variant, "problem": problem, "run": run, "pictures": int(variant == PATHS),
+                     "iterations": states, "edge_checks": states, "state_checks": states, "as_is": run == 0,
+                     "solve_s": 2e-6 * states, "state_check_s": 1e-6, "request_s": request_s}
+                )  # fmt: skip
+    paths = found(results_of(rows, Protocol.PLANS), PATHS, GROUP)
+    # Over uniform's 200 and, between 200 and 1000, 840.
+    assert [paths[f"states_ratio_{name}"].value for name in ("median", "p90")] == pytest.approx(
+        [0.5, 100 / 840]
+    )
+    assert paths["as_is"].value == pytest.approx(1 / 3)
+    # Half of what a search takes are its checks.
+    fixed_us = 1e6 * (9 * 0.01 + 1e-6 * 11 * 250 - 1e-6 * 11 * 1300)
+    assert paths["break_even_state_base_from_us"].value == pytest.approx(fixed_us / (11 * 1050))
