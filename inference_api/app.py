@@ -2,6 +2,7 @@
 
 from collections.abc import AsyncIterator
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, nullcontext
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,21 +26,20 @@ from inference_api.routes.documentation import add_docs_page, add_guide
 from inference_api.scheduler import Lookups, Scheduler
 from inference_api.schemas import Problem
 from inference_api.settings import ApiSettings
-from inference_api.shadow import Shadow
 from inference_api.telemetry import Metrics, Telemetry
 from inference_api.tensors import InferenceRequest
 from inference_api.tracing import TracedMetrics, add_tracing, otlp_provider
 from inference_api.workbench.routes import add_workbench
-from services.outcomes import Spool
-from services.registry.ports import PRETRAINED, ModelReader
+from services.outcomes import Receipts, Spool
+from services.registry.entities import PRETRAINED, ModelReader
 
 if TYPE_CHECKING:
     from opentelemetry.sdk.trace import TracerProvider
 
 # Long enough for a registry nearby, short enough for a health check's patience.
 FIRST_LOOK_S = 20.0
-# Between two files of outcomes, which is what a killed process loses.
-FLUSH_S = 10.0
+# Between two looks for kept pictures whose time is over.
+EXPIRY_S = 3600.0
 
 
 def create_app(settings: ApiSettings | None = None, registry: ModelReader | None = None) -> FastAPI:
@@ -66,7 +66,7 @@ def create_app(settings: ApiSettings | None = None, registry: ModelReader | None
         spool = app.state.service.spool
         flushed: AbstractAsyncContextManager[None] = nullcontext()
         if spool is not None:
-            flushed = repeated(spool.flush, FLUSH_S, at_end=True)
+            flushed = repeated(partial(spool.delete_expired, settings.registry_uri or ""), EXPIRY_S)
         async with trimmed(), flushed, following(store, settings.poll_s, FIRST_LOOK_S):
             settle()
             if app.state.loads_planner:
@@ -158,9 +158,9 @@ def _make_service(settings: ApiSettings, store: ModelStore, metrics: Metrics) ->
     scheduler, lookups = Scheduler(settings.threads, metrics.waiting), Lookups()
     folder, most_bytes = settings.outcomes_folder, settings.outcomes_bytes
     spool = None if folder is None else Spool(folder, most_bytes, metrics.outcomes)
-    shadow = Shadow(store, scheduler, lookups, spool, metrics.compared)
+    receipts = None if folder is None else Receipts.of(folder, settings.receipt_key)
     keep_s = 86_400.0 * settings.kept_pictures_days
-    return Service(store, scheduler, lookups, metrics, shadow, spool, keep_s)
+    return Service(store, scheduler, lookups, metrics, spool, receipts, keep_s)
 
 
 def _verify_here(folder: Path, digest: str) -> None:

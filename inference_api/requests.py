@@ -34,10 +34,9 @@ from inference_api.problem_types import (
 )
 from inference_api.scheduler import Job, Lookups, Scheduler, rows_of
 from inference_api.schemas import ModelFields, RequestFields
-from inference_api.shadow import Shadow
 from inference_api.telemetry import Metrics
-from services.outcomes import Spool
-from services.registry.ports import ModelReference
+from services.outcomes import Receipts, Spool
+from services.registry.entities import ModelReference
 
 NPY = "application/x-npy"
 # A request that waits or computes for so long is ended where its client goes away.
@@ -73,8 +72,8 @@ class Service:
         scheduler: in whose turns requests are computed.
         lookups: where requests wait for models that have to be fetched.
         metrics: of the app.
-        shadow: compares plans with a challenger's predictions.
         spool: of outcomes; None keeps none.
+        receipts: of answers; None without a spool.
         keep_s: how long pictures and paths of plans may be kept that are asked to be, s; 0 for not at all.
     """
 
@@ -82,8 +81,8 @@ class Service:
     scheduler: Scheduler
     lookups: Lookups
     metrics: Metrics
-    shadow: Shadow
     spool: Spool | None = None
+    receipts: Receipts | None = None
     keep_s: float = 0.0
 
     async def respond(self, request: Request, parse: Parse) -> Response:

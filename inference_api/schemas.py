@@ -55,7 +55,7 @@ from cspace.world import Contact, Finding
 from inference_api.models.served import ServedModel
 from inference_api.problem_types import FieldProblem, FieldsError, brief
 from services.names import ROBOT_NAME, SITE_PATTERN, model_of
-from services.registry.ports import ModelReference
+from services.registry.entities import ModelReference
 
 MAX_JOINTS, MAX_EPSILONS, MAX_VIEWS = 64, 1000, 64
 MIN_SCALE_M, MAX_SCALE_M = 1e-6, 1.0
@@ -596,11 +596,6 @@ class PlanRequest(SceneFields):
         None,
         description="In place of `min_confidence`: the greatest probability that the path collides.",
     )
-    site: Site = Field(
-        None,
-        description="The place, as outcomes name it: confidence is by the calibration that was fitted to the "
-        "place's outcomes of this model version, if there is one.",
-    )
     time_limit_s: Annotated[float, Expected(f"a finite number from {LEAST_TIME_S:g} to {MAX_TIME_S:g}")] = (
         Field(
             1.0,
@@ -924,10 +919,8 @@ class PlanAnswer(SceneAnswer):
         "-log P(free) along it in rad and its largest value, and (a, b) the bundle's `plan_calibration` for "
         "this number of pictures; exp(-D) without one. Of the best path where it is refused; 0 without one."
     )
-    calibration: Annotated[str | None, LEFT_OUT] = Field(
-        None,
-        description="With `site`: the calibration, as `name/version`, that `confidence` is by, upon the "
-        "bundle's. Left out without one for this site and model version.",
+    receipt: Annotated[str | None, LEFT_OUT] = Field(
+        None, description="To be sent back with the outcome. Left out where the server keeps no outcomes."
     )
     kept: Annotated[bool | None, LEFT_OUT] = Field(
         None, description="With `keep`: whether the server keeps pictures and path."

@@ -14,7 +14,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from cspace.errors import ConfigError
 from cspace.strict_json import refused
 from services.outcomes import FOLDER
-from services.registry.ports import PRETRAINED, SHIPPED, is_model_name, is_shipped
+from services.registry.entities import PRETRAINED, SHIPPED, is_model_name, is_shipped
 
 TRACES_ENDPOINTS = ("OTEL_EXPORTER_OTLP_ENDPOINT", "OTEL_EXPORTER_OTLP_TRACES_ENDPOINT")
 # The name is the metrics library's; `--workers` sets it.
@@ -260,6 +260,8 @@ class ApiSettings(_Settings):
     """Folder where outcomes wait for their upload; none keeps none."""
     outcomes_bytes: _BytesOf16MiB = Field(256 * MIB, alias="CSPACE_OUTCOMES_MIB")
     """Largest size of the folder of outcomes, MiB."""
+    receipt_key: str = Field("", alias="CSPACE_RECEIPT_KEY")
+    """Secret of the receipts of answers; if empty, one is made in the folder of outcomes."""
     kept_pictures_days: float = Field(0.0, ge=0.0, le=3650.0, alias="CSPACE_OUTCOMES_KEEP_DAYS")
     """How long pictures and paths of plans whose requests say keep may be kept, days; 0 keeps none."""
 

@@ -26,7 +26,6 @@ from starlette.routing import BaseRoute, Mount, compile_path
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from cspace.query import Status
-from inference_api.drift import CollisionDrift
 from inference_api.limits import RAW_SECURITY_HEADERS
 from inference_api.logs import RequestRecord, choose_request_id, log_request, request_record
 from inference_api.models.served import ServedModel
@@ -116,20 +115,10 @@ class Metrics:
         self._reloads = counter(
             "cspace_model_reloads", "Champions put into service, or refused.", ("outcome", "reason")
         )
-        self._drift = CollisionDrift()
-        self._evidence = Gauge(
-            "cspace_collision_evidence",
-            "How clearly plans collide more often than stated, a power of ten; alarm from 6.",
-            registry=registry,
-            multiprocess_mode="livemax",
-        )
         self._outcomes = counter("cspace_outcomes", "Outcomes written to disk, or lost.", ("result",))
-        self._shadow = counter("cspace_shadow", "Plans compared with a shadow's predictions.", ("result",))
         # Else a rate over the first event of a kind would see no rise.
         for result in RESULTS:
             self._outcomes.labels(result)
-        for compared in ("compared", "dropped", "failed"):
-            self._shadow.labels(compared)
         for problem in PROBLEMS:
             self._failures.labels(problem.name)
         for status in get_args(Status):
@@ -165,17 +154,9 @@ class Metrics:
         outcome = "served" if refusal is None else "refused"
         self._reloads.labels(outcome, refusal or _NO_REASON).inc()
 
-    def plans_reported(self, site: str, plans: Sequence[tuple[float, bool]]) -> None:
-        """Weighs what became of plans, see :meth:`inference_api.drift.CollisionDrift.add`."""
-        self._evidence.set(self._drift.add(site, plans))
-
     def outcomes(self, result: str, count: int) -> None:
         """Counts outcomes that were written, or are lost."""
         self._outcomes.labels(result).inc(count)
-
-    def compared(self, result: str) -> None:
-        """Counts a plan that was compared with a shadow's prediction, or could not be."""
-        self._shadow.labels(result).inc()
 
     def finished(self, route: str, method: str, status: int, record: RequestRecord) -> None:
         """Counts a request."""

@@ -35,8 +35,7 @@ from cspace.errors import (
 from cspace.files import HALF_PREFIX, holding, read_bounded, replacing
 from inference_api.models.worker import DOWNLOAD_S
 from inference_api.problem_types import ModelNotReadyError
-from services.names import TAG_SIGNATURE
-from services.registry.ports import ModelReader, ModelVersion, is_model_name
+from services.registry.entities import ModelReader, ModelVersion, is_model_name
 from services.registry.signing import require_signature
 
 # Longer than any description; what is longer is somebody else's file.
@@ -349,7 +348,7 @@ class BundleCache:
             if version.digest not in self._verified:
                 self._verify(folder, version.digest)
             if self._trusted_key is not None:
-                require_signature(folder, version.tags.get(TAG_SIGNATURE), self._trusted_key)
+                require_signature(folder, version, self._trusted_key)
         except ServiceError as error:
             raise NotVerifiedError(
                 f"{version} cannot be verified", got=error.got, remedy="ask again in some seconds"

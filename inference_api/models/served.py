@@ -13,7 +13,7 @@ from cspace.errors import BundleError
 from cspace.worlds import robot_digest
 from inference_api.problem_types import ModelNotReadyError
 from services.names import may_name, model_name, recorded_name
-from services.registry.ports import PRETRAINED, ModelVersion
+from services.registry.entities import PRETRAINED, ModelVersion
 
 PRETRAINED_VERSION = 0
 _LOG = logging.getLogger(__name__)

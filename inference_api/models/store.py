@@ -7,7 +7,6 @@ robot, and the answer says so.
 """
 
 import logging
-import math
 import time
 from collections.abc import AsyncIterator, Callable, MutableMapping, Sequence
 from concurrent.futures import Future, wait
@@ -23,7 +22,6 @@ from cachetools import LRUCache, TTLCache
 from cspace.bundle import Bundle
 from cspace.errors import (
     BundleError,
-    CspaceError,
     GoldenMismatchError,
     ModelNotFoundError,
     RegistryError,
@@ -38,15 +36,11 @@ from inference_api.models.worker import RegistryWorker
 from inference_api.problem_types import ModelNotReadyError
 from services.names import (
     ALIAS_CHAMPION,
-    CALIBRATION_PREFIX,
     SCENE_MODEL_NAME,
-    SHADOW,
     TAG_ROBOT,
-    TAG_SHADOW_SHARE,
 )
-from services.registry.calibration import SiteCalibration, calibration_name
-from services.registry.failures import anonymous
-from services.registry.ports import PRETRAINED, ModelReader, ModelReference, ModelVersion, is_model_name
+from services.registry.entities import PRETRAINED, ModelReader, ModelReference, ModelVersion, is_model_name
+from services.registry.errors import anonymous
 
 _Answer = TypeVar("_Answer")
 # Why a champion is not put into service: its bundle is damaged or not the registered one, its golden case
@@ -59,8 +53,6 @@ IN_USE_S = 60.0
 # References that are remembered, and as many that are known to name nothing.
 REMEMBERED = 1024
 LISTED_MODELS = 100
-# For how long a lookup of a site's calibration, or of a shadow, is trusted.
-SELDOM_S = 30.0
 
 
 @dataclass(slots=True)
@@ -121,7 +113,6 @@ class ModelStore:
         self._unknown: MutableMapping[ModelReference, bool] = TTLCache(REMEMBERED, lookup_s, clock)
         self._listed: MutableMapping[str, Sequence[ModelVersion]] = TTLCache(1, lookup_s, clock)
         # With the time until which it is trusted, s.
-        self._seldom: MutableMapping[ModelReference, tuple[ModelVersion | None, float]] = LRUCache(REMEMBERED)
         self._away_until: float | None = None
         self._champion: ServedModel | None = None
         # Of the last champion; None where it is not known.
@@ -247,61 +238,6 @@ class ModelStore:
             ) from error
         return self._found(bundle, version, reference)
 
-    def calibration(self, site: str, served: ServedModel) -> tuple[SiteCalibration, str] | None:
-        """The calibration of a model's plans for a site, and its version; None without one.
-
-        One that was fitted to another version's plans is none. While the registry is away the last known one
-        holds.
-        """
-        known = self._look_up_seldom(ModelReference(calibration_name(site)))
-        if known is None:
-            return None
-        try:
-            found = SiteCalibration.of(known)
-        except RegistryError as error:
-            _LOG.warning("%s is not used: %s", known, error)
-            return None
-        return (found, str(known)) if found.model == str(served) else None
-
-    def shadow(self, champion: ServedModel) -> tuple[ServedModel, float] | None:
-        """What is compared with a champion, and on which share of its answers; may wait for its bundle.
-
-        None without a version of the alias ``shadow``, or where it is the champion itself, of another robot,
-        or cannot be loaded.
-        """
-        version = self._look_up_seldom(ModelReference(champion.name, SHADOW))
-        if version is None or version.number == champion.version:
-            return None
-        try:
-            share = float(version.tags.get(TAG_SHADOW_SHARE, ""))
-            bundle = self._cache.start(version).result(self._wait_s)
-        except ValueError:
-            _LOG.warning("the tag %s of %s is no share", TAG_SHADOW_SHARE, version)
-            return None
-        except (TimeoutError, CspaceError) as error:
-            _LOG.warning("%s cannot be compared with the champion: %s", version, anonymous(str(error)))
-            return None
-        if not share > 0.0 or bundle.robot != champion.bundle.robot or not bundle.has_validity:
-            return None
-        return ServedModel.of(bundle, version, SHADOW), share
-
-    def _look_up_seldom(self, reference: ModelReference) -> ModelVersion | None:
-        """A version, looked up each :data:`SELDOM_S`; the last known one while the registry is away."""
-        with self._lock:
-            known, until_s = self._seldom.get(reference, (None, -math.inf))
-        if self._clock() < until_s:
-            return known
-        try:
-            self._leave_alone_while_away()
-            known = self._find(reference)
-        except ModelNotFoundError:
-            known = None
-        except RegistryError:
-            return known
-        with self._lock:
-            self._seldom[reference] = known, self._clock() + SELDOM_S
-        return known
-
     def versions(self, name: str) -> Sequence[ModelVersion]:
         """Versions of a model, newest first; those of the cache while the registry is away."""
         if self._registry is None:
@@ -335,11 +271,7 @@ class ModelStore:
         except RegistryError:
             names = tuple(self._cache.disk.names())
         fitting = [
-            name
-            for name in names
-            if is_model_name(name)
-            and name not in (self.model_name, SCENE_MODEL_NAME)
-            and not name.startswith(CALIBRATION_PREFIX)
+            name for name in names if is_model_name(name) and name not in (self.model_name, SCENE_MODEL_NAME)
         ]
         others = [version for name in fitting[:LISTED_MODELS] for version in self.versions(name)]
         found = [*self.versions(self.model_name), *(version for version in others if version.aliases)]

@@ -32,8 +32,8 @@ from cspace.errors import (
     StorageError,
 )
 from inference_api.process import few_arenas
-from services.registry.failures import anonymous, failure_of
-from services.registry.ports import ModelVersion
+from services.registry.entities import ModelVersion
+from services.registry.errors import anonymous, failure_of
 
 LOOKUP_S, DOWNLOAD_S = 8.0, 90.0
 # Imports on a busy machine take their time.
@@ -60,7 +60,7 @@ _NAMES = TypeAdapter(tuple[str, ...])
 
 
 class RegistryWorker:
-    """A :class:`~services.registry.ports.ModelReader` in a worker process; safe to share by threads.
+    """A :class:`~services.registry.entities.ModelReader` in a worker process; safe to share by threads.
 
     Every method raises RegistryUnavailableError where the worker misses the deadline, dies or cannot start.
 
@@ -98,23 +98,23 @@ class RegistryWorker:
             process.end()
 
     def version(self, name: str, number: int) -> ModelVersion:
-        """See :meth:`services.registry.ports.ModelReader.version`."""
+        """See :meth:`services.registry.entities.ModelReader.version`."""
         return self._look_up(_VERSION, "version", name, number)
 
     def by_alias(self, name: str, alias: str) -> ModelVersion:
-        """See :meth:`services.registry.ports.ModelReader.by_alias`."""
+        """See :meth:`services.registry.entities.ModelReader.by_alias`."""
         return self._look_up(_VERSION, "by_alias", name, alias)
 
     def versions(self, name: str) -> tuple[ModelVersion, ...]:
-        """See :meth:`services.registry.ports.ModelReader.versions`."""
+        """See :meth:`services.registry.entities.ModelReader.versions`."""
         return self._look_up(_VERSIONS, "versions", name)
 
     def names(self) -> tuple[str, ...]:
-        """See :meth:`services.registry.ports.ModelReader.names`."""
+        """See :meth:`services.registry.entities.ModelReader.names`."""
         return self._look_up(_NAMES, "names")
 
     def download(self, version: ModelVersion, folder: Path) -> Path:
-        """See :meth:`services.registry.ports.ModelReader.download`."""
+        """See :meth:`services.registry.entities.ModelReader.download`."""
         self._call(self._download_s, "download", version, folder.absolute())
         return folder
 
@@ -269,12 +269,12 @@ def _reply(number: int, result: Any, error: CspaceError | None) -> bytes:
 
 
 def _registry(uri: str) -> Callable[[], Any]:
-    from services.registry.mlflow_errors import lower_patience  # noqa: PLC0415 - MLflow takes seconds
+    from services.registry.errors import set_timeouts  # noqa: PLC0415 - MLflow takes seconds
 
-    lower_patience(os.environ)
-    from services.registry.mlflow_registry import MlflowRegistry  # noqa: PLC0415 - as above
+    set_timeouts(os.environ)
+    from services.registry.models import ModelRegistry  # noqa: PLC0415 - as above
 
-    return cache(partial(MlflowRegistry, uri))
+    return cache(partial(ModelRegistry, uri))
 
 
 def _call(registry: Callable[[], Any], method: str, arguments: tuple[Any, ...]) -> Any:

@@ -27,7 +27,7 @@ from inference_api.scheduler import STUCK_S
 from inference_api.schemas import ListedModel, Live, ModelList, Ready, joint_space_info, model_info
 from inference_api.telemetry import CONTENT_TYPE
 from services.names import MAX_WORLD, TAG_ROBOT, TAG_WORLD
-from services.registry.ports import ModelReference, ModelVersion, is_model_name
+from services.registry.entities import ModelReference, ModelVersion, is_model_name
 
 router = APIRouter()
 

@@ -47,7 +47,7 @@ from inference_api.tensors import (
     split_body,
     write_answer,
 )
-from services.registry.ports import ModelReference, is_shipped
+from services.registry.entities import ModelReference, is_shipped
 
 MEDIA_TYPES = ("application/json", "application/octet-stream")
 PLATFORM = "onnx_onnxv1"

@@ -1,7 +1,5 @@
 """``POST /outcomes``: what became of earlier answers, kept until it is uploaded."""
 
-import time
-from collections.abc import Sequence
 from functools import partial
 from typing import Annotated, ClassVar, Literal
 
@@ -9,6 +7,7 @@ from fastapi import APIRouter, Request
 from fastapi.responses import Response
 from pydantic import BaseModel, Field, Strict, ValidationInfo, field_validator
 
+from cspace.errors import InputError
 from cspace.query import MAX_SAMPLES
 from inference_api.limits import client_of
 from inference_api.logs import REQUEST_ID, request_record
@@ -25,12 +24,11 @@ from inference_api.problem_types import (
     FieldProblem,
     RequestError,
 )
-from inference_api.requests import Serving, load_object, problem_responses, read_body
+from inference_api.requests import Service, Serving, load_object, problem_responses, read_body
 from inference_api.routes.sample import REQUEST_ID_HEADER
 from inference_api.scheduler import Job, rows_of
 from inference_api.schemas import Confidence, Expected, RequestFields, Site
-from inference_api.telemetry import Metrics
-from services.outcomes import Spool
+from services.outcomes import matched
 
 MAX_OUTCOMES = 1000
 _Seconds = Annotated[
@@ -59,6 +57,9 @@ class _OutcomeFields(RequestFields):
     )
     confidence: Confidence = Field(None, description="That the answer stated; null where it stated none.")
     novelty: Confidence = Field(None, description="That the answer stated; null where it stated none.")
+    receipt: Annotated[str | None, Expected("the receipt of the answer, or null")] = Field(
+        None, max_length=1000, description="That the answer of `POST /plan` has; no plan counts without it."
+    )
     site: Site = Field(None, description="A short name of the place, such as a cell's.")
 
 
@@ -78,10 +79,6 @@ class PlanOutcome(_OutcomeFields):
         Expected("a share from 0 to 1 of the path's length where collided is true, else null"),
     ] = Field(None, description="Where it collides first: the share of the path's length from its start.")
     time_s: _Seconds = Field(None, description="From the request to this outcome.")
-    calibration: Annotated[
-        Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}/[0-9]{1,9}$")] | None,
-        Expected("name/version, as the answer has it, or null"),
-    ] = Field(None, description="That the answer's confidence was by, as the answer names it.")
 
     @field_validator("collided_at")
     @classmethod
@@ -139,7 +136,9 @@ class OutcomesRequest(RequestFields):
 class OutcomesAnswer(BaseModel):
     """What was done with a batch."""
 
-    kept: int = Field(description="Outcomes that were taken: all, or 0 if the disk does not keep up.")
+    kept: int = Field(
+        description="Outcomes that were taken: those that match an answer, or 0 if the disk does not keep up."
+    )
 
 
 router = APIRouter()
@@ -153,7 +152,7 @@ _SCHEMA = {"$ref": "#/components/schemas/OutcomesRequest"}
     openapi_extra={"requestBody": {"required": True, "content": {"application/json": {"schema": _SCHEMA}}}},
     responses={
         202: {
-            "description": "They wait to be written.",
+            "description": "They are on disk.",
             "model": OutcomesAnswer,
             "headers": REQUEST_ID_HEADER,
         },
@@ -173,36 +172,38 @@ _SCHEMA = {"$ref": "#/components/schemas/OutcomesRequest"}
 async def outcomes(request: Request, service: Serving) -> Response:
     """Keeps the outcomes in a bounded folder of the server. An outcome that is sent twice counts once."""
     if service.spool is None:
-        raise RequestError(
-            NO_OUTCOMES,
-            "this server keeps no outcomes",
-            remedy="set CSPACE_OUTCOMES to a folder where the server runs",
-        )
+        raise no_outcomes()
     text = (await read_body(request)).text
     if text is None:
         raise RequestError(
             UNSUPPORTED_MEDIA_TYPE, "outcomes come as JSON", expected="application/json", got="a form"
         )
-    work = partial(_keep, service.spool, service.metrics, text)
+    work = partial(_keep, service, text)
     return await service.scheduler.run(work, client_of(request.scope))
 
 
-def _keep(spool: Spool, metrics: Metrics, text: bytes, job: Job) -> Response:
+def no_outcomes() -> RequestError:
+    """Of a server without a folder."""
+    return RequestError(
+        NO_OUTCOMES,
+        "this server keeps no outcomes",
+        remedy="set CSPACE_OUTCOMES to a folder where the server runs",
+    )
+
+
+def _keep(service: Service, text: bytes, job: Job) -> Response:
     job.spend(rows_of(json_bytes=len(text)))
     found = OutcomesRequest.read(load_object(text)).outcomes
-    record = request_record.get()
-    received = {"client": record.client if record else None, "received_s": round(time.time(), 3)}
-    taken = spool.add([one.model_dump(exclude_none=True) | received for one in found])
-    for site, plans in _checked(found).items():
-        metrics.plans_reported(site, plans)
-    body = OutcomesAnswer(kept=len(found) if taken else 0)
+    record, spool, receipts = request_record.get(), service.spool, service.receipts
+    if spool is None or receipts is None:
+        raise no_outcomes()
+    reports = [one.model_dump(exclude_none=True) for one in found]
+    rows = matched(reports, receipts, record.client if record else None)
+    if not rows:
+        raise InputError(
+            "outcomes match no answer",
+            expected="receipt, as the answer of POST /plan to the same client has it",
+            got="none of this server",
+        )
+    body = OutcomesAnswer(kept=len(rows) if spool.add(rows) else 0)
     return Response(body.model_dump_json(), 202, media_type="application/json")
-
-
-def _checked(found: Sequence[PlanOutcome | SamplesOutcome]) -> dict[str, list[tuple[float, bool]]]:
-    """Confidence of plans, and whether they collided where that is known, by site."""
-    plans: dict[str, list[tuple[float, bool]]] = {}
-    for one in found:
-        if isinstance(one, PlanOutcome) and one.confidence is not None and one.collided is not None:
-            plans.setdefault(one.site or "", []).append((one.confidence, one.collided))
-    return plans

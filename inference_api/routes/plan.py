@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from cspace.bundle import BundleSpec
 from cspace.bundle.samples import fitted_plan, fitted_problem, require_robot
 from cspace.errors import InputError
-from cspace.planning.cost import confidence_of_cost
 from cspace.query import Plan, PlanQuery, random_seed
 from cspace.world import ARM_IN_PICTURE, LITTLE_IN_REACH, Finding
 from inference_api.logs import request_record
@@ -34,10 +33,8 @@ from inference_api.schemas import (
     about,
     warnings_of,
 )
-from inference_api.shadow import Offer
 from inference_api.telemetry import Answered
-from services.names import ALIAS_CHAMPION
-from services.outcomes import view_row
+from services.outcomes import problem_of, view_row
 
 # Findings by which a plan is refused.
 _WHY = (ARM_IN_PICTURE, LITTLE_IN_REACH)
@@ -56,17 +53,12 @@ async def plan(request: Request, service: Serving) -> Response:
 
     The search treats unknown space as free; the model estimates how likely it is free.
     """
-    offers: list[Offer] = []
-    work = partial(_answer, service, offers, began=time.perf_counter())
-    answer = await service.answer(request, PlanRequest, work)
-    for offer in offers:
-        service.shadow.take(offer)
-    return answer
+    work = partial(_answer, service, began=time.perf_counter())
+    return await service.answer(request, PlanRequest, work)
 
 
 def _answer(
     service: Service,
-    offers: list[Offer],
     request: PlanRequest,
     served: ServedModel,
     job: Job,
@@ -88,16 +80,14 @@ def _answer(
         if given.min_confidence is None and any(one.code == LITTLE_IN_REACH for one in warnings):
             # The calibration of other scenes does not hold here, so that paths are refused by default.
             query = replace(query, min_confidence=1.0)
-        local = None if request.site is None else store.calibration(request.site, served)
-        usual = spec.calibration_for(prepared.picture.pictures)
-        calibration = None if local is None else local[0].after(usual)
-        found = bundle.plan(prepared.picture, query, check_cancelled, calibration)
+        found = bundle.plan(prepared.picture, query, check_cancelled)
     service.metrics.answered(Answered("plan", served, status=found.status, seed=query.seed))
-    record = request_record.get()
-    if record is not None and found.status == "solved" and served.alias == ALIAS_CHAMPION:
-        own = float(confidence_of_cost(np.array(found.cost), usual))
-        offers.append(Offer(record.request_id, record.client, served, image, found.path, own))
-    kept = None
+    record, receipt, kept = request_record.get(), None, None
+    if record is not None and service.receipts is not None and found.status == "solved":
+        problem = problem_of(image, query.start, query.goal)
+        receipt = service.receipts.issue(
+            record.request_id, served.name, served.version, found.confidence, record.client, problem
+        )
     if request.keep:
         kept = (
             found.status == "solved" and not request.has_known and _keep(service, served, image, found.path)
@@ -108,7 +98,7 @@ def _answer(
         reason=_reason(found, query, warnings),
         path=found.path.tolist(),
         confidence=found.confidence,
-        calibration=None if local is None else local[1],
+        receipt=receipt,
         kept=kept,
         edges=found.edges.tolist(),
         unseen=None if found.unseen is None else found.unseen.tolist(),

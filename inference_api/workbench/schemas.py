@@ -6,7 +6,7 @@ from pydantic import BaseModel, Field, Strict
 
 from cspace.query import MAX_SEED
 from inference_api.schemas import Expected, ModelFields, Seed
-from services.registry.ports import ModelReference
+from services.registry.entities import ModelReference
 
 MAX_LETTERS = 2**15
 # A picture of joint 1 against joint 2 that is finer than anybody sees.

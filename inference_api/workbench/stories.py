@@ -9,7 +9,7 @@ from pydantic import BaseModel
 from cspace.bundle import Provenance
 from cspace.errors import RegistryError
 from inference_api.models.store import ModelStore
-from services.registry.ports import ModelVersion, is_model_name
+from services.registry.entities import ModelVersion, is_model_name
 from services.registry.promotion import Decision, decisions_of
 
 # What is told of tags: where a version comes from. Anybody may write others.

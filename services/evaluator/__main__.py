@@ -24,14 +24,12 @@ from services.evaluator.evaluation.measured import flat_metrics
 from services.evaluator.evaluation.report import REPORT_FOLDER, scenes_text, terminal_table
 from services.evaluator.evaluation.units import BUDGETS, make_request
 from services.evaluator.tables import aligned
-from services.registry.mlflow_registry import MlflowRegistry
-from services.registry.mlflow_tracking import MlflowTracking
-from services.registry.ports import ModelReference
+from services.registry.entities import ModelReference
+from services.registry.models import ModelRegistry
+from services.registry.tracking import Tracking
 from services.results import report_result
 
 BENCHMARK, COMPARE, RECALIBRATE, CARD = "planning", "compare", "recalibrate", "card"
-# Calibration error of a site's plans above which training on them is proposed.
-MISCALIBRATED = 0.05
 SHIPPED_FOLDER = Path(__file__).parents[2] / "inference_api" / "pretrained"
 
 
@@ -58,7 +56,7 @@ def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] 
             shipped=None if options.without_shipped else _shipped(environment),
         )
         uri = _tracking_uri(environment)
-        tracking, registry = MlflowTracking(uri), MlflowRegistry(uri)
+        tracking, registry = Tracking(uri), ModelRegistry(uri)
         show = partial(print, flush=True)
         outcome = evaluate_version(request, tracking, registry, executor(environment), show)
     except CspaceError as error:
@@ -72,7 +70,7 @@ def _compare(arguments: Sequence[str], environment: Mapping[str, str]) -> int:
     options = compare.make_parser().parse_args(arguments)
     try:
         uri = _tracking_uri(environment)
-        runs, registry = MlflowTracking(uri), MlflowRegistry(uri)
+        runs, registry = Tracking(uri), ModelRegistry(uri)
         found = [compare.find(text, runs, registry) for text in options.what]
         print(aligned(compare.compare_table(found, everything=options.all)))
         if options.out is not None:
@@ -85,28 +83,18 @@ def _compare(arguments: Sequence[str], environment: Mapping[str, str]) -> int:
 def _recalibrate(arguments: Sequence[str], environment: Mapping[str, str]) -> int:
     options = recalibrate.make_parser().parse_args(arguments)
     try:
-        uri = _tracking_uri(environment)
-        found = recalibrate.recalibrate(options.site, options.model, MlflowTracking(uri), MlflowRegistry(uri))
+        uri, model = _tracking_uri(environment), ModelReference.parse(options.model)
+        found = recalibrate.recalibrate(
+            model, options.site, options.most_per_client, Tracking(uri), ModelRegistry(uri)
+        )
     except CspaceError as error:
-        return report_error(error, ConfigError, InputError, EvaluationError)
-    version, fit = found.version, found.fit
+        return report_error(error, ConfigError, InputError, EvaluationError, ModelNotFoundError)
+    (offset, slope), (loss, before, gain) = found.parameters, found.predicted
     print(
-        f"{version} of {version.tags['model']}, {found.plans} plans, {fit.collide:.1%} collide\n"
-        f"calibration error {fit.error_before:.3f} before, {fit.error:.3f} after; "
-        f"log loss {fit.loss_before:.3f} before, {fit.loss:.3f} after (each fifth by a fit to the rest)\n"
-        + (
-            "in use for requests with this site"
-            if fit.better
-            else "not put into use, for it predicts no better"
-        )
+        f"{found.version} is the challenger: {found.plans} plans, offset {offset:.3f}, slope {slope:.3f}\n"
+        f"log loss {loss:.3f} instead of {before:.3f} (gain {gain:+.3f}), each fifth by a fit to the rest\n"
+        f"evaluate it: python -m services.evaluator --model {found.version}"
     )
-    if fit.error_before > MISCALIBRATED:
-        print(
-            f"the model misjudges this site; to train on its plans, if their pictures were kept:\n"
-            f"  python -m training.data import-outcomes $PWD/outcomes --site {options.site} --arm ROBOT\n"
-            "  ray job submit --working-dir . -- python training/cluster_train.py --preset panda_outcomes "
-            "--set data.robot=ROBOT --set data.outcomes=$PWD/outcomes"
-        )
     return 0
 
 
@@ -115,7 +103,7 @@ def _card(arguments: Sequence[str], environment: Mapping[str, str]) -> int:
     try:
         uri = _tracking_uri(environment)
         model = ModelReference.parse(options.model)
-        card = model_card.make_card(model, MlflowRegistry(uri), MlflowTracking(uri))
+        card = model_card.make_card(model, ModelRegistry(uri), Tracking(uri))
         if options.out is None:
             print(card, end="")
         else:
@@ -158,7 +146,7 @@ def _parser() -> argparse.ArgumentParser:
         prog="python -m services.evaluator",
         description="Evaluate a version on scenarios it was never trained on; promote it if the gate holds.",
         epilog=f"`python -m services.evaluator {BENCHMARK} --help` describes the planning benchmark, "
-        f"`{COMPARE} --help` of versions side by side, `{RECALIBRATE} --help` of confidence by site, "
+        f"`{COMPARE} --help` of versions side by side, `{RECALIBRATE} --help` of confidence by outcomes, "
         f"`{CARD} --help` of model cards. "
         "Exit codes: 0 evaluated (promoted or not), 1 evaluation failed, 2 wrong request.",
     )

@@ -18,7 +18,9 @@ from cspace.files import make_output_folder, read_bounded, replacing
 from services.evaluator.evaluation.measured import RECONSTRUCTION
 from services.evaluator.evaluation.report import MEASURES_TABLE
 from services.evaluator.tables import Table, aligned, markdown
-from services.registry.ports import FoundRun, ModelReference, ModelRegistry, Tracking
+from services.registry.entities import FoundRun, ModelReference
+from services.registry.models import ModelRegistry
+from services.registry.tracking import Tracking
 
 _RUN_ID = re.compile(r"[0-9a-f]{32}")
 _DIGEST = "model_digest"

@@ -39,7 +39,7 @@ from services.local.stack import addresses, services, shell_help, up
 from services.names import MODEL_NAME
 from services.planner.client import SamplingClient
 from services.planner.samples import SampleSource
-from services.registry.ports import PRETRAINED, is_shipped
+from services.registry.entities import PRETRAINED, is_shipped
 from services.results import PREFIX
 
 EVALUATE = "python -m services.evaluator --model {model} --without-shipped"

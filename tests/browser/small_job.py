@@ -7,9 +7,9 @@ from matplotlib.figure import Figure
 
 from cspace.bundle import Bundle
 from services.names import ALIAS_CHALLENGER, EXPERIMENT, MODEL_NAME
-from services.registry.mlflow_registry import MlflowRegistry
-from services.registry.mlflow_tracking import MlflowTracking
+from services.registry.models import ModelRegistry
 from services.registry.promotion import Decision, record_decision
+from services.registry.tracking import Tracking
 from tests.bundles import write_tiny_bundle
 
 CHILDREN = ("vae", "local-0", "local-1", "global", "evaluation")
@@ -34,7 +34,7 @@ class SmallJob:
 
 def write_small_job(uri: str, folder: Path) -> SmallJob:
     """A parent run with children as training leaves them, and a champion that came out of it."""
-    tracking = MlflowTracking(uri)
+    tracking = Tracking(uri)
     with tracking.start(EXPERIMENT, "cluster-train", tags={"preset": "smoke", "seed": "0"}) as parent:
         parent.params({"preset": "smoke", "global": {"steps": STEPS}})
         parent.dataset("train-0123456789ab", DATA_DIGEST, str(folder), "training")
@@ -43,7 +43,7 @@ def write_small_job(uri: str, folder: Path) -> SmallJob:
     return SmallJob(parent.run_id, children, _version(uri, folder, parent.run_id))
 
 
-def _child(tracking: MlflowTracking, parent_run_id: str, name: str, offset: int) -> str:
+def _child(tracking: Tracking, parent_run_id: str, name: str, offset: int) -> str:
     with tracking.start(EXPERIMENT, name, parent_run_id=parent_run_id) as run:
         run.params({"steps": STEPS, "seed": offset})
         for step in range(1, STEPS + 1):
@@ -52,7 +52,7 @@ def _child(tracking: MlflowTracking, parent_run_id: str, name: str, offset: int)
 
 
 def _version(uri: str, folder: Path, run_id: str) -> int:
-    registry = MlflowRegistry(uri)
+    registry = ModelRegistry(uri)
     bundle = Bundle.load(write_tiny_bundle(folder / "bundle"))
     tags = {"data_digest": DATA_DIGEST, "preset": "smoke"}
     version = registry.register(

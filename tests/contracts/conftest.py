@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from services.registry.ports import ModelRegistry, Tracking
+from services.registry.models import ModelRegistry
+from services.registry.tracking import Tracking
 from tests.contracts.mlflow_server import mlflow_server
 from tests.contracts.run_records import RunRecord, read_fake, read_mlflow
 from tests.fakes.registry import FakeRegistry, FakeTracking
@@ -74,14 +75,14 @@ def mlflow_backend(uri: str, spool_folder: Path | None = None) -> tuple[str, Bac
     """Tracking and registry at an address, which is returned as well."""
     from mlflow import MlflowClient
 
-    from services.registry.mlflow_registry import MlflowRegistry
-    from services.registry.mlflow_tracking import MlflowTracking
+    from services.registry.models import ModelRegistry
+    from services.registry.tracking import Tracking
 
     client = MlflowClient(tracking_uri=uri, registry_uri=uri)
-    tracking = MlflowTracking(uri, spool_folder=spool_folder)
+    tracking = Tracking(uri, spool_folder=spool_folder)
     return uri, Backend(
         tracking,
-        MlflowRegistry(uri),
+        ModelRegistry(uri),
         lambda run_id: read_mlflow(client, run_id),
         lambda name: client.get_registered_model(name).description,
     )

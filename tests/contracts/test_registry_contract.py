@@ -9,8 +9,10 @@ from cspace.errors import BundleIntegrityError, ModelNotFoundError, RegistryErro
 from cspace.worlds import robot_digest
 from inference_api.models.worker import RegistryWorker
 from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION
-from services.registry.ports import ModelRegistry, ModelVersion, Shown, Tracking
+from services.registry.entities import ModelVersion, Shown
+from services.registry.models import ModelRegistry
 from services.registry.promotion import Decision, champions, decisions, record_decision
+from services.registry.tracking import Tracking
 from tests.bundles import write_tiny_bundle
 from tests.contracts.conftest import Backend, mlflow_backend
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS

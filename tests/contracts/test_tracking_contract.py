@@ -10,7 +10,7 @@ import pytest
 
 from cspace.errors import RegistryError
 from cspace.png import encode_png
-from services.registry.ports import RunLog, Tracking
+from services.registry.tracking import RunLog, Tracking
 from tests.contracts.conftest import Backend
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
 

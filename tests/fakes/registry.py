@@ -18,16 +18,8 @@ from cspace.errors import (
     StorageError,
 )
 from services.names import TAG_DIGEST, TAG_KEY, world_tags
-from services.registry.ports import (
-    ID,
-    ID_LENGTH,
-    FoundRun,
-    ModelVersion,
-    RunLog,
-    RunStatus,
-    Shown,
-    flatten,
-)
+from services.registry.entities import ID, ID_LENGTH, FoundRun, ModelVersion, RunStatus, Shown, flatten
+from services.registry.tracking import RunLog
 
 
 @dataclass

@@ -9,7 +9,7 @@ from inference_api.settings import (
     Protection,
     further_folders,
 )
-from services.registry.ports import PRETRAINED, SHIPPED
+from services.registry.entities import PRETRAINED, SHIPPED
 
 
 def test_an_empty_environment_serves_the_shipped_models_from_defaults() -> None:

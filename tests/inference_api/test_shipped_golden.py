@@ -8,7 +8,7 @@ import pytest
 from cspace.bundle import Bundle
 from cspace.bundle.files import GOLDEN_FILE, SPEC_FILE
 from cspace.bundle.golden import GoldenCase
-from services.registry.ports import SHIPPED
+from services.registry.entities import SHIPPED
 
 FOLDERS = [Path(__file__).parents[2] / "inference_api" / folder for folder in SHIPPED.values()]
 

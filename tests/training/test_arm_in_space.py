@@ -11,7 +11,7 @@ from cspace.simulator import Split, scenario_rng
 from cspace.view_file import unpack_view
 from cspace.worlds import checker_of, examples, picture_file_of, robot_digest, simulator_of
 from services.outcomes import Spool, known_plans, upload, view_row
-from services.registry.mlflow_tracking import MlflowTracking
+from services.registry.tracking import Tracking
 from tests.training.clusters.test_pipeline import bundle_of, submit
 from training.data.__main__ import main as datasets
 
@@ -116,11 +116,11 @@ def test_what_became_of_plans_trains_the_scene_model_further(server, tmp_path, m
     assert kept.add(rows)
     kept.flush()
     monkeypatch.setenv("MLFLOW_TRACKING_URI", server)
-    assert len(list(upload(spool, MlflowTracking(server)))) == 1
+    assert len(list(upload(spool, Tracking(server)))) == 1
     assert datasets(["import-outcomes", str(data), "--arm", "panda"]) == 0
     there = open_dataset(data)
     assert there.scenario_count == sum(
-        not one.held_out for one in known_plans(MlflowTracking(server), robot_digest(WORLD))
+        not one.held_out for one in known_plans(Tracking(server), robot_digest(WORLD))
     )
     without_size = [
         part

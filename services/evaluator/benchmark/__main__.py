@@ -42,7 +42,7 @@ from services.evaluator.benchmark.sources import (
 )
 from services.evaluator.evaluation.units import MAX_SEED
 from services.planner.settings import PLANNERS
-from services.registry.ports import Tracking
+from services.registry.tracking import Tracking
 
 GROUPS = (Group.UNIFORM, Group.LEARNED, Group.OPTIMISING)
 WORLDS = examples()
@@ -82,9 +82,9 @@ def _tracking(environment: Mapping[str, str]) -> Tracking:
             "no tracking server is named", remedy="set MLFLOW_TRACKING_URI, or give --no-mlflow"
         )
     # MLflow takes seconds to import.
-    from services.registry.mlflow_tracking import MlflowTracking  # noqa: PLC0415
+    from services.registry.tracking import Tracking  # noqa: PLC0415
 
-    return MlflowTracking(uri)
+    return Tracking(uri)
 
 
 def parser() -> argparse.ArgumentParser:

@@ -23,7 +23,8 @@ from services.evaluator.benchmark.summary import metric_name, metrics, summarise
 from services.evaluator.tables import markdown
 from services.names import EXPERIMENT, NOTE, TAG_STAGE
 from services.progress import Progress
-from services.registry.ports import ID, RunLog, Tracking
+from services.registry.entities import ID
+from services.registry.tracking import RunLog, Tracking
 
 Show = Callable[[str], None]
 PARQUET, REPORT, COMPARISON = "runs.parquet", "report.md", "comparison.md"

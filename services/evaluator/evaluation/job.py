@@ -7,14 +7,14 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, cast
 
+from cspace.bundle import Bundle
 from cspace.bundle.verification import load_verified
 from cspace.dataset import open_dataset
 from cspace.errors import RegistryError, RegistryUnavailableError
 from cspace.world import World
 from cspace.worlds import simulator_of
 from services.evaluator.cluster import on_cluster, spread
-from services.evaluator.evaluation.gate import Comparison, Verdict, compare_paths, compare_samplers
-from services.evaluator.evaluation.held_out import outcome_evidence
+from services.evaluator.evaluation.gate import Comparison, Gain, Verdict, compare_paths, compare_samplers
 from services.evaluator.evaluation.report import (
     comparison_note,
     decide,
@@ -24,7 +24,6 @@ from services.evaluator.evaluation.report import (
     shown_of,
 )
 from services.evaluator.evaluation.rivals import Rival, find_rivals
-from services.evaluator.evaluation.shadow import shadow_evidence, with_evidence
 from services.evaluator.evaluation.units import (
     Evaluation,
     Request,
@@ -38,9 +37,12 @@ from services.evaluator.evaluation.units import (
     units,
 )
 from services.evaluator.measures.scenes import PackedBundle, bundle_sampler, summary_rng
+from services.evaluator.recalibrate import predicted_reports
 from services.names import EXPERIMENT, TAG_MODEL, TAG_PRESET, TAG_STAGE, TAG_WORLD, recorded_name, shown_name
 from services.planner.samples import SampleSource
-from services.registry.ports import ID, ModelRegistry, ModelVersion, Tracking
+from services.registry.entities import ID, ModelVersion
+from services.registry.models import ModelRegistry
+from services.registry.tracking import Tracking
 
 Execute = Callable[[Sequence[Unit], Setting, PackedBundle], Iterator[UnitResult]]
 
@@ -116,18 +118,11 @@ def evaluate_version(
             results = _measure(execute, work, setting, PackedBundle.pack(bundle), progress)
             evaluation = assemble(results, setting)
             compared = tuple(_beside(rival, evaluation, execute, work, progress) for rival in rivals)
-            champion = next((one for one in rivals if one.version == bar.against is not None), None)
-            rng = summary_rng(request.seed)
-            shadow = shadow_evidence(version, bar.against, tracking, rng)
-            bar = replace(bar, comparisons=compared)
-            held_out = None if champion is None else outcome_evidence(bundle, champion, tracking, rng)
-            if held_out is not None:
-                comparisons = [
-                    held_out.beside(one) if rival is champion else one
-                    for rival, one in zip(rivals, compared, strict=True)
-                ]
-                bar = replace(bar, comparisons=tuple(comparisons), notes=(*bar.notes, str(held_out)))
-            verdict = with_evidence(decide(evaluation, bar), shadow)
+            compared = tuple(
+                _with_reports(one, bundle, rival, tracking) if rival.version == bar.against else one
+                for rival, one in zip(rivals, compared, strict=True)
+            )
+            verdict = decide(evaluation, replace(bar, comparisons=compared))
             figures = log_evaluation(run, evaluation, verdict, bundle_sampler(bundle), str(version))
         if request.promote:
             record(registry, version, evaluation, verdict)
@@ -185,6 +180,15 @@ def _measure(
         what = f"{unit.kind}{f' {unit.family}' if unit.family else ''}, {unit.split}"
         progress(f"{len(results):3d}/{len(work)}  {what}, {unit.count} in {result.seconds:.1f} s")
     return results
+
+
+def _with_reports(comparison: Comparison, bundle: Bundle, champion: Rival, tracking: Tracking) -> Comparison:
+    """The comparison of a recalibrated version counts the outcomes that it was calibrated by."""
+    predicted = predicted_reports(bundle, champion.packed.load(), tracking)
+    if predicted is None:
+        return comparison
+    gain = Gain("log loss of reported plans", *predicted)
+    return replace(comparison, gains=(*comparison.gains, gain))
 
 
 def _beside(

@@ -60,8 +60,10 @@ from services.names import NOTE as DESCRIPTION
 from services.planner.ompl_planner import solve
 from services.planner.plotting import plot_plan
 from services.planner.samples import BundleSampler, SampleSource
-from services.registry.ports import ModelRegistry, ModelVersion, RunLog, Shown
+from services.registry.entities import ModelVersion, Shown
+from services.registry.models import ModelRegistry
 from services.registry.promotion import Decision, record_decision
+from services.registry.tracking import RunLog
 
 GRID = 160
 SHOWN_SAMPLES = 1000

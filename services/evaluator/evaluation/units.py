@@ -33,7 +33,7 @@ from services.evaluator.measures.topology import (
 from services.evaluator.statistics import Interval
 from services.planner.samples import SampleSource
 from services.planner.settings import PlannerSettings
-from services.registry.ports import ModelReference
+from services.registry.entities import ModelReference
 
 EVALUATED_SPLITS = (Split.VALIDATION, Split.TEST)
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from cspace.bundle.files import read_files
 from inference_api.models.cache import BundleCache, DiskCache
-from services.registry.ports import ModelVersion
+from services.registry.entities import ModelVersion
 from tests.fakes.registry import FakeRegistry
 
 

@@ -17,7 +17,7 @@ from cspace.bundle.files import read_files
 from cspace.errors import RegistryError, StorageError
 from inference_api.models.cache import LOCK_S, MAX_DESCRIPTION_BYTES, DiskCache
 from inference_api.models.worker import DOWNLOAD_S
-from services.registry.ports import ModelVersion
+from services.registry.entities import ModelVersion
 
 ROOT = Path(__file__).parents[3]
 USER = Path(__file__).with_name("cache_user.py")

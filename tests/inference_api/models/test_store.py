@@ -21,7 +21,7 @@ from inference_api.models.cache import RETRY_S, BundleCache, DiskCache
 from inference_api.models.served import ShippedModels
 from inference_api.models.store import IN_USE_S, SELDOM_S, ModelStore
 from inference_api.problem_types import ModelNotReadyError
-from services.registry.ports import PRETRAINED, ModelReference, ModelVersion
+from services.registry.entities import PRETRAINED, ModelReference, ModelVersion
 from tests.inference_api.client import ApiClient
 from tests.inference_api.clock import Clock
 from tests.inference_api.fake_registry import MODEL, CountingRegistry

@@ -24,7 +24,7 @@ from inference_api.models.cache import BundleCache, DiskCache
 from inference_api.models.served import ShippedModels
 from inference_api.models.store import ModelStore, Refusal
 from inference_api.models.worker import RegistryWorker
-from services.registry.ports import PRETRAINED, ModelReference, ModelVersion
+from services.registry.entities import PRETRAINED, ModelReference, ModelVersion
 from tests.inference_api.bad_bundles import write_hungry_bundle, write_slow_bundle
 from tests.inference_api.trickling import Kind, trickling
 from tests.services.registry.strange_server import strange_server

@@ -9,7 +9,7 @@ from services.evaluator import __main__ as command
 from services.evaluator.evaluation.job import evaluate_version
 from services.evaluator.model_card import make_card
 from services.names import ALIAS_CHALLENGER, MODEL_NAME, TAG_PRESET
-from services.registry.ports import ModelReference
+from services.registry.entities import ModelReference
 from services.registry.promotion import promote
 from tests.bundles import write_tiny_bundle
 from tests.fakes.registry import FakeRegistry, FakeTracking
@@ -82,8 +82,8 @@ def test_the_card_of_an_arm_in_space_names_its_cameras_and_what_plans_promise(tm
 
 
 def test_the_command_prints_a_card_or_writes_it(tiny, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(command, "MlflowRegistry", lambda uri: tiny.registry)
-    monkeypatch.setattr(command, "MlflowTracking", lambda uri: tiny.tracking)
+    monkeypatch.setattr(command, "ModelRegistry", lambda uri: tiny.registry)
+    monkeypatch.setattr(command, "Tracking", lambda uri: tiny.tracking)
     environment = {"MLFLOW_TRACKING_URI": "http://127.0.0.1:1"}
     assert command.main(["card", f"{MODEL_NAME}/1"], environment) == 0
     printed = capsys.readouterr().out

@@ -16,7 +16,7 @@ from cspace.worlds.planar.world import PlanarWorld
 from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, TAG_ROLLED_BACK
 from services.registry import promotion
 from services.registry.__main__ import main
-from services.registry.ports import ModelVersion
+from services.registry.entities import ModelVersion
 from services.registry.promotion import (
     decisions,
     decisions_of,

@@ -10,12 +10,12 @@ from mlflow import MlflowClient
 from cspace.errors import RegistryError, RegistryUnavailableError
 from services.names import NOTE
 from services.registry import mlflow_errors
-from services.registry.mlflow_tracking import (
+from services.registry.tracking import (
     MAX_BATCH,
     VIEW,
     VIEWS,
-    MlflowTracking,
     Spool,
+    Tracking,
     points_of,
     spooled_runs,
 )
@@ -44,9 +44,9 @@ class Line:
 
         return refuse
 
-    def tracking(self, *, buffer_size: int = 1, **options: float) -> MlflowTracking:
+    def tracking(self, *, buffer_size: int = 1, **options: float) -> Tracking:
         clock = lambda: self.now_s  # noqa: E731 - of this line
-        return MlflowTracking(
+        return Tracking(
             self.uri, spool_folder=self.spool, clock=clock, buffer_size=buffer_size, **options
         )
 
@@ -208,7 +208,7 @@ def test_no_batch_is_larger_than_the_server_takes(line, monkeypatch):
 
 
 def test_without_a_spool_metrics_that_could_not_be_sent_are_sent_with_the_next(line):
-    run = MlflowTracking(line.uri, buffer_size=1).start(EXPERIMENT, "kept")
+    run = Tracking(line.uri, buffer_size=1).start(EXPERIMENT, "kept")
     line.away = True
     with pytest.raises(RegistryUnavailableError):
         log(run, [1])
@@ -266,7 +266,7 @@ def test_calls_of_a_patient_tracking_wait_and_metrics_do_not(line, monkeypatch):
 
 
 def test_the_searches_are_ones_that_mlflow_understands(line):
-    tracking, client, made = MlflowTracking(line.uri), MlflowClient(line.uri), {}
+    tracking, client, made = Tracking(line.uri), MlflowClient(line.uri), {}
     for stage in ("cluster-train", "local", "evaluation", "planning-benchmark", "other"):
         with tracking.start("views", stage, tags={"stage": stage}) as run:
             made[run.run_id] = stage
@@ -285,7 +285,7 @@ def test_the_searches_are_ones_that_mlflow_understands(line):
 
 def test_what_somebody_wrote_onto_the_page_stays(line):
     MlflowClient(line.uri).create_experiment("own", tags={NOTE: "ours"})
-    MlflowTracking(line.uri).start("own", "run").finish()
+    Tracking(line.uri).start("own", "run").finish()
     tags = MlflowClient(line.uri).get_experiment_by_name("own").tags
     assert tags[NOTE] == "ours"
     assert f"{VIEW}jobs" in tags

@@ -8,7 +8,7 @@ import pytest
 from cspace.bundle import Bundle
 from cspace.errors import ModelNotFoundError, RegistryError
 from services.names import ALIAS_CHAMPION
-from services.registry.ports import ModelVersion
+from services.registry.entities import ModelVersion
 from services.registry.promotion import (
     ChampionPeriod,
     Decision,

@@ -7,9 +7,15 @@ import requests
 from mlflow.exceptions import MlflowException
 
 from cspace.errors import RegistryUnavailableError, StorageError
-from services.registry.failures import MAX_LENGTH, anonymous, disk_failure, failure_of, without_user_info
-from services.registry.mlflow_errors import mapped
-from services.registry.mlflow_registry import MlflowRegistry
+from services.registry.errors import (
+    MAX_LENGTH,
+    anonymous,
+    disk_failure,
+    failure_of,
+    mapped,
+    without_user_info,
+)
+from services.registry.models import ModelRegistry
 
 
 @pytest.mark.parametrize(
@@ -90,5 +96,5 @@ def test_a_connection_that_fails_is_no_full_disk() -> None:
 
 def test_errors_of_the_adapter_name_the_host_and_not_the_password() -> None:
     with pytest.raises(RegistryUnavailableError, match=r"127\.0\.0\.1") as caught:
-        MlflowRegistry("http://user:secret@127.0.0.1:9").version("m", 1)
+        ModelRegistry("http://user:secret@127.0.0.1:9").version("m", 1)
     assert "secret" not in str(caught.value)

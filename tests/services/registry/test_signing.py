@@ -11,7 +11,7 @@ from cspace.errors import BundleIntegrityError, ConfigError, ServiceError
 from inference_api.models.cache import BundleCache, DiskCache
 from inference_api.settings import ApiSettings
 from services.registry import promotion, signing
-from services.registry.ports import ModelVersion
+from services.registry.entities import ModelVersion
 from services.registry.signing import require_signature
 from tests.bundles import write_tiny_bundle
 from tests.fakes.registry import FakeRegistry

@@ -21,7 +21,7 @@ def environment(tmp_path):
 @pytest.fixture
 def tracking(monkeypatch):
     tracking = FakeTracking()
-    monkeypatch.setattr("training.jobs.job.MlflowTracking", lambda uri, **spool: tracking)
+    monkeypatch.setattr("training.jobs.job.Tracking", lambda uri, **spool: tracking)
     return tracking
 
 

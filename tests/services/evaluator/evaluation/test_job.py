@@ -204,8 +204,8 @@ def test_the_cluster_is_used_where_a_driver_can_reach_one(environment, expected)
 @pytest.fixture
 def commanded(stores, monkeypatch):
     """The command finds these stores where MLflow would be, and asks for little."""
-    monkeypatch.setattr(command, "MlflowTracking", lambda uri: stores[0])
-    monkeypatch.setattr(command, "MlflowRegistry", lambda uri: stores[1])
+    monkeypatch.setattr(command, "Tracking", lambda uri: stores[0])
+    monkeypatch.setattr(command, "ModelRegistry", lambda uri: stores[1])
     monkeypatch.setattr(command, "make_request", lambda model, **given: request(model, promote=False))
     return stores
 
