@@ -87,7 +87,7 @@ class Receipts:
 
     @classmethod
     def of(cls, folder: Path, key: str = "") -> "Receipts":
-        """By the given key, or by that of a folder, which is made once; servers that share it share the key."""
+        """By the given key, else by that of a folder, which is made once."""
         if key:
             return cls(hashlib.sha256(key.encode()).digest())
         path = _private(folder) / _KEY_FILE
@@ -220,7 +220,7 @@ class Spool:
         return result == "kept"
 
     def delete_expired(self, registry_uri: str) -> int:
-        """Delete kept plans whose time is over by a clock that agrees with the registry's; returns how many."""
+        """Delete kept plans whose time is over, if the clock agrees with the registry's."""
         try:
             agrees = clock_agrees(registry_uri)
         except RegistryUnavailableError:
@@ -267,14 +267,14 @@ class Spool:
         return True
 
     def _append(self, client: str, lines: bytes, expires_s: int | None) -> None:
-        """Append to this process's file of a client, or write a file that expires; on disk when it returns."""
+        """Append to this process's file of a client, or write a file that expires, and wait for the disk."""
         if not lines:
             return
         path, flags = self._open.get(client), os.O_WRONLY | os.O_APPEND
         if path is None or not path.exists() or path.stat().st_size > MAX_FILE_BYTES or expires_s:
             place = _private(self._folder / client)
             # A number that grows, for a clock may be set back.
-            numbers = [int(found[0]) for one in os.listdir(place) if (found := re.findall(r"\d+", one))]
+            numbers = [int(re.findall(r"\d+", one.name)[0]) for one in place.iterdir()]
             number = max(numbers, default=0) + 1
             path = place / (f"view-{number}-{expires_s}.json" if expires_s else f"{number:012d}.jsonl")
             flags |= os.O_CREAT | os.O_EXCL
@@ -317,11 +317,7 @@ def view_row(
 
 
 def clock_agrees(registry_uri: str) -> bool:
-    """Whether this machine's clock is within a day of the registry's; a registry on this machine has the same.
-
-    Raises:
-        RegistryUnavailableError: the registry does not say its time.
-    """
+    """Whether this machine's clock is within a day of the registry's; raises RegistryUnavailableError."""
     if not registry_uri.startswith(("http://", "https://")):
         return True
     address = re.sub(r"(?<=://)[^/@]*@", "", registry_uri).rstrip("/") + "/health"
@@ -377,7 +373,7 @@ class Row(BaseModel):
 
 @dataclass(frozen=True, slots=True)
 class Upload:
-    """One batch that the tracking server holds: its run, the SHA-256 of its file, rows by kind and bad ones."""
+    """One batch that the tracking server holds: its run, its file's SHA-256, rows by kind, bad lines."""
 
     run_id: str
     digest: str
@@ -436,13 +432,14 @@ def _upload(batch: Path, files: Sequence[Path], tracking: "Tracking") -> Upload:
                 rows[row.key] = row
             except ValidationError:
                 bad += 1
-    counts = Counter(row.kind for row in rows.values())
+    counts = Counter[str](row.kind for row in rows.values())
     key = f"outcomes/{(batch / _ID).read_text(encoding='ascii')}"
     with (
         tempfile.TemporaryDirectory(prefix="cspace-outcomes-") as scratch,
         tracking.start(OUTCOMES_EXPERIMENT, "outcomes, {id}", tags={TAG_STAGE: STAGE}, key=key) as run,
     ):
-        run.metrics({**counts, VIEW: len(kept), "bad": bad}, 0)
+        counts[VIEW] = len(kept)
+        run.metrics({**counts, "bad": bad}, 0)
         table = Path(scratch) / OUTCOMES_FILE
         parquet.write_table(pa.Table.from_pylist([row.model_dump() for row in rows.values()]), table)
         digest = hashlib.sha256(table.read_bytes()).hexdigest()
@@ -462,7 +459,7 @@ def _upload(batch: Path, files: Sequence[Path], tracking: "Tracking") -> Upload:
             run.figure(shown[0], "reliability")
             run.table(shown[1], "reliability")
         run.dataset("outcomes", digest, f"runs:/{run.run_id}/{OUTCOMES_FILE}", "outcomes")
-    return Upload(run.run_id, digest, counts | ({VIEW: len(kept)} if kept else {}), bad)
+    return Upload(run.run_id, digest, +counts, bad)
 
 
 def uploaded(tracking: "Tracking") -> Iterator[tuple[str, str, list[Row]]]:
@@ -569,8 +566,8 @@ def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] 
 
     argparse.ArgumentParser(
         prog="python -m services.outcomes",
-        description="Delete kept pictures whose time is over, here and in MLflow, and upload what POST /outcomes "
-        f"was told from the folder {FOLDER} to MLFLOW_TRACKING_URI.",
+        description="Delete kept pictures whose time is over, here and in MLflow, and upload what POST "
+        f"/outcomes was told from the folder {FOLDER} to MLFLOW_TRACKING_URI.",
         epilog="Exit codes: 0 uploaded, or nothing to upload; 1 failed; 2 wrong request.",
     ).parse_args(arguments)
     folder, uri = Path(environment.get(FOLDER, "")), environment.get("MLFLOW_TRACKING_URI", "")
@@ -598,9 +595,7 @@ def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] 
         for done in upload(folder, tracking):
             kinds = ", ".join(f"{number} of {kind}" for kind, number in sorted(done.counts.items()))
             skipped = f"; skipped {done.bad} bad lines" if done.bad else ""
-            sys.stdout.write(
-                f"uploaded {kinds or 'nothing'}{skipped}; SHA-256 {done.digest}, run {done.run_id}\n"
-            )
+            sys.stdout.write(f"uploaded {kinds}{skipped}; SHA-256 {done.digest}, run {done.run_id}\n")
         sys.stdout.write("no file of outcomes is left\n")
     except CspaceError as error:
         return report_error(error, ConfigError)

@@ -8,6 +8,7 @@ process of its own (:mod:`cspace.bundle.verification`).
 import json
 import multiprocessing
 import os
+import re
 import resource
 import signal
 import time
@@ -33,7 +34,7 @@ from cspace.errors import (
 )
 from inference_api.process import few_arenas
 from services.registry.entities import ModelVersion
-from services.registry.errors import anonymous, failure_of
+from services.registry.errors import anonymous, causes
 
 LOOKUP_S, DOWNLOAD_S = 8.0, 90.0
 # Imports on a busy machine take their time.
@@ -304,6 +305,22 @@ def _without_secrets(error: CspaceError) -> CspaceError:
     texts = {"expected": error.expected, "got": got, "remedy": error.remedy}
     clean = {name: None if text is None else anonymous(text) for name, text in texts.items()}
     return type(error)(anonymous(error.what), **clean)
+
+
+def failure_of(error: BaseException) -> str:
+    """The kinds of failure down to the cause, as ``ConnectionError, Connection refused``."""
+    kinds: dict[str, None] = {}
+    for one in causes(error):
+        code, response = getattr(one, "error_code", None), getattr(one, "response", None)
+        if isinstance(one, OSError) and one.errno:
+            kinds[os.strerror(one.errno)] = None
+        elif re.fullmatch(r"[A-Z][A-Z_]{0,40}", str(code)):
+            kinds[str(code)] = None
+        else:
+            kinds[type(one).__name__] = None
+        if isinstance(getattr(response, "status_code", None), int):
+            kinds[f"status {response.status_code}"] = None  # type: ignore[union-attr]
+    return ", ".join(kinds)
 
 
 def _unavailable(got: str, limit_s: float | None = None) -> RegistryUnavailableError:

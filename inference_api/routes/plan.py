@@ -84,7 +84,7 @@ def _answer(
     service.metrics.answered(Answered("plan", served, status=found.status, seed=query.seed))
     record, receipt, kept = request_record.get(), None, None
     if record is not None and service.receipts is not None and found.status == "solved":
-        problem = problem_of(image, query.start, query.goal)
+        problem = problem_of(image, found.path[0], found.path[-1])
         receipt = service.receipts.issue(
             record.request_id, served.name, served.version, found.confidence, record.client, problem
         )

@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
-from cspace.errors import ConfigError, CspaceError, EvaluationError, InputError, ModelNotFoundError
+from cspace.errors import ConfigError, CspaceError, InputError, ModelNotFoundError
 from services.command_errors import report_error
 from services.evaluator import compare, model_card, recalibrate
 from services.evaluator.benchmark.__main__ import main as planning_benchmark
@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] 
     if given[:1] == [COMPARE]:
         return _compare(given[1:], environment)
     if given[:1] == [RECALIBRATE]:
-        return _recalibrate(given[1:], environment)
+        return recalibrate.main(given[1:], environment)
     if given[:1] == [CARD]:
         return _card(given[1:], environment)
     options = _parser().parse_args(given)
@@ -77,24 +77,6 @@ def _compare(arguments: Sequence[str], environment: Mapping[str, str]) -> int:
             compare.write_comparison(found, options.out, everything=options.all)
     except CspaceError as error:
         return report_error(error, InputError, ModelNotFoundError)
-    return 0
-
-
-def _recalibrate(arguments: Sequence[str], environment: Mapping[str, str]) -> int:
-    options = recalibrate.make_parser().parse_args(arguments)
-    try:
-        uri, model = _tracking_uri(environment), ModelReference.parse(options.model)
-        found = recalibrate.recalibrate(
-            model, options.site, options.most_per_client, Tracking(uri), ModelRegistry(uri)
-        )
-    except CspaceError as error:
-        return report_error(error, ConfigError, InputError, EvaluationError, ModelNotFoundError)
-    (offset, slope), (loss, before, gain) = found.parameters, found.predicted
-    print(
-        f"{found.version} is the challenger: {found.plans} plans, offset {offset:.3f}, slope {slope:.3f}\n"
-        f"log loss {loss:.3f} instead of {before:.3f} (gain {gain:+.3f}), each fifth by a fit to the rest\n"
-        f"evaluate it: python -m services.evaluator --model {found.version}"
-    )
     return 0
 
 

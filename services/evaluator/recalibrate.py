@@ -10,9 +10,10 @@ confidence is raised beyond the careful end of its interval.
 
 import argparse
 import hashlib
+import sys
 import tempfile
 from collections import Counter, defaultdict
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -26,9 +27,10 @@ from cspace.bundle.files import GOLDEN_FILE
 from cspace.bundle.golden import GoldenCase
 from cspace.bundle.load import graphs_of, write_bundle
 from cspace.bundle.verification import load_verified
-from cspace.errors import EvaluationError
+from cspace.errors import ConfigError, CspaceError, EvaluationError, InputError, ModelNotFoundError
 from cspace.planning.calibration import fit_calibration
 from cspace.planning.cost import confidence_of_cost
+from services.command_errors import report_error
 from services.evaluator.statistics import Interval, log_losses, mean_interval
 from services.names import ALIAS_CHALLENGER, EXPERIMENT, MODEL_NAME, OUTCOMES_FILE, TAG_MODEL, TAG_STAGE
 from services.outcomes import Row, reliability, uploaded
@@ -245,8 +247,8 @@ def _write(
     return Bundle.load(write_bundle(folder, made, graphs_of(source.folder), golden))
 
 
-def make_parser() -> argparse.ArgumentParser:
-    """Of the command's arguments."""
+def main(arguments: Sequence[str], environment: Mapping[str, str]) -> int:
+    """Parse, fit, print; returns the exit code."""
     parser = argparse.ArgumentParser(
         prog="python -m services.evaluator recalibrate",
         description="Fit the confidence of plans to uploaded outcomes, and register that as the challenger.",
@@ -261,4 +263,18 @@ def make_parser() -> argparse.ArgumentParser:
         metavar="SHARE",
         help="of the plans that one client may make up (default %(default)s); 1 trusts a single client",
     )
-    return parser
+    options = parser.parse_args(arguments)
+    try:
+        uri, model = environment.get("MLFLOW_TRACKING_URI", ""), ModelReference.parse(options.model)
+        if not uri:
+            raise ConfigError("no tracking server is named", remedy="set MLFLOW_TRACKING_URI")
+        found = recalibrate(model, options.site, options.most_per_client, Tracking(uri), ModelRegistry(uri))
+    except CspaceError as error:
+        return report_error(error, ConfigError, InputError, EvaluationError, ModelNotFoundError)
+    (offset, slope), (loss, before, gain) = found.parameters, found.predicted
+    sys.stdout.write(
+        f"{found.version} is the challenger: {found.plans} plans, offset {offset:.3f}, slope {slope:.3f}\n"
+        f"log loss {loss:.3f} instead of {before:.3f} (gain {gain:+.3f}), each fifth by a fit to the rest\n"
+        f"evaluate it: python -m services.evaluator --model {found.version}\n"
+    )
+    return 0

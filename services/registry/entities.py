@@ -42,8 +42,8 @@ def is_model_name(text: str) -> bool:
 class ModelVersion:
     """One version of a registered model.
 
-    ``digest`` is the SHA-256 of the bundle's ``SHA256SUMS``, empty for a version that somebody else registered;
-    ``created_ms`` counts from 1970-01-01 UTC.
+    ``digest`` is the SHA-256 of the bundle's ``SHA256SUMS``, empty for a version that somebody else
+    registered; ``created_ms`` counts from 1970-01-01 UTC.
     """
 
     __pydantic_config__: ClassVar = ConfigDict(extra="forbid", strict=True, revalidate_instances="always")

@@ -57,22 +57,6 @@ def anonymous(text: str) -> str:
     return _truncate(_PATHS.sub("(a path)", _ADDRESSES.sub("(an address)", line)))
 
 
-def failure_of(error: BaseException) -> str:
-    """The kinds of failure down to the cause, as ``ConnectionError, Connection refused``."""
-    kinds: dict[str, None] = {}
-    for one in _chain(error):
-        code, response = getattr(one, "error_code", None), getattr(one, "response", None)
-        if isinstance(one, OSError) and one.errno:
-            kinds[os.strerror(one.errno)] = None
-        elif re.fullmatch(r"[A-Z][A-Z_]{0,40}", str(code)):
-            kinds[str(code)] = None
-        else:
-            kinds[type(one).__name__] = None
-        if isinstance(getattr(response, "status_code", None), int):
-            kinds[f"status {response.status_code}"] = None  # type: ignore[union-attr]
-    return ", ".join(kinds)
-
-
 @contextmanager
 def mapped(action: str, *, lookup: bool = False) -> Iterator[None]:
     """Raise the project's errors in place of MLflow's and of its transport.
@@ -146,7 +130,7 @@ def unavailable(action: str, got: str) -> RegistryUnavailableError:
 
 def _disk_failure(error: BaseException) -> str | None:
     """What this machine's disk lacks, if that is anywhere in the chain of causes."""
-    for one in _chain(error):
+    for one in causes(error):
         numbers = [one.errno] if isinstance(one, OSError) else []
         if getattr(one, "error_code", None) is not None:
             numbers += map(int, _IN_WORDS.findall(str(one)))
@@ -156,7 +140,8 @@ def _disk_failure(error: BaseException) -> str | None:
     return None
 
 
-def _chain(error: BaseException | None) -> Iterator[BaseException]:
+def causes(error: BaseException | None) -> Iterator[BaseException]:
+    """An error and what led to it."""
     for _ in range(20):
         if error is None:
             return

@@ -191,11 +191,6 @@ class ModelRegistry:
         with self._asking(f"taking a tag off {name}/{number}", lookup=True):
             self._client.delete_model_version_tag(name, str(number), tag)
 
-    def describe(self, name: str, note: str) -> None:
-        """Show a note in Markdown on a model's page, in place of the earlier one."""
-        with self._asking(f"describing {name}", lookup=True):
-            self._client.update_registered_model(name, note)
-
     def show(self, version: ModelVersion, shown: Shown) -> None:
         """Show figures and a note of a version, on its run and logged model too, in place of earlier ones."""
         with self._asking(f"showing figures of {version}", lookup=True):
@@ -203,7 +198,8 @@ class ModelRegistry:
         with mapped(f"showing figures of {version}"):
             run = self._client.get_run(version.run_id)
             model = next(_whole_models(self._client, version.name, run, version.digest), None)
-            model_id, digest = model and model.model_id, shown.data_digest[:MAX_DIGEST]
+            model_id = None if model is None else model.model_id
+            digest = shown.data_digest[:MAX_DIGEST]
             now_ms = time.time_ns() // 1_000_000
             points = [
                 Metric(key, value, now_ms, 0, model_id, shown.data, digest, version.run_id)
@@ -212,7 +208,7 @@ class ModelRegistry:
             self._client.log_batch(version.run_id, points)
 
     def download(self, version: ModelVersion, folder: Path) -> Path:
-        """Fetch a version's bundle into a new folder, which appears whole or not at all; returns the folder."""
+        """Fetch a version's bundle into a new folder, whole or not at all; returns the folder."""
         if folder.exists():
             raise StorageError("the download's folder exists", expected="a new folder", got=str(folder))
         with self._asking(f"looking up {version}", lookup=True):

@@ -45,8 +45,6 @@ from services.registry.models import ModelRegistry
 from services.registry.tracking import Tracking
 
 PREFIX = "decision."
-# MLflow keeps 5000 characters of a page.
-_PAGE_ROWS, _PAGE_REASON = 20, 120
 _KEY = re.compile(rf"{re.escape(PREFIX)}(\d+)(?:\.[0-9a-f]+)?", re.ASCII)
 
 
@@ -102,9 +100,6 @@ def record_decision(registry: ModelRegistry, decision: Decision) -> None:
         if TAG_ROLLED_BACK in version.tags:
             registry.remove_tag(decision.name, decision.version, TAG_ROLLED_BACK)
         registry.set_alias(decision.name, ALIAS_CHAMPION, decision.version)
-        with suppress(RegistryError):
-            # The page alone; the next promotion writes it again.
-            registry.describe(decision.name, _history_page(registry, decision.name))
 
 
 def decisions_of(version: ModelVersion) -> tuple[Decision, ...]:
@@ -155,15 +150,6 @@ def history(registry: ModelRegistry, name: str) -> tuple[ChampionPeriod, ...]:
             periods.append(ChampionPeriod(before, None, now_ms, None))
         periods.append(ChampionPeriod(decision.version, now_ms, None, decision.reasons[0]))
     return tuple(periods)
-
-
-def _history_page(registry: ModelRegistry, name: str) -> str:
-    """The newest periods first, as a table in Markdown, for the model's page."""
-    rows = [period.cells for period in reversed(history(registry, name)[-_PAGE_ROWS:])]
-    # A line break or a bar would end the cell.
-    shown = [(*row[:3], " ".join(row[3].replace("|", "/").split())[:_PAGE_REASON]) for row in rows]
-    head = ("champion", "since", "until", "why"), ("---",) * 4
-    return "\n".join(f"| {' | '.join(row)} |" for row in (*head, *shown)) + "\n"
 
 
 def utc(moment_ms: int) -> str:

@@ -1,8 +1,8 @@
 """Runs on an MLflow server, named by their ids; no run is ever current.
 
-MLflow's own asynchronous logging loses what a killed process had queued. So metrics are sent in batches, and a
-trial sends them from its checkpoint: those that the server missed are sent again, and it drops the points that
-it has already.
+MLflow's own asynchronous logging loses what a killed process had queued. So metrics are sent in batches, and
+a trial sends them from its checkpoint: those that the server missed are sent again, and it drops the points
+that it has.
 """
 
 import json
@@ -218,7 +218,7 @@ class RunLog:
             self.flush()
 
     def history(self, rows: Iterable[Mapping[str, float]]) -> None:
-        """Log and send a trial's metrics, each row with its ``step`` and ``time_ms``; those that are there stay."""
+        """Log and send a trial's metrics, each row with its ``step`` and ``time_ms``."""
         for row in rows:
             values = {name: value for name, value in row.items() if name not in ("step", "time_ms")}
             self.metrics(values, int(row["step"]), int(row["time_ms"]))

@@ -7,14 +7,13 @@ import pytest
 from cspace.bundle import Bundle
 from cspace.errors import BundleIntegrityError, ModelNotFoundError, RegistryError, StorageError
 from cspace.worlds import robot_digest
-from inference_api.models.worker import RegistryWorker
 from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION
 from services.registry.entities import ModelVersion, Shown
 from services.registry.models import ModelRegistry
 from services.registry.promotion import Decision, champions, decisions, record_decision
 from services.registry.tracking import Tracking
 from tests.bundles import write_tiny_bundle
-from tests.contracts.conftest import Backend, mlflow_backend
+from tests.contracts.conftest import Backend
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
 
 pytestmark = MLFLOW_WARNINGS
@@ -149,22 +148,6 @@ def test_figures_of_a_version_are_shown_on_the_run_that_made_it_the_last_ones_ho
         backend.registry.show(replace(first, number=99), shown)
 
 
-def test_an_alias_is_taken_away_and_once_more(registry: ModelRegistry, first: ModelVersion) -> None:
-    for _ in range(2):
-        registry.remove_alias(first.name, ALIAS_CHALLENGER)
-    assert registry.version(first.name, 1).aliases == ()
-    with pytest.raises(ModelNotFoundError):
-        registry.by_alias(first.name, ALIAS_CHALLENGER)
-
-
-def test_a_models_page_is_described_again(backend: Backend, first: ModelVersion) -> None:
-    for note in ("| one |", "| one |\n| two |"):
-        backend.registry.describe(first.name, note)
-        assert backend.page(first.name) == note
-    with pytest.raises(ModelNotFoundError):
-        backend.registry.describe("unknown", "note")
-
-
 def test_a_downloaded_bundle_is_the_registered_one_and_no_folder_is_overwritten(
     registry: ModelRegistry, first: ModelVersion, bundle: Bundle, tmp_path: Path
 ) -> None:
@@ -239,37 +222,3 @@ def _decision(version: ModelVersion, *, promoted: bool, at_ms: int) -> Decision:
     reasons = ("precision beats uniform beyond the interval: gain +0.151 over 60 scenarios",)
     metrics = {"precision": 0.845, "coverage": 0.877}
     return Decision(version.name, version.number, promoted, reasons, metrics, None, at_ms)
-
-
-@pytest.mark.e2e
-def test_lookups_and_downloads_in_the_worker_process_keep_the_contract(
-    server_uri: str, bundle: Bundle, other: Bundle, model_name: str, tmp_path: Path
-) -> None:
-    _, backend = mlflow_backend(server_uri)
-    run_id = backend.tracking.start("contract", "global").run_id
-    here, tags = backend.registry, {"data_digest": "d1", "note": 'it\'s "better" → yes'}
-    first = here.register(model_name, bundle.folder, run_id, bundle.digest, tags, alias=ALIAS_CHALLENGER)
-    apart = RegistryWorker(server_uri, lookup_s=30.0)
-    try:
-        assert apart.version(model_name, 1) == first
-        here.set_alias(model_name, ALIAS_CHAMPION, 1)
-        second = here.register(model_name, other.folder, run_id, other.digest, {})
-        assert apart.by_alias(model_name, ALIAS_CHAMPION) == here.by_alias(model_name, ALIAS_CHAMPION)
-        assert apart.versions(model_name) == here.versions(model_name)
-        assert [version.number for version in apart.versions(model_name)] == [2, 1]
-        for name in ("nobody", "no'body", "a/b", "a:b", "no such\\", "", "é" * 300):
-            with pytest.raises(ModelNotFoundError):
-                apart.version(name, 1)
-            with pytest.raises(ModelNotFoundError):
-                apart.by_alias(name, ALIAS_CHAMPION)
-            assert apart.versions(name) == ()
-        with pytest.raises(ModelNotFoundError):
-            apart.version(model_name, 7)
-        assert Bundle.load(apart.download(first, tmp_path / "first")).digest == bundle.digest
-        assert Bundle.load(apart.download(second, tmp_path / "second")).digest == other.digest
-        with pytest.raises(ModelNotFoundError):
-            apart.download(replace(first, number=7), tmp_path / "third")
-        with pytest.raises(StorageError):
-            apart.download(first, tmp_path / "first")
-    finally:
-        apart.close()

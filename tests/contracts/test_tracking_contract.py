@@ -151,18 +151,17 @@ def test_leaving_the_block_ends_the_run_and_an_exception_goes_on(
     assert (record.status, record.history) == (status, {"kl": [(0, 1.0)]})
 
 
-def test_a_resumed_run_runs_again_and_logs_repeated_steps_once(backend: Backend, run: RunLog) -> None:
-    for step in range(6):
-        run.metrics({"kl": step, "late": step} if step > 3 else {"kl": step}, step)
+def test_a_resumed_run_runs_again_and_keeps_a_point_that_is_sent_twice_once(
+    backend: Backend, run: RunLog
+) -> None:
+    rows = [{"step": step, "time_ms": 1000.0 + step, "kl": step / 7} for step in range(6)]
+    run.history(rows[:4])
     run.finish("FAILED")
     again = backend.tracking.resume(run.run_id)
     assert (again.run_id, backend.read(run.run_id).status) == (run.run_id, "RUNNING")
-    for step in range(3, 8):
-        again.metrics({"kl": step, "new": step}, step)
+    again.history([*rows, *rows])
     again.finish()
-    history = backend.read(run.run_id).history
-    assert [step for step, _ in history["kl"]] == list(range(8))
-    assert [step for step, _ in history["new"]] == [3, 4, 5, 6, 7]
+    assert backend.read(run.run_id).history["kl"] == [(step, step / 7) for step in range(6)]
 
 
 def test_a_run_that_has_ended_is_written_onto_and_stays_ended(backend: Backend, run: RunLog) -> None:

@@ -235,7 +235,7 @@ class Job(Generic[Config]):
                 self._tidy()
 
     def _send_missed(self) -> None:
-        """Send what trials ended with while the server was away; metrics that it has already stay as they are."""
+        """Send what trials could not, because the server was away when they ended."""
         for missed in sorted(self.folder.glob(f"*/*/{MISSED}")):
             progress = read_progress(max(missed.parent.glob("step-*")))
             with self.tracking.resume(progress.run_id) as run:

@@ -195,9 +195,9 @@ def fit_tracked(
 ) -> Metrics | None:
     """Train a trial's module, from its last checkpoint on where it has one.
 
-    Training goes on while the tracking server is away: the metrics are in the checkpoint. Those that the
-    server lacks when the trial ends are sent by then, or by the job's driver. A job that is being stopped ends
-    it early, with a checkpoint.
+    Training goes on while the tracking server is away: the metrics are in the checkpoint. What the server
+    lacks is sent when the trial ends, else by the job's driver. A job that is being stopped ends it early,
+    with a checkpoint.
 
     Args:
         trial: which.
