@@ -26,11 +26,12 @@ import time
 import urllib.request
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from email.utils import parsedate_to_datetime
 from pathlib import Path
-from threading import Lock
+from threading import Event, Lock
 from typing import TYPE_CHECKING, Any, Literal, get_args
 from urllib.parse import quote
 
@@ -168,7 +169,8 @@ class _Write:
     lines: bytes
     count: int
     expires_s: int | None
-    result: Result | None = field(default=None)
+    result: Result | None = None
+    done: Event = field(default_factory=Event)
 
 
 class Spool:
@@ -183,8 +185,8 @@ class Spool:
     def __init__(self, folder: Path, max_bytes: int, count: Callable[[Result, int], None]) -> None:
         self._folder, self._max_bytes, self._count = folder, max_bytes, count
         self._waiting: list[_Write] = []
-        # The first is held for moments, the second while the disk is busy.
-        self._lock, self._disk = Lock(), Lock()
+        # One thread writes, and takes all that waits at once.
+        self._lock, self._disk = Lock(), ThreadPoolExecutor(1, "outcomes")
         self._open: dict[str, Path] = {}
         self._used: Counter[str] = Counter()
         self._looked_s = float("-inf")
@@ -204,14 +206,9 @@ class Spool:
                 self._waiting.append(write)
             else:
                 write.result = "busy"
-        if write.result is None and self._disk.acquire(timeout=_WAIT_S):
-            try:
-                # Whoever comes first writes what all of them have.
-                with self._lock:
-                    batch, self._waiting = self._waiting, []
-                self._write(batch)
-            finally:
-                self._disk.release()
+        if write.result is None:
+            self._disk.submit(self._drain)
+            write.done.wait(_WAIT_S)
         with self._lock:
             if write in self._waiting:
                 self._waiting.remove(write)
@@ -229,6 +226,13 @@ class Spool:
             _LOG.warning("the clock disagrees with the registry's by more than a day: nothing expires")
             return 0
         return delete_expired(self._folder)
+
+    def _drain(self) -> None:
+        with self._lock:
+            batch, self._waiting = self._waiting, []
+        self._write(batch)
+        for write in batch:
+            write.done.set()
 
     def _write(self, batch: Sequence[_Write]) -> None:
         joined: dict[tuple[str, int | None], list[_Write]] = defaultdict(list)

@@ -68,6 +68,11 @@ class Plans:
         """(n,) whether each was free."""
         return np.array([not row.collided for row in self.rows])
 
+    @property
+    def client(self) -> NDArray[np.int_]:
+        """(n,) number of the client of each."""
+        return np.unique([row.client or "" for row in self.rows], return_inverse=True)[1]
+
 
 class Predicted(NamedTuple):
     """Mean log loss of the plans by fits to others and as stated, and the paired gain."""
@@ -105,7 +110,7 @@ def recalibrate(
     """
     version = model.look_up(registry)
     plans = plans_of(str(version), site, most_per_client, tracking)
-    parameters = careful_fit(plans.cost, plans.free)
+    parameters = careful_fit(plans.cost, plans.free, plans.client)
     if parameters is None:
         raise EvaluationError(
             f"the outcomes agree with what {version} states",
@@ -189,13 +194,20 @@ def _cap(counts: Collection[int], share: float) -> int:
     return 0
 
 
-def careful_fit(cost: NDArray[np.float64], free: NDArray[np.bool_]) -> tuple[float, float] | None:
+def careful_fit(
+    cost: NDArray[np.float64], free: NDArray[np.bool_], client: NDArray[np.int_]
+) -> tuple[float, float] | None:
     """(offset, slope) for plans (n,); None where their interval holds the present calibration.
 
     The fit is bound to lines that raise no confidence beyond the 97.5 % quantile of bootstrapped costs.
+    Clients are drawn and then plans of each, so that what one client alone reports is not certain.
     """
-    picks = np.random.default_rng(0).integers(len(cost), size=(_RESAMPLES, len(cost)))
-    drawn = np.array([fit_calibration(cost[pick], free[pick], PRIOR) for pick in picks])
+    rng, of_each = np.random.default_rng(0), [np.flatnonzero(client == one) for one in np.unique(client)]
+    drawn = np.empty((_RESAMPLES, 2))
+    for number in range(_RESAMPLES):
+        chosen = [of_each[one] for one in rng.integers(len(of_each), size=len(of_each))]
+        pick = np.concatenate([rng.choice(plans, len(plans)) for plans in chosen])
+        drawn[number] = fit_calibration(cost[pick], free[pick], PRIOR)
     # Two intervals of 97.5 % have both parameters with 95 %.
     shift = drawn @ np.array([1.0, np.median(np.log(cost))]) - np.median(np.log(cost))
     low, high = np.quantile(np.stack([shift, drawn[:, 1] - 1.0]), [0.0125, 0.9875], axis=1)
@@ -220,11 +232,11 @@ def careful_fit(cost: NDArray[np.float64], free: NDArray[np.bool_]) -> tuple[flo
 
 def _predicted(plans: Plans) -> Predicted:
     """The log loss of each fifth by a fit to the others, beside that of what was stated."""
-    cost, free = plans.cost, plans.free
+    cost, free, client = plans.cost, plans.free, plans.client
     fold, predicted = np.arange(len(cost)) % FOLDS, np.empty(len(cost))
     for number in range(FOLDS):
         others = fold != number
-        parameters = careful_fit(cost[others], free[others]) or _PRESENT
+        parameters = careful_fit(cost[others], free[others], client[others]) or _PRESENT
         predicted[~others] = confidence_of_cost(cost[~others], parameters)
     ours, theirs = log_losses(predicted, free, _LEAST), log_losses(np.exp(-cost), free, _LEAST)
     gain = mean_interval(theirs - ours, np.random.default_rng(0))

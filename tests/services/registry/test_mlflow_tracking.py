@@ -46,9 +46,7 @@ class Line:
 
     def tracking(self, *, buffer_size: int = 1, **options: float) -> Tracking:
         clock = lambda: self.now_s  # noqa: E731 - of this line
-        return Tracking(
-            self.uri, spool_folder=self.spool, clock=clock, buffer_size=buffer_size, **options
-        )
+        return Tracking(self.uri, spool_folder=self.spool, clock=clock, buffer_size=buffer_size, **options)
 
     def history(self, run_id: str, name: str = "loss") -> list[tuple[int, float]]:
         points = MlflowClient(self.uri).get_metric_history(run_id, name)
