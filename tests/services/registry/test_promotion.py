@@ -141,10 +141,6 @@ def test_the_history_tells_which_version_was_the_champion_when(registry: FakeReg
     first = ChampionPeriod(1, 1, 3, DECISION.reasons[0])
     last = ChampionPeriod(1, 4, None, "by hand: rolled | back")
     assert history(registry, NAME) == (first, ChampionPeriod(2, 3, 4, "better"), last)
-    # The page, the newest first.
-    rows = registry.described[NAME].splitlines()
-    assert rows[2] == "| 1 | 1970-01-01 00:00:00 UTC |  | by hand: rolled / back |"
-    assert [row.split()[1] for row in rows[2:]] == ["1", "2", "1"]
 
 
 def test_the_history_names_a_champion_that_was_deleted(registry: FakeRegistry) -> None:
@@ -158,18 +154,3 @@ def test_the_history_names_a_champion_that_was_deleted(registry: FakeRegistry) -
         ChampionPeriod(3, 3, None, reason),
     )
     assert history(registry, "unknown") == ()
-
-
-class NoPages(FakeRegistry):
-    """A registry that describes no model."""
-
-    def __init__(self, inner: FakeRegistry) -> None:
-        self.__dict__.update(inner.__dict__)
-
-    def describe(self, name: str, note: str) -> None:
-        raise RegistryError(f"{name} cannot be described", got=note)
-
-
-def test_a_promotion_holds_where_the_page_cannot_be_written(registry: FakeRegistry) -> None:
-    record_decision(NoPages(registry), DECISION)
-    assert registry.by_alias(NAME, ALIAS_CHAMPION).number == 1

@@ -10,8 +10,6 @@ from cspace.errors import RegistryUnavailableError, StorageError
 from services.registry.errors import (
     MAX_LENGTH,
     anonymous,
-    disk_failure,
-    failure_of,
     mapped,
     without_user_info,
 )
@@ -63,16 +61,6 @@ def test_a_line_stays_a_line_of_bounded_length() -> None:
     assert len(anonymous("é" * 10_000)) <= MAX_LENGTH + 4
 
 
-def test_the_kind_of_a_failure_is_told_without_its_words() -> None:
-    inner = ConnectionRefusedError(errno.ECONNREFUSED, "secret")
-    outer = requests.ConnectionError("secret")
-    outer.__cause__ = inner
-    assert failure_of(outer) == "ConnectionError, Connection refused"
-    forged = MlflowException("secret")
-    forged.error_code = "http://secret"
-    assert failure_of(forged) == "MlflowException"
-
-
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EROFS])
 def test_a_full_disk_is_found_however_deep_it_is_wrapped(number: int) -> None:
     full = OSError(number, "words")
@@ -81,7 +69,6 @@ def test_a_full_disk_is_found_however_deep_it_is_wrapped(number: int) -> None:
     wrapped.__context__.__cause__ = full
     in_words = MlflowException(f"failures occurred:\n##### File x #####\n{full}")
     for error in (full, wrapped, in_words):
-        assert disk_failure(error)
         with pytest.raises(StorageError), mapped("downloading m/1"):
             raise error
 
@@ -89,7 +76,6 @@ def test_a_full_disk_is_found_however_deep_it_is_wrapped(number: int) -> None:
 def test_a_connection_that_fails_is_no_full_disk() -> None:
     refused = requests.ConnectionError("words")
     refused.__cause__ = ConnectionRefusedError(errno.ECONNREFUSED, "words")
-    assert disk_failure(refused) is None
     with pytest.raises(RegistryUnavailableError), mapped("asking"):
         raise refused
 

@@ -1,5 +1,6 @@
 """Signed bundles, by the real package: what was signed is served, and nothing else."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,6 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cspace.bundle import Bundle
 from cspace.errors import BundleIntegrityError, ConfigError, ServiceError
 from inference_api.models.cache import BundleCache, DiskCache
-from inference_api.settings import ApiSettings
 from services.registry import promotion, signing
 from services.registry.entities import ModelVersion
 from services.registry.signing import require_signature
@@ -58,25 +58,28 @@ def test_what_was_signed_is_served_and_nothing_else(
     assert load(public, version).digest == version.digest
     with pytest.raises(BundleIntegrityError, match=r"does not hold.*other\.pub.*Key mismatch"):
         load(other, version)
-    unsigned = ModelVersion(version.name, 1, version.run_id, version.digest, (), {}, 0)
     with pytest.raises(BundleIntegrityError, match=r"not signed.*models sign"):
-        load(public, unsigned)
+        load(public, replace(version, tags={}))
 
 
-def test_a_changed_byte_is_told_with_its_file(
+def test_a_signature_holds_for_no_other_name_version_or_files(
     signed: tuple[FakeRegistry, ModelVersion, Path], tmp_path: Path
 ) -> None:
     registry, version, public = signed
-    folder = registry.download(version, tmp_path / "changed")
-    signature = version.tags["signature"]
-    require_signature(folder, signature, public)
-    data = bytearray((folder / "golden.npz").read_bytes())
-    data[100] ^= 1
-    (folder / "golden.npz").write_bytes(data)
+    folder = registry.download(version, tmp_path / "own")
+    require_signature(folder, version, public)
+    changed = write_tiny_bundle(tmp_path / "changed", scale=0.5)
+    for where, claimed in (
+        (folder, replace(version, name="other")),
+        (folder, replace(version, number=2)),
+        (changed, version),
+        (folder, replace(version, tags={"signature": "{}"})),
+    ):
+        with pytest.raises(BundleIntegrityError, match="does not hold"):
+            require_signature(where, claimed, public)
+    (folder / "golden.npz").write_bytes(b"damaged")
     with pytest.raises(BundleIntegrityError, match=r"golden\.npz"):
-        require_signature(folder, signature, public)
-    with pytest.raises(BundleIntegrityError, match="does not hold"):
-        require_signature(folder, "{}", public)
+        require_signature(folder, version, public)
 
 
 def test_a_file_that_is_no_key_is_refused(
@@ -86,9 +89,7 @@ def test_a_file_that_is_no_key_is_refused(
     with pytest.raises(ConfigError, match="private key"):
         promotion.sign(registry, version, public)
     assert registry.version("arm-sampler", 1).tags == version.tags
-    with pytest.raises(ConfigError, match="CSPACE_TRUSTED_KEY"):
-        ApiSettings.from_environment({"CSPACE_TRUSTED_KEY": str(tmp_path / "none.pub")})
-    assert ApiSettings.from_environment({"CSPACE_TRUSTED_KEY": str(public)}).trusted_key == public
+    folder = registry.download(version, tmp_path / "own")
     monkeypatch.setattr(signing, "find_spec", lambda _: None)
     with pytest.raises(ServiceError, match="no model-signing"):
-        require_signature(tmp_path, version.tags["signature"], public)
+        require_signature(folder, version, public)
