@@ -338,7 +338,7 @@ def clock_agrees(registry_uri: str) -> bool:
 def delete_expired(folder: Path) -> int:
     """Delete kept plans whose time is over; returns how many."""
     count = 0
-    for path in folder.glob("*/view-*.json"):
+    for path in folder.glob("*/*view-*.json"):
         named = _VIEW_NAME.search(path.name)
         if named and int(named[1]) <= time.time():
             path.unlink(missing_ok=True)
@@ -455,7 +455,8 @@ def _upload(batch: Path, files: Sequence[Path], tracking: "Tracking") -> Upload:
             views = Path(scratch) / VIEWS_FILE
             with views.open("wb") as file:
                 for path in kept:
-                    with path.open("rb") as one:
+                    # A server may delete it in this moment.
+                    with suppress(FileNotFoundError), path.open("rb") as one:
                         shutil.copyfileobj(one, file)
             run.artifact(views)
         shown = reliability([row for row in rows.values() if row.kind == "plan"])

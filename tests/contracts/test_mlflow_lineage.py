@@ -88,14 +88,6 @@ def test_a_saved_model_holds_no_pickle(registered: Registered, tmp_path: Path) -
     assert names <= {"", ".json", ".npz", ".onnx", ".py", ".txt", ".yaml"}
 
 
-def test_the_adapters_leave_mlflow_s_global_state_alone(
-    registered: Registered, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
-    assert registered.uri not in (mlflow.get_tracking_uri(), mlflow.get_registry_uri())
-    assert mlflow.active_run() is None
-
-
 def _register(uri: str, folder: Path, name: str) -> Registered:
     bundle = Bundle.load(write_tiny_bundle(folder))
     with Tracking(uri).start("lineage", "global") as run:

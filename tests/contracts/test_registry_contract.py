@@ -10,7 +10,6 @@ from cspace.worlds import robot_digest
 from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION
 from services.registry.entities import ModelVersion, Shown
 from services.registry.models import ModelRegistry
-from services.registry.promotion import Decision, champions, decisions, record_decision
 from services.registry.tracking import Tracking
 from tests.bundles import write_tiny_bundle
 from tests.contracts.conftest import Backend
@@ -179,46 +178,9 @@ def test_what_is_not_there_is_not_found(registry: ModelRegistry, first: ModelVer
     assert list(tmp_path.glob("*bundle*")) == []
 
 
-@pytest.mark.parametrize("name", ["no'body", "a/b", "a:b", "no such\\", "", "é" * 300])
-def test_a_name_that_can_not_be_is_not_found(registry: ModelRegistry, name: str) -> None:
-    with pytest.raises(ModelNotFoundError):
-        registry.version(name, 1)
-    with pytest.raises(ModelNotFoundError):
-        registry.by_alias(name, ALIAS_CHAMPION)
-    assert registry.versions(name) == ()
-
-
 def test_a_bundle_with_another_digest_is_not_registered(
     registry: ModelRegistry, bundle: Bundle, other: Bundle, run_id: str, model_name: str
 ) -> None:
     with pytest.raises(BundleIntegrityError):
         registry.register(model_name, bundle.folder, run_id, other.digest, {})
     assert registry.versions(model_name) == ()
-
-
-def test_a_bundle_of_an_unknown_run_is_not_registered(
-    registry: ModelRegistry, bundle: Bundle, model_name: str
-) -> None:
-    with pytest.raises(RegistryError):
-        registry.register(model_name, bundle.folder, "f" * 32, bundle.digest, {})
-    assert registry.versions(model_name) == ()
-
-
-def test_decisions_are_recorded_on_the_version_and_move_the_champion(
-    registry: ModelRegistry, first: ModelVersion
-) -> None:
-    refused = _decision(first, promoted=False, at_ms=1)
-    promoted = _decision(first, promoted=True, at_ms=2)
-    record_decision(registry, refused)
-    with pytest.raises(ModelNotFoundError):
-        registry.by_alias(first.name, ALIAS_CHAMPION)
-    record_decision(registry, promoted)
-    assert registry.by_alias(first.name, ALIAS_CHAMPION).number == 1
-    assert decisions(registry, first.name) == (refused, promoted)
-    assert champions(registry, first.name) == (promoted,)
-
-
-def _decision(version: ModelVersion, *, promoted: bool, at_ms: int) -> Decision:
-    reasons = ("precision beats uniform beyond the interval: gain +0.151 over 60 scenarios",)
-    metrics = {"precision": 0.845, "coverage": 0.877}
-    return Decision(version.name, version.number, promoted, reasons, metrics, None, at_ms)

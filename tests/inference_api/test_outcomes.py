@@ -59,7 +59,7 @@ def test_a_plan_counts_as_what_its_answer_stated(keeping: Keeping, tmp_path: Pat
         assert send(api, forged, {**report, "request_id": "other"}, SAMPLES).json() == {"kept": 2}
         # It is on disk by now.
         plan, samples = rows_in(tmp_path)
-        for bad in ({}, {"receipt": None}, {"receipt": report["receipt"][:-1] + "0"}):
+        for bad in ({}, {"receipt": None}, {"receipt": report["receipt"][:-1] + "x"}):
             problem = assert_problem(send(api, {**REPORT, "request_id": "r", **bad}), 422, "invalid-value")
             assert "match no answer" in problem["detail"]
     assert (plan["model"], plan["collided_at"], plan["client"]) == (f"{MODEL}/1", 0.25, None)

@@ -19,7 +19,7 @@ from cspace.errors import (
 )
 from inference_api.models.cache import RETRY_S, BundleCache, DiskCache
 from inference_api.models.served import ShippedModels
-from inference_api.models.store import IN_USE_S, SELDOM_S, ModelStore
+from inference_api.models.store import IN_USE_S, ModelStore
 from inference_api.problem_types import ModelNotReadyError
 from services.registry.entities import PRETRAINED, ModelReference, ModelVersion
 from tests.inference_api.client import ApiClient
@@ -572,40 +572,3 @@ def test_the_list_of_models_is_remembered_as_long_as_a_lookup(
     registry.add(bundles["plain"], "champion", name="another")
     clock.now += 2.1
     assert {version.name for version in store.listed()} == {*(version.name for version in listed), "another"}
-
-
-def test_a_sites_calibration_holds_for_the_version_that_it_was_fitted_to(
-    store: ModelStore, registry: CountingRegistry, bundles: dict[str, Path], clock: Clock
-) -> None:
-    for name in ("plain", "other"):
-        registry.add(bundles[name])
-    first, second = (store.resolve(ModelReference.parse(f"{MODEL}/{number}")) for number in (1, 2))
-    tags = {"model": f"{MODEL}/1", "offset": "0.5", "slope": "2.0"}
-    registry.record("calibration-lab-3", "fit-1", tags, alias="champion")
-    found = store.calibration("lab-3", first)
-    assert found is not None
-    assert (found[0].after((1.0, 3.0)), found[1]) == ((2.5, 6.0), "calibration-lab-3/1")
-    assert store.calibration("lab-3", second) is None
-    assert store.calibration("lab-4", first) is None
-    assert all(version.name == MODEL for version in store.listed())
-    # Neither what is known nor what is not is asked for again; a registry that is away changes nothing.
-    registry.record("calibration-lab-3", "fit-2", tags, alias="champion")
-    calls = registry.calls
-    assert store.calibration("lab-3", first) == found
-    assert store.calibration("lab-4", first) is None
-    assert registry.calls == calls
-    clock.now += SELDOM_S + 0.1
-    registry.away = True
-    assert store.calibration("lab-3", first) == found
-    registry.away = False
-    clock.now += 2.1
-    assert store.calibration("lab-3", first) == (found[0], "calibration-lab-3/2")
-
-
-def test_tags_that_are_no_calibration_are_not_used(
-    store: ModelStore, registry: CountingRegistry, bundles: dict[str, Path], caplog: pytest.LogCaptureFixture
-) -> None:
-    registry.add(bundles["plain"])
-    registry.record("calibration-lab-3", "by hand", {"model": f"{MODEL}/1", "slope": "-1"}, alias="champion")
-    assert store.calibration("lab-3", store.resolve(ModelReference.parse(f"{MODEL}/1"))) is None
-    assert "calibration-lab-3/1 is not used" in caplog.text

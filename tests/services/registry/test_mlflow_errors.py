@@ -21,7 +21,6 @@ from cspace.errors import (
 from services.registry.entities import ModelVersion
 from services.registry.errors import mapped, set_timeouts
 from services.registry.models import ModelRegistry
-from services.registry.tracking import Tracking
 from tests.bundles import write_tiny_bundle
 from tests.services.registry.strange_server import strange_server
 
@@ -108,24 +107,6 @@ def test_a_server_that_hangs_is_unavailable_when_the_patience_ends(
 ) -> None:
     with pytest.raises(RegistryUnavailableError):
         OPERATIONS[operation](ModelRegistry(silent_uri, timeout_s=0.2), tmp_path)
-
-
-@pytest.mark.timeout(20)
-@pytest.mark.parametrize("answer", AWAY)
-def test_a_server_without_its_database_is_unavailable_at_once(answer: str) -> None:
-    status, body = AWAY[answer]
-    with strange_server(status, body) as uri, pytest.raises(RegistryUnavailableError):
-        ModelRegistry(uri).by_alias("m", "champion")
-
-
-@pytest.mark.parametrize("answer", ANSWERS | AWAY)
-def test_tracking_leaks_nothing_either(hasty: None, answer: str) -> None:
-    status, body = (ANSWERS | AWAY)[answer]
-    with strange_server(status, body) as uri:
-        tracking = Tracking(uri)
-        for call in (lambda: tracking.start("e", "n"), lambda: tracking.resume("r" * 32)):
-            with pytest.raises(RegistryError):
-                call()
 
 
 @pytest.mark.parametrize(
