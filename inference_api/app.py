@@ -24,19 +24,19 @@ from inference_api.routes.documentation import add_docs_page, add_guide, documen
 from inference_api.settings import MIB, ApiSettings
 from inference_api.telemetry import Metrics, Telemetry, add_tracing
 from inference_api.workbench.routes import add_workbench
-from services.outcomes import Spool
-from services.registry.ports import ModelReader
+from services.outcomes import Receipts, Spool
+from services.registry.entities import ModelReader
 
 # For the first look at the registry: long enough for one nearby, short enough for a health check's patience.
 FIRST_LOOK_S = 20.0
-# Between two files of outcomes.
-FLUSH_S = 10.0
+# Between two looks for kept pictures whose days are over.
+EXPIRY_S = 3600.0
 # Threads that compute come back to the interpreter after every graph, and would wait for 5 ms each time.
 SWITCH_S = 0.00005
 
 
 def create_app(settings: ApiSettings | None = None, registry: ModelReader | None = None) -> FastAPI:
-    """The API; its state holds ``settings``, ``models``, ``metrics``, ``places`` and ``spool``.
+    """The API; its state holds ``settings``, ``models``, ``metrics``, ``places``, ``spool`` and ``receipts``.
 
     Args:
         settings: from the environment when None.
@@ -60,8 +60,9 @@ def create_app(settings: ApiSettings | None = None, registry: ModelReader | None
     store.on_reload = metrics.reloaded
     app.state.settings, app.state.models, app.state.metrics = settings, store, metrics
     app.state.places = ComputePlaces(settings.api_threads, metrics.waiting)
-    app.state.spool = None
+    app.state.spool = app.state.receipts = None
     if settings.outcomes is not None:
+        app.state.receipts = Receipts.of(settings.outcomes, settings.receipt_key)
         app.state.spool = Spool(settings.outcomes, int(MIB * settings.outcomes_mib), metrics.outcomes)
     # Servers load the search when they start; an app in another process with its first plan.
     app.state.loads_planner = False
@@ -117,21 +118,21 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     # What the start has made stays anyway: later collections, which stop all threads, leave it out.
     gc.collect()
     gc.freeze()
-    flushing = None if spool is None else asyncio.create_task(_flush(spool))
+    uri = app.state.settings.registry_uri or ""
+    expiring = None if spool is None else asyncio.create_task(_expire(spool, uri))
     yield
     store.close()
-    if flushing is not None:
-        flushing.cancel()
-        await to_thread.run_sync(spool.flush)
+    if expiring is not None:
+        expiring.cancel()
     if app.state.traces is not None:
         # Sends what is still waiting.
         await to_thread.run_sync(app.state.traces.shutdown)
 
 
-async def _flush(spool: Spool) -> None:
+async def _expire(spool: Spool, registry_uri: str) -> None:
     while True:
-        await asyncio.sleep(FLUSH_S)
-        await to_thread.run_sync(spool.flush)
+        await asyncio.sleep(EXPIRY_S)
+        await to_thread.run_sync(spool.delete_expired, registry_uri)
 
 
 def _version() -> str:
@@ -153,9 +154,9 @@ def _model_store(settings: ApiSettings, registry: ModelReader | None) -> ModelSt
 
 
 def _mlflow(uri: str) -> ModelReader:
-    from services.registry.mlflow_errors import lower_patience  # noqa: PLC0415 - MLflow takes seconds
+    from services.registry.errors import set_timeouts  # noqa: PLC0415 - MLflow takes seconds
 
-    lower_patience(os.environ)
-    from services.registry.mlflow_registry import MlflowRegistry  # noqa: PLC0415 - as above
+    set_timeouts(os.environ)
+    from services.registry.models import ModelRegistry  # noqa: PLC0415 - as above
 
-    return MlflowRegistry(uri)
+    return ModelRegistry(uri)

@@ -43,7 +43,6 @@ from inference_api.problems import STARTING, ModelNotReadyError, RequestError
 from inference_api.settings import ApiSettings
 from services.names import (
     ALIAS_CHAMPION,
-    CALIBRATION_PREFIX,
     SCENE_MODEL_NAME,
     TAG_ROBOT,
     TAG_SIGNATURE,
@@ -51,8 +50,8 @@ from services.names import (
     model_name,
     recorded_name,
 )
-from services.registry.failures import anonymous
-from services.registry.ports import PRETRAINED, ModelReader, ModelReference, ModelVersion, is_model_name
+from services.registry.entities import PRETRAINED, ModelReader, ModelReference, ModelVersion, is_model_name
+from services.registry.errors import anonymous
 from services.registry.signing import require_signature
 
 _Answer = TypeVar("_Answer")
@@ -400,8 +399,7 @@ class ModelStore:
         return found
 
     def _is_listed(self, name: str) -> bool:
-        is_own = name in (self.model_name, SCENE_MODEL_NAME) or name.startswith(CALIBRATION_PREFIX)
-        return is_model_name(name) and not is_own
+        return is_model_name(name) and name not in (self.model_name, SCENE_MODEL_NAME)
 
     def _versions(self, name: str) -> list[ModelVersion]:
         try:
@@ -713,7 +711,7 @@ class ModelStore:
             if version.digest not in self._verified:
                 self._verify(folder, version.digest)
             if self._trusted_key is not None:
-                require_signature(folder, version.tags.get(TAG_SIGNATURE), self._trusted_key)
+                require_signature(folder, version, self._trusted_key)
         except ServiceError as error:
             raise RegistryUnavailableError(f"{version} cannot be verified", got=error.got) from None
         bundle = Bundle.load(folder, digest=version.digest, check=False)

@@ -32,7 +32,7 @@ from inference_api.body import body_of
 from inference_api.models import Models, ModelStore, Prepared, ServedModel
 from inference_api.problems import SAMPLE_PROBLEMS, NoKernelsError, problem_responses
 from services.names import model_of
-from services.registry.ports import ModelReference
+from services.registry.entities import ModelReference
 
 NPY = "application/x-npy"
 # Proxies take 4 KiB of headers.

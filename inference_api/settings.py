@@ -11,7 +11,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, ValidationError
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from cspace.errors import ConfigError
-from services.registry.ports import PRETRAINED, SHIPPED, is_model_name, is_shipped
+from services.registry.entities import PRETRAINED, SHIPPED, is_model_name, is_shipped
 
 # The name is the metrics library's; `--workers` sets it.
 METRICS_FOLDER = "PROMETHEUS_MULTIPROC_DIR"
@@ -137,6 +137,8 @@ class ApiSettings(BaseSettings):
     """Whether the page at / may ask for the truth of scenes; 1 is as --workbench."""
     outcomes: Path | None = None
     """Folder where outcomes wait for their upload; none keeps none."""
+    receipt_key: str = ""
+    """Secret of the receipts of plans, for servers that share no folder; else it lies in the folder."""
     outcomes_mib: float = Field(256.0, ge=16.0)
     """Largest size of the folder of outcomes, MiB."""
     outcomes_keep_days: float = Field(0.0, ge=0.0, le=3650.0)

@@ -14,12 +14,10 @@ MODEL_NAME = "cspace-sampler"
 PATH_MODEL_NAME = "path-sampler"
 EXPERIMENT = "cspace-sampler"
 # Of what users report of answers.
-OUTCOMES_EXPERIMENT, OUTCOMES_FILE = "cspace-outcomes", "outcomes.jsonl"
+OUTCOMES_EXPERIMENT, OUTCOMES_FILE = "cspace-outcomes", "outcomes.parquet"
 # The plans of these that were asked to be kept with their pictures, the kind of their rows, and on a run when
 # they have to be gone, s since 1970.
 VIEWS_FILE, VIEW, TAG_KEEP_UNTIL = "views.jsonl", "view", "keep_until_s"
-# Calibrations of plans for a site: their runs, and the name of a site's registered model before the site's.
-CALIBRATIONS_EXPERIMENT, CALIBRATION_PREFIX = "cspace-calibrations", "calibration-"
 # Scene models: their runs, the registered model, and its weights among a run's files.
 SCENE_MODELS_EXPERIMENT, SCENE_MODEL_NAME = "cspace-scene-models", "scene-model"
 SCENE_MODEL_FILE = "scene_model.safetensors"
@@ -28,9 +26,6 @@ SITE_PATTERN = r"[A-Za-z0-9._-]{1,64}"
 ARTIFACT_STORE = "CSPACE_ARTIFACT_STORE"
 ALIAS_CHALLENGER = "challenger"
 ALIAS_CHAMPION = "champion"
-# Alias of the version that is compared with the champion on requests, and the tag with the share of these;
-# the first is also the kind of a comparison among the outcomes.
-SHADOW, TAG_SHADOW_SHARE = "shadow", "shadow_share"
 
 TAG_DIGEST = "digest"
 # On a run: what it is of, the job's name, its preset, the version made or evaluated, and MLflow's note.
@@ -38,7 +33,7 @@ TAG_STAGE, TAG_JOB, TAG_PRESET, TAG_MODEL = "stage", "job", "preset", "model_ver
 NOTE = "mlflow.note.content"
 # In an address of MLflow's pages: without it they are those for language models.
 MLFLOW_TRAINING = "workflowType=machine_learning"
-# On a run: what :meth:`services.registry.ports.Tracking.start` finds it by.
+# On a run: what :meth:`services.registry.tracking.Tracking.start` finds it by.
 TAG_KEY = "cspace.key"
 # On a version: the signature of its bundle, see :mod:`services.registry.signing`.
 TAG_SIGNATURE = "signature"

@@ -1,281 +1,309 @@
-"""Outcomes of answers, as users report them: a bounded folder of files, and their upload to MLflow.
+"""Outcomes of answers, as users report them: receipts, a bounded folder of files, and their upload to MLflow.
 
-A server gathers outcomes in memory and writes them as whole files, one JSON object per line
-(:class:`Spool`). ``python -m services.outcomes`` uploads the files as data sets and deletes them. A batch is
-moved into a folder of its own first, and stays there until it is uploaded. After an interruption the same
-batch is therefore uploaded again, into the same run.
+The answer of a plan carries a receipt of what the server stated. A report counts only with it, as what the
+receipt says. A server writes reports to disk before it confirms them (:class:`Spool`), and
+``python -m services.outcomes`` uploads them in batches, each of which becomes a run. A batch is moved into a
+folder of its own first, so that an interrupted upload goes on with the same batch and run.
 
-Plans that were asked to be kept are rows with their pictures. They become a file of their own, which the
-command deletes when its time is over.
+Plans that were asked to be kept with their pictures are files of their own, named by when they expire.
 """
 
 import argparse
 import base64
+import binascii
+import fcntl
 import hashlib
+import hmac
 import json
 import logging
 import os
+import re
 import secrets
+import shutil
 import sys
 import tempfile
 import time
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
+import urllib.request
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from email.utils import parsedate_to_datetime
 from pathlib import Path
-from threading import Lock
-from typing import Any, Literal, get_args
+from threading import Event, Lock
+from typing import TYPE_CHECKING, Any, Literal, get_args
+from urllib.parse import quote
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from cspace.errors import ConfigError, CspaceError, InputError, StorageBusyError, StorageError
-from cspace.files import HALF_PREFIX, HALF_SUFFIX, discard, holding, replacing
-from cspace.planning.paths import length_rad, spread_points
-from cspace.space import JointSpace
+from cspace.errors import ConfigError, CspaceError, RegistryUnavailableError, StorageBusyError, StorageError
+from cspace.files import discard, holding
+from cspace.planning.cost import calibration_error
 from services.command_errors import report_error
-from services.names import (
-    OUTCOMES_EXPERIMENT,
-    OUTCOMES_FILE,
-    TAG_KEEP_UNTIL,
-    TAG_STAGE,
-    VIEW,
-    VIEWS_FILE,
-)
-from services.registry.ports import Tracking
+from services.names import OUTCOMES_EXPERIMENT, OUTCOMES_FILE, TAG_KEEP_UNTIL, TAG_STAGE, VIEW, VIEWS_FILE
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from services.registry.tracking import Tracking
 
 FOLDER = "CSPACE_OUTCOMES"
 """The setting that names the folder."""
-# Written; refused because too many wait for the disk; refused by the disk; deleted to make room for others.
+# Written; refused because too many wait for the disk, because the disk refuses, because the share is full.
 Result = Literal["kept", "busy", "storage", "space"]
 RESULTS: tuple[Result, ...] = get_args(Result)
 
 STAGE = "outcomes"
-# Of one file, and of one upload, which are in memory as a whole.
-MAX_FILE_BYTES, MAX_BATCH_BYTES = 16 * 2**20, 32 * 2**20
-# What a small file takes of a disk.
-_BLOCK_BYTES = 4096
-# After which a half-written file is that of a killed process.
-_WRITTEN_S = 3600.0
-_SHOWN_MODELS = 20
-# One picture in so many is held out. A path's points are so far apart, and each so many of them is a row.
-HELD_OUT, _FINE_RAD, _EVERY = 5, 0.02, 5
-_BATCH, _LOCK = "uploading", ".upload.lock"
+MAX_FILE_BYTES, MAX_BATCH_BYTES = 4 * 2**20, 32 * 2**20
+CLIENT_SHARE = 0.25
+"""Of the folder that one client may fill."""
+CLOCK_S = 86_400.0
+# Requests that may wait for the disk, and for how long; what a small file takes of a disk; between two looks.
+_MOST_WAITING, _WAIT_S, _BLOCK_BYTES, _LOOK_S = 32, 5.0, 4096, 1.0
+_KEY_FILE, _LOCK, _UPLOAD_LOCK, _BATCH, _ID = "receipts.key", ".lock", ".upload.lock", "uploading", "id"
+_VIEW_NAME = re.compile(r"view-\d+-(\d+)\.json")
 _LOG = logging.getLogger(__name__)
+
+
+class Claims(BaseModel):
+    """What the server stated in an answer, and to whom; ``problem`` names its picture, start and goal."""
+
+    model_config = ConfigDict(frozen=True)
+
+    request_id: str
+    model: str
+    confidence: float | None
+    client: str | None
+    problem: str
+
+
+class Receipts:
+    """Issues receipts of answers, and checks those that come back: an HMAC over the claims."""
+
+    def __init__(self, key: bytes) -> None:
+        self._key = key
+
+    @classmethod
+    def of(cls, folder: Path, key: str = "") -> "Receipts":
+        """By the given key, else by that of a folder, which is made once."""
+        if key:
+            return cls(hashlib.sha256(key.encode()).digest())
+        path = _private(folder) / _KEY_FILE
+        fresh = path.with_name(f".{secrets.token_hex(8)}.tmp")
+        with os.fdopen(os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
+            file.write(secrets.token_bytes(32))
+            file.flush()
+            os.fsync(file.fileno())
+        with suppress(FileExistsError):
+            os.link(fresh, path)
+        fresh.unlink()
+        return cls(path.read_bytes())
+
+    def issue(
+        self,
+        request_id: str,
+        model: str,
+        version: int,
+        confidence: float | None,
+        client: str | None,
+        problem: str = "",
+    ) -> str:
+        """The receipt of an answer."""
+        claims = Claims(
+            request_id=request_id,
+            model=f"{model}/{version}",
+            confidence=confidence,
+            client=client,
+            problem=problem,
+        )
+        said = base64.urlsafe_b64encode(claims.model_dump_json().encode()).decode()
+        return f"{said}.{self._seal(said)}"
+
+    def check(self, receipt: str) -> Claims | None:
+        """What a receipt says; None where this key has not made it."""
+        said, _, seal = receipt.partition(".")
+        if not hmac.compare_digest(self._seal(said).encode(), seal.encode()):
+            return None
+        with suppress(ValidationError, binascii.Error):
+            return Claims.model_validate_json(base64.urlsafe_b64decode(said))
+        return None
+
+    def _seal(self, said: str) -> str:
+        return hmac.new(self._key, said.encode(), hashlib.sha256).hexdigest()
+
+
+def problem_of(image: bytes, *ends: Iterable[float]) -> str:
+    """A name of a picture with start and goal, to the tenth of a radian: what is solved again is the same."""
+    rounded = [[round(value, 1) + 0.0 for value in end] for end in ends]
+    return hashlib.sha256(image + json.dumps(rounded).encode()).hexdigest()[:16]
+
+
+def matched(
+    reports: Iterable[Mapping[str, Any]], receipts: Receipts, client: str | None
+) -> list[dict[str, Any]]:
+    """Reports as rows, joined with what was answered; a plan's without the receipt of its client is left out.
+
+    Counts of samples have no receipt, and no fit uses them.
+    """
+    rows = []
+    for report in reports:
+        row = {**report, "client": client, "received_s": round(time.time(), 3)}
+        receipt = row.pop("receipt", None)
+        if row["kind"] == "plan":
+            claims = receipts.check(receipt or "")
+            if claims is None or (claims.client, claims.request_id) != (client, row["request_id"]):
+                continue
+            row |= claims.model_dump()
+        rows.append(row)
+    return rows
+
+
+@dataclass(eq=False)
+class _Write:
+    """Lines of one client that wait to be written."""
+
+    client: str
+    lines: bytes
+    count: int
+    expires_s: int | None
+    result: Result | None = None
+    done: Event = field(default_factory=Event)
 
 
 class Spool:
     """Keeps outcomes in a folder that several processes may share; threads may share one, too.
 
-    Outcomes that the disk refuses are dropped and counted. No error is raised for them.
-
     Args:
         folder: made with the first outcome.
-        max_bytes: of all files. To stay below, the oldest are deleted. Each process beside the first may
-            exceed it by a sixteenth.
+        max_bytes: of all files. One client may fill a quarter.
         count: called with a result and the number of outcomes.
     """
 
     def __init__(self, folder: Path, max_bytes: int, count: Callable[[Result, int], None]) -> None:
         self._folder, self._max_bytes, self._count = folder, max_bytes, count
-        self._step_bytes = min(MAX_FILE_BYTES, max_bytes // 16)
-        self._waiting = bytearray()
-        # What may be written before this looks at the folder again.
-        self._room = 0
-        # The first is held for moments, the second while the disk is busy.
-        self._lock, self._disk = Lock(), Lock()
+        self._waiting: list[_Write] = []
+        # One thread writes, and takes all that waits at once.
+        self._lock, self._disk = Lock(), ThreadPoolExecutor(1, "outcomes")
+        self._open: dict[str, Path] = {}
+        self._used: Counter[str] = Counter()
+        self._looked_s = float("-inf")
 
     def add(self, rows: Sequence[Mapping[str, Any]]) -> bool:
-        """Takes all of these outcomes for the next :meth:`flush`, or none; returns whether it does."""
+        """Write outcomes of one client, all or none; returns whether they are on disk.
+
+        What comes while the disk is busy is written together, with one ``fsync``.
+        """
+        if not rows:
+            return True
         lines = b"".join(json.dumps(row).encode() + b"\n" for row in rows)
+        until = [int(row["keep_until_s"]) for row in rows if row["kind"] == VIEW]
+        write = _Write(_folder_name(rows[0].get("client")), lines, len(rows), min(until, default=None))
         with self._lock:
-            fits = len(self._waiting) + len(lines) <= self._step_bytes
-            if fits:
-                self._waiting += lines
-        if not fits:
-            self._count("busy", len(rows))
-        return fits
-
-    def flush(self) -> None:
-        """Writes what waits as one file, whole or not at all."""
-        with self._disk:
-            with self._lock:
-                data, self._waiting = self._waiting, bytearray()
-            if not data:
-                return
-            try:
-                self._folder.mkdir(parents=True, exist_ok=True)
-                self._make_room(len(data) + _BLOCK_BYTES)
-                name = f"{time.time_ns():020d}-{secrets.token_hex(4)}.jsonl"
-                with replacing(self._folder / name) as beside:
-                    beside.write_bytes(data)
-            except OSError as error:
-                _LOG.warning("outcomes are dropped: %s", error.strerror or type(error).__name__)
-                self._count("storage", data.count(b"\n"))
+            if len(self._waiting) < _MOST_WAITING:
+                self._waiting.append(write)
             else:
-                self._count("kept", data.count(b"\n"))
+                write.result = "busy"
+        if write.result is None:
+            self._disk.submit(self._drain)
+            write.done.wait(_WAIT_S)
+        with self._lock:
+            if write in self._waiting:
+                self._waiting.remove(write)
+        result = write.result or "busy"
+        self._count(result, len(rows))
+        return result == "kept"
 
-    def _make_room(self, size: int) -> None:
-        if self._room < size:
-            sizes: dict[Path, int] = {}
-            # Another process, or an upload, may take a file away at any time.
-            for path in files_of(self._folder):
+    def delete_expired(self, registry_uri: str) -> int:
+        """Delete kept plans whose time is over, if the clock agrees with the registry's."""
+        try:
+            agrees = clock_agrees(registry_uri)
+        except RegistryUnavailableError:
+            return 0
+        if not agrees:
+            _LOG.warning("the clock disagrees with the registry's by more than a day: nothing expires")
+            return 0
+        return delete_expired(self._folder)
+
+    def _drain(self) -> None:
+        with self._lock:
+            batch, self._waiting = self._waiting, []
+        self._write(batch)
+        for write in batch:
+            write.done.set()
+
+    def _write(self, batch: Sequence[_Write]) -> None:
+        joined: dict[tuple[str, int | None], list[_Write]] = defaultdict(list)
+        for write in batch:
+            joined[write.client, write.expires_s].append(write)
+        if not joined:
+            return
+        try:
+            with _locked(_private(self._folder)):
+                for (client, expires_s), writes in joined.items():
+                    fitting = [write for write in writes if self._fits(write)]
+                    self._append(client, b"".join(write.lines for write in fitting), expires_s)
+                    for write in fitting:
+                        write.result = "kept"
+        except OSError as error:
+            _LOG.warning("outcomes are refused: %s", error.strerror or type(error).__name__)
+            for write in batch:
+                write.result = write.result or "storage"
+
+    def _fits(self, write: _Write) -> bool:
+        if time.monotonic() - self._looked_s >= _LOOK_S:
+            self._used = Counter()
+            for path in self._folder.glob("*/*.json*"):
+                # An upload may take it away at any time.
                 with suppress(FileNotFoundError):
-                    sizes[path] = path.stat().st_size + _BLOCK_BYTES
-            total, self._room = sum(sizes.values()), max(size, self._step_bytes)
-            for path, held in sizes.items():
-                if total + self._room <= self._max_bytes:
-                    break
-                total -= held
-                with suppress(FileNotFoundError):
-                    lost = path.read_bytes().count(b"\n")
-                    path.unlink()
-                    self._count("space", lost)
-            for path in self._folder.glob(f"{HALF_PREFIX}*"):
-                with suppress(FileNotFoundError):
-                    if time.time() - path.stat().st_mtime > _WRITTEN_S:
-                        discard(path)
-        self._room -= size
+                    self._used[path.parent.name] += path.stat().st_size + _BLOCK_BYTES
+            self._looked_s = time.monotonic()
+        size = len(write.lines) + _BLOCK_BYTES
+        if (
+            self._used.total() + size > self._max_bytes
+            or self._used[write.client] + size > CLIENT_SHARE * self._max_bytes
+        ):
+            write.result = "space"
+            return False
+        self._used[write.client] += size
+        return True
+
+    def _append(self, client: str, lines: bytes, expires_s: int | None) -> None:
+        """Append to this process's file of a client, or write a file that expires, and wait for the disk."""
+        if not lines:
+            return
+        path, flags = self._open.get(client), os.O_WRONLY | os.O_APPEND
+        if path is None or not path.exists() or path.stat().st_size > MAX_FILE_BYTES or expires_s:
+            place = _private(self._folder / client)
+            # A number that grows, for a clock may be set back.
+            numbers = [int(re.findall(r"\d+", one.name)[0]) for one in place.iterdir()]
+            number = max(numbers, default=0) + 1
+            path = place / (f"view-{number}-{expires_s}.json" if expires_s else f"{number:012d}.jsonl")
+            flags |= os.O_CREAT | os.O_EXCL
+            if not expires_s:
+                self._open[client] = path
+        handle = os.open(path, flags, 0o600)
+        try:
+            before = os.fstat(handle).st_size
+            try:
+                written = os.write(handle, lines)
+                if written < len(lines):
+                    os.write(handle, lines[written:])
+                os.fsync(handle)
+            except OSError:
+                os.ftruncate(handle, before)
+                raise
+        finally:
+            os.close(handle)
+        if flags & os.O_CREAT:
+            _sync_folder(path.parent)
 
 
 def files_of(folder: Path) -> list[Path]:
-    """The files of outcomes, the oldest first."""
-    return sorted(folder.glob("[0-9]*.jsonl"))
-
-
-@dataclass(frozen=True, slots=True)
-class Upload:
-    """One batch that the tracking server holds.
-
-    Args:
-        run_id: of its run.
-        digest: SHA-256 of its file.
-        counts: number of its outcomes by kind.
-    """
-
-    run_id: str
-    digest: str
-    counts: Mapping[str, int]
-
-
-def upload(folder: Path, tracking: Tracking) -> Iterator[Upload]:
-    """Uploads the files of a folder in batches, and deletes each batch after it was uploaded.
-
-    Args:
-        folder: of the spool.
-        tracking: where each batch becomes a data set.
-
-    Raises:
-        StorageError: the folder cannot be changed, or another process uploads it.
-        InputError: a file does not hold outcomes.
-        RegistryError: the tracking server is away or refuses.
-    """
-    busy = StorageBusyError("another process uploads these outcomes", remedy="wait until it is done")
-    done = folder / f"{HALF_PREFIX}{_BATCH}{HALF_SUFFIX}"
-    try:
-        with holding(folder / _LOCK, busy):
-            while files := _claim(folder):
-                yield _upload(files, tracking)
-                # By a rename, for a part of the batch would be another data set.
-                discard(done)
-                (folder / _BATCH).rename(done)
-                discard(done)
-    except OSError as error:
-        raise StorageError(
-            "the outcomes cannot be moved or copied",
-            expected="room and rights in their folder and for temporary files",
-            got=error.strerror or type(error).__name__,
-        ) from error
-
-
-def uploaded(tracking: Tracking) -> Iterator[tuple[str, str, list[dict[str, Any]]]]:
-    """All batches that the tracking server holds, the oldest first: run id, SHA-256, and the outcomes.
-
-    Raises:
-        RegistryError: the tracking server is away or refuses.
-    """
-    for run_id, data in _files(tracking, OUTCOMES_FILE):
-        yield run_id, hashlib.sha256(data).hexdigest(), [*map(json.loads, data.splitlines())]
-
-
-def _files(tracking: Tracking, name: str) -> Iterator[tuple[str, bytes]]:
-    with tempfile.TemporaryDirectory(prefix="cspace-outcomes-") as scratch:
-        for run in reversed(tracking.finished(OUTCOMES_EXPERIMENT)):
-            path = tracking.file(run.run_id, name, Path(scratch) / run.run_id)
-            yield run.run_id, b"" if path is None else path.read_bytes()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class KnownPlan:
-    """A plan of which pictures were kept and the end is known.
-
-    Args:
-        image: what showed the scene, as it was sent.
-        path: (k, d) rad.
-        collided_at: where it collides first, as a share of its length; None where it is free.
-        run_id: of the batch that holds the pictures.
-    """
-
-    image: bytes
-    path: NDArray[np.float64]
-    collided_at: float | None
-    run_id: str
-
-    @property
-    def picture(self) -> str:
-        """SHA-256 of the image."""
-        return hashlib.sha256(self.image).hexdigest()
-
-    @property
-    def held_out(self) -> bool:
-        """Whether it is for evaluations: a fifth of all pictures, which nothing is trained on."""
-        return int(self.picture, 16) % HELD_OUT == 0
-
-    def labelled(self, space: JointSpace) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Configurations of the path that are known to be free, and to collide, each (n, d) rad.
-
-        What comes after a collision is not known, nor for certain the tenth of a radian before it.
-        """
-        count = max(2, int(np.ceil(length_rad(self.path, space) / _FINE_RAD)) + 1)
-        rows = space.to_float32(spread_points(self.path, count, space))
-        if self.collided_at is None:
-            return rows[::_EVERY], rows[:0]
-        hit = round(self.collided_at * (count - 1))
-        return rows[: max(0, hit - _EVERY) : _EVERY], rows[hit : hit + 1]
-
-
-def known_plans(tracking: Tracking, robot: str, site: str | None = None) -> Iterator[KnownPlan]:
-    """All plans of a robot of which pictures were kept and the end was reported, the oldest batch first.
-
-    Args:
-        tracking: where outcomes were uploaded.
-        robot: SHA-256, as answers name it.
-        site: those of one place; None for all.
-
-    Raises:
-        RegistryError: the tracking server is away or refuses.
-    """
-    ends: dict[tuple[Any, Any], float | None] = {}
-    for _, _, rows in uploaded(tracking):
-        for row in rows:
-            if row["kind"] != "plan" or site not in (None, row.get("site")):
-                continue
-            key = row.get("client"), row["request_id"]
-            collided, at = row.get("collided"), row.get("collided_at")
-            # Who reports a success without more has seen no collision.
-            if collided is False or (collided is None and row["success"]):
-                ends[key] = None
-            elif at is not None:
-                ends[key] = float(at)
-            else:
-                ends.pop(key, None)
-    for run_id, data in _files(tracking, VIEWS_FILE):
-        for row in map(json.loads, data.splitlines()):
-            key = row.get("client"), row["request_id"]
-            if key in ends and row["robot"] == robot:
-                path = np.array(row["path"], dtype=np.float64)
-                yield KnownPlan(base64.b64decode(row["image"]), path, ends.pop(key), run_id)
+    """The files of outcomes, the oldest of each client first."""
+    return sorted(folder.glob("client-*/*.jsonl"))
 
 
 def view_row(
@@ -292,12 +320,210 @@ def view_row(
     }
 
 
-def forget(tracking: Tracking) -> int:
-    """Deletes the kept pictures whose time is over; returns of how many batches.
+def clock_agrees(registry_uri: str) -> bool:
+    """Whether this machine's clock is within a day of the registry's; raises RegistryUnavailableError."""
+    if not registry_uri.startswith(("http://", "https://")):
+        return True
+    address = re.sub(r"(?<=://)[^/@]*@", "", registry_uri).rstrip("/") + "/health"
+    try:
+        with urllib.request.urlopen(address, timeout=5.0) as answer:  # noqa: S310 - http, as asked above
+            there = parsedate_to_datetime(answer.headers["Date"]).timestamp()
+    except (OSError, ValueError, TypeError) as error:
+        raise RegistryUnavailableError(
+            "the registry does not say its time", got=type(error).__name__, remedy="start it"
+        ) from error
+    return abs(time.time() - there) < CLOCK_S
 
-    Raises:
-        RegistryError: the tracking server is away or refuses.
+
+def delete_expired(folder: Path) -> int:
+    """Delete kept plans whose time is over; returns how many."""
+    count = 0
+    for path in folder.glob("*/*view-*.json"):
+        named = _VIEW_NAME.search(path.name)
+        if named and int(named[1]) <= time.time():
+            path.unlink(missing_ok=True)
+            count += 1
+    return count
+
+
+class Row(BaseModel):
+    """One outcome, as uploaded."""
+
+    model_config = ConfigDict(frozen=True)
+
+    kind: Literal["plan", "samples"]
+    request_id: str
+    client: str | None = None
+    model: str
+    confidence: float | None = Field(None, ge=0.0, le=1.0)
+    problem: str = ""
+    site: str | None = None
+    success: bool | None = None
+    executed: bool | None = None
+    collided: bool | None = None
+    collided_at: float | None = Field(None, ge=0.0, le=1.0)
+    checked: int | None = None
+    free: int | None = None
+    novelty: float | None = None
+    time_s: float | None = None
+    stamp_s: float | None = None
+    received_s: float | None = None
+
+    @property
+    def key(self) -> tuple[str | None, str, str]:
+        """What is reported twice counts once."""
+        return self.client, self.request_id, self.kind
+
+
+@dataclass(frozen=True, slots=True)
+class Upload:
+    """One batch that the tracking server holds: its run, its file's SHA-256, rows by kind, bad lines."""
+
+    run_id: str
+    digest: str
+    counts: Mapping[str, int]
+    bad: int
+
+
+def upload(folder: Path, tracking: "Tracking") -> Iterator[Upload]:
+    """Upload the files of a folder in batches, and delete each batch after it was uploaded."""
+    busy = StorageBusyError("another process uploads these outcomes", remedy="wait until it is done")
+    try:
+        with holding(folder / _UPLOAD_LOCK, busy):
+            while files := _claim(folder):
+                yield _upload(folder / _BATCH, files, tracking)
+                # By a rename, for a part of the batch must not be uploaded again.
+                done = folder / f".{_BATCH}.tmp"
+                discard(done)
+                (folder / _BATCH).rename(done)
+                discard(done)
+    except OSError as error:
+        raise StorageError(
+            "the outcomes cannot be moved or copied",
+            expected="room and rights in their folder and for temporary files",
+            got=error.strerror or type(error).__name__,
+        ) from error
+
+
+def _claim(folder: Path) -> list[Path]:
+    """The files of the next batch in the batch's folder; those of an interrupted one if there are any."""
+    batch = _private(folder / _BATCH)
+    if claimed := sorted(batch.glob("*.json*")):
+        return claimed
+    (batch / _ID).write_text(secrets.token_hex(16), encoding="ascii")
+    size = 0
+    with _locked(folder):
+        for path in [*files_of(folder), *sorted(folder.glob("client-*/view-*.json"))]:
+            size += path.stat().st_size
+            if claimed and size > MAX_BATCH_BYTES:
+                break
+            claimed.append(path.rename(batch / f"{path.parent.name}-{path.name}"))
+    return claimed
+
+
+def _upload(batch: Path, files: Sequence[Path], tracking: "Tracking") -> Upload:
+    import pyarrow as pa  # noqa: PLC0415 - servers import this module
+    from pyarrow import parquet  # noqa: PLC0415 - as above
+
+    rows, bad, kept = dict[Any, Row](), 0, list[Path]()
+    for path in files:
+        if _VIEW_NAME.search(path.name):
+            kept.append(path)
+            continue
+        for line in path.read_bytes().splitlines():
+            try:
+                row = Row.model_validate_json(line)
+                rows[row.key] = row
+            except ValidationError:
+                bad += 1
+    counts = Counter[str](row.kind for row in rows.values())
+    key = f"outcomes/{(batch / _ID).read_text(encoding='ascii')}"
+    with (
+        tempfile.TemporaryDirectory(prefix="cspace-outcomes-") as scratch,
+        tracking.start(OUTCOMES_EXPERIMENT, "outcomes, {id}", tags={TAG_STAGE: STAGE}, key=key) as run,
+    ):
+        counts[VIEW] = len(kept)
+        run.metrics({**counts, "bad": bad}, 0)
+        table = Path(scratch) / OUTCOMES_FILE
+        parquet.write_table(pa.Table.from_pylist([row.model_dump() for row in rows.values()]), table)
+        digest = hashlib.sha256(table.read_bytes()).hexdigest()
+        run.artifact(table)
+        if kept:
+            # Before the file, so that none is there that nobody would delete.
+            until = min(int(_VIEW_NAME.search(path.name)[1]) for path in kept)  # type: ignore[index]
+            run.tags({TAG_KEEP_UNTIL: str(until)})
+            views = Path(scratch) / VIEWS_FILE
+            with views.open("wb") as file:
+                for path in kept:
+                    # A server may delete it in this moment.
+                    with suppress(FileNotFoundError), path.open("rb") as one:
+                        shutil.copyfileobj(one, file)
+            run.artifact(views)
+        shown = reliability([row for row in rows.values() if row.kind == "plan"])
+        if shown is not None:
+            run.figure(shown[0], "reliability")
+            run.table(shown[1], "reliability")
+        run.dataset("outcomes", digest, f"runs:/{run.run_id}/{OUTCOMES_FILE}", "outcomes")
+    return Upload(run.run_id, digest, +counts, bad)
+
+
+def uploaded(tracking: "Tracking") -> Iterator[tuple[str, str, list[Row]]]:
+    """All batches that the tracking server holds, the oldest first: run id, SHA-256, outcomes.
+
+    Rows that are none are left out.
     """
+    from pyarrow import parquet  # noqa: PLC0415 - servers import this module
+
+    for run_id, path in run_files(tracking, OUTCOMES_FILE):
+        rows = []
+        for values in parquet.read_table(path).to_pylist():
+            with suppress(ValidationError):
+                rows.append(Row.model_validate(values))
+        yield run_id, hashlib.sha256(path.read_bytes()).hexdigest(), rows
+
+
+def run_files(tracking: "Tracking", name: str) -> Iterator[tuple[str, Path]]:
+    """A file of all batches that have it, the oldest first: run id, and its copy."""
+    for run in reversed(tracking.finished(OUTCOMES_EXPERIMENT)):
+        with tempfile.TemporaryDirectory(prefix="cspace-outcomes-") as scratch:
+            path = tracking.file(run.run_id, name, Path(scratch))
+            if path is not None:
+                yield run.run_id, path
+
+
+def reliability(rows: Sequence[Row]) -> "tuple[Figure, dict[str, list[Any]]] | None":
+    """A figure and a table of stated confidence against what happened, per model and site.
+
+    The figure shows the share of free plans over the confidence, in bins of equal number.
+    """
+    from matplotlib.figure import Figure  # noqa: PLC0415 - servers import this module
+
+    groups: dict[tuple[str, str], list[tuple[float, bool]]] = defaultdict(list)
+    for row in rows:
+        if row.confidence is not None and row.collided is not None:
+            groups[row.model, row.site or ""].append((row.confidence, not row.collided))
+    if not groups:
+        return None
+    figure = Figure((5.5, 4.0), layout="constrained")
+    axes = figure.subplots()
+    axes.plot((0, 1), (0, 1), color="0.7", linewidth=1)
+    columns: dict[str, list[Any]] = defaultdict(list)
+    for (model, site), plans in sorted(groups.items()):
+        stated, free = np.array(plans, dtype=np.float64).T
+        bins = np.array_split(np.argsort(stated), max(1, min(10, len(plans) // 10)))
+        label = f"{model} {site}, {len(plans)} plans"
+        axes.plot([stated[one].mean() for one in bins], [free[one].mean() for one in bins], "o-", label=label)
+        cells = {"model": model, "site": site, "plans": len(plans), "confidence": float(stated.mean())}
+        cells |= {"free": float(free.mean()), "calibration_error": calibration_error(stated, free > 0.0)}
+        for name, value in cells.items():
+            columns[name].append(value)
+    axes.set(xlabel="stated confidence", ylabel="share that was free", xlim=(0, 1), ylim=(0, 1))
+    axes.legend(fontsize="small")
+    return figure, dict(columns)
+
+
+def forget(tracking: "Tracking") -> int:
+    """Delete uploaded pictures whose time is over; returns of how many batches."""
     count = 0
     for run in tracking.finished(OUTCOMES_EXPERIMENT):
         until = run.tags.get(TAG_KEEP_UNTIL)
@@ -308,79 +534,45 @@ def forget(tracking: Tracking) -> int:
     return count
 
 
-def _claim(folder: Path) -> list[Path]:
-    """The files of the next batch in the batch's folder; those of an interrupted one if there are any."""
-    batch = folder / _BATCH
-    batch.mkdir(exist_ok=True)
-    claimed, size = files_of(batch), 0
-    for path in () if claimed else files_of(folder):
-        # The server may have deleted it to make room.
-        with suppress(FileNotFoundError):
-            size += path.stat().st_size
-            if claimed and size > MAX_BATCH_BYTES:
-                break
-            claimed.append(path.rename(batch / path.name))
-    return claimed
+def _folder_name(client: str | None) -> str:
+    return f"client-{quote(client or '', safe='')}"
 
 
-def _upload(files: Sequence[Path], tracking: Tracking) -> Upload:
-    # Without those that a client sent twice.
-    lines: dict[tuple[str, str, str], bytes] = {}
-    models = set[str]()
-    for path in files:
-        for line in path.read_bytes().splitlines(keepends=True):
-            row = _row(path, line)
-            lines.setdefault((str(row.get("client")), str(row["request_id"]), str(row["kind"])), line)
-            models.add(str(row["model"]))
-    data = b"".join(line for (*_, kind), line in lines.items() if kind != VIEW)
-    digest, counts = hashlib.sha256(data).hexdigest(), Counter(kind for *_, kind in lines)
-    everything, tags = hashlib.sha256(), {TAG_STAGE: STAGE}
-    for line in lines.values():
-        everything.update(line)
-    key = f"outcomes/{everything.hexdigest()}"
-    views = {line: json.loads(line)["keep_until_s"] for (*_, kind), line in lines.items() if kind == VIEW}
-    kept = {line: until for line, until in views.items() if until > time.time()}
-    with (
-        tempfile.TemporaryDirectory(prefix="cspace-outcomes-") as scratch,
-        tracking.start(OUTCOMES_EXPERIMENT, "outcomes, {id}", tags=tags, key=key) as run,
-    ):
-        copy = Path(scratch) / OUTCOMES_FILE
-        copy.write_bytes(data)
-        run.params({"models": sorted(models)[:_SHOWN_MODELS]})
-        run.metrics(counts, 0)
-        run.artifact(copy)
-        if kept:
-            # Before the file, so that none is there that nobody would delete.
-            run.tags({TAG_KEEP_UNTIL: str(min(kept.values()))})
-            beside = Path(scratch) / VIEWS_FILE
-            with beside.open("wb") as file:
-                file.writelines(kept)
-            run.artifact(beside)
-        run.dataset("outcomes", digest, f"runs:/{run.run_id}/{OUTCOMES_FILE}", "outcomes")
-    return Upload(run.run_id, digest, counts)
+def _private(folder: Path) -> Path:
+    """A folder that is there, for its owner alone."""
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    with suppress(PermissionError):
+        folder.chmod(0o700)
+    return folder
 
 
-def _row(path: Path, line: bytes) -> dict[str, Any]:
-    with suppress(ValueError, RecursionError):
-        row = json.loads(line)
-        if isinstance(row, dict) and {"request_id", "kind", "model"} <= set(row):
-            return row
-    raise InputError(
-        f"{path} is no file of outcomes",
-        expected="a JSON object with request_id, kind and model on each line",
-        got=repr(line[:80]),
-        remedy="move it out of the folder",
-    )
+def _sync_folder(folder: Path) -> None:
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Between writers and uploads: no file is taken away while it is written."""
+    handle = os.open(folder / _LOCK, os.O_WRONLY | os.O_CREAT, 0o600)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
 
 
 def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] = os.environ) -> int:
-    """Uploads what the setting names; returns the exit code."""
-    from services.registry.mlflow_tracking import MlflowTracking  # noqa: PLC0415 - servers import this module
+    """Delete what expired, upload what the setting names; returns the exit code."""
+    from services.registry.tracking import Tracking  # noqa: PLC0415 - servers import this module
 
     argparse.ArgumentParser(
         prog="python -m services.outcomes",
-        description=f"Upload what POST /outcomes was told from the folder {FOLDER} to MLFLOW_TRACKING_URI, "
-        "and delete it there; delete kept pictures whose time is over.",
+        description="Delete kept pictures whose time is over, here and in MLflow, and upload what POST "
+        f"/outcomes was told from the folder {FOLDER} to MLFLOW_TRACKING_URI.",
         epilog="Exit codes: 0 uploaded, or nothing to upload; 1 failed; 2 wrong request.",
     ).parse_args(arguments)
     folder, uri = Path(environment.get(FOLDER, "")), environment.get("MLFLOW_TRACKING_URI", "")
@@ -392,13 +584,24 @@ def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] 
                 got=f"the folder {str(folder)!r}, and {'an' if uri else 'no'} address",
                 remedy='`eval "$(make -s env)"` sets both; a server makes the folder with the first outcome',
             )
-        tracking = MlflowTracking(uri)
+        if not clock_agrees(uri):
+            raise ConfigError(
+                "the clock of this machine is wrong",
+                expected="the time of the tracking server, give or take a day",
+                got=time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime()),
+                remedy="set the clock; nothing was uploaded or deleted",
+            )
+        tracking = Tracking(uri)
+        here, there = delete_expired(folder), forget(tracking)
+        if here or there:
+            sys.stdout.write(
+                f"deleted {here} kept plans, and the pictures of {there} batches: time is over\n"
+            )
         for done in upload(folder, tracking):
             kinds = ", ".join(f"{number} of {kind}" for kind, number in sorted(done.counts.items()))
-            sys.stdout.write(f"uploaded {kinds}; SHA-256 {done.digest}, run {done.run_id}\n")
+            skipped = f"; skipped {done.bad} bad lines" if done.bad else ""
+            sys.stdout.write(f"uploaded {kinds}{skipped}; SHA-256 {done.digest}, run {done.run_id}\n")
         sys.stdout.write("no file of outcomes is left\n")
-        if gone := forget(tracking):
-            sys.stdout.write(f"deleted the kept pictures of {gone} batches, whose time was over\n")
     except CspaceError as error:
         return report_error(error, ConfigError)
     return 0

@@ -13,7 +13,7 @@ from cspace.world import World
 from cspace.worlds import default_world, simulator_of
 from cspace.yaml_file import read_yaml, read_yaml_file
 from services.names import model_name
-from services.registry.ports import ModelReference, flatten
+from services.registry.entities import ModelReference, flatten
 from training.data.config import DatasetConfig, GeneratedConfig, PathDatasetConfig
 from training.models.settings import (
     GanConfig,

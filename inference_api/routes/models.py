@@ -25,7 +25,7 @@ from inference_api.problems import (
 from inference_api.scene import model_info
 from inference_api.telemetry import CONTENT_TYPE, Metered
 from services.names import MAX_WORLD, TAG_ROBOT, TAG_WORLD
-from services.registry.ports import ModelVersion, is_model_name
+from services.registry.entities import ModelVersion, is_model_name
 
 router = APIRouter()
 

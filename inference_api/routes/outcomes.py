@@ -8,6 +8,7 @@ from fastapi import APIRouter, Depends, Request
 from fastapi.responses import Response
 from numpy.typing import NDArray
 
+from cspace.errors import InputError
 from cspace_client.wire import OutcomesAnswer, OutcomesRequest
 from inference_api.body import JSON, body_of
 from inference_api.models import ServedModel
@@ -26,7 +27,7 @@ from inference_api.problems import (
 )
 from inference_api.scene import REQUEST_ID_HEADER
 from inference_api.telemetry import request_record
-from services.outcomes import Spool, view_row
+from services.outcomes import Spool, matched, view_row
 
 
 async def _spool(request: Request) -> Spool:
@@ -51,7 +52,7 @@ _SCHEMA = {"$ref": "#/components/schemas/OutcomesRequest"}
     openapi_extra={"requestBody": {"required": True, "content": {JSON: {"schema": _SCHEMA}}}},
     responses={
         202: {
-            "description": "They wait to be written.",
+            "description": "They are on disk.",
             "model": OutcomesAnswer,
             "headers": REQUEST_ID_HEADER,
         },
@@ -71,10 +72,18 @@ _SCHEMA = {"$ref": "#/components/schemas/OutcomesRequest"}
 def outcomes(
     spool: Annotated[Spool, Depends(_spool)],
     request: Annotated[OutcomesRequest, Depends(body_of(OutcomesRequest, JSON))],
+    http: Request,
 ) -> Response:
     """Keeps the outcomes in a bounded folder of the server. An outcome that is sent twice counts once."""
-    taken = spool.add([one.model_dump(exclude_none=True) | _received() for one in request.outcomes])
-    body = OutcomesAnswer(kept=len(request.outcomes) if taken else 0)
+    reports = [one.model_dump(exclude_none=True) for one in request.outcomes]
+    rows = matched(reports, http.app.state.receipts, _received()["client"])
+    if not rows:
+        raise InputError(
+            "outcomes match no answer",
+            expected="receipt, as the answer of POST /plan to the same client has it",
+            got="none of this server",
+        )
+    body = OutcomesAnswer(kept=len(rows) if spool.add(rows) else 0)
     return Response(body.model_dump_json(), 202, media_type=JSON)
 
 

@@ -39,7 +39,8 @@ from inference_api.scene import (
     view_of,
     warnings_of,
 )
-from inference_api.telemetry import Answered, Metered
+from inference_api.telemetry import Answered, Metered, request_record
+from services.outcomes import problem_of
 
 # Findings by which a plan is refused.
 _WHY = (ARM_IN_PICTURE, LITTLE_IN_REACH)
@@ -83,7 +84,13 @@ def plan(
             query = replace(query, min_confidence=1.0)
         found = bundle.plan(prepared.picture, query, place.check_cancelled)
     metrics.answered(Answered("plan", served, status=found.status, seed=query.seed))
-    kept = None
+    kept, record, receipts = None, request_record.get(), http.app.state.receipts
+    receipt = None
+    if record is not None and receipts is not None and found.status == "solved":
+        problem = problem_of(view.digest(), found.path[0], found.path[-1])
+        receipt = receipts.issue(
+            record.request_id, served.name, served.version, found.confidence, record.client, problem
+        )
     if request.keep:
         kept = (
             found.status == "solved"
@@ -96,6 +103,7 @@ def plan(
             reason=_reason(found, query, findings),
             path=found.path,
             confidence=found.confidence,
+            receipt=receipt,
             kept=kept,
             edges=found.edges,
             unseen=found.unseen,

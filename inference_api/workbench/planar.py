@@ -16,7 +16,7 @@ from cspace.worlds import read_world, simulator_of
 from inference_api.body import body_of
 from inference_api.limits import ComputePlace
 from inference_api.models import Models
-from services.registry.ports import ModelReference
+from services.registry.entities import ModelReference
 
 # Free ones of these are covered or not: two percent of accuracy, in a few ms.
 _REFERENCES = 800

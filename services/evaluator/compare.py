@@ -19,7 +19,9 @@ from services.evaluator import stores
 from services.evaluator.metrics import Task
 from services.evaluator.report import MEASURES_TABLE
 from services.evaluator.tables import aligned, markdown
-from services.registry.ports import FoundRun, ModelReference, ModelRegistry, Tracking
+from services.registry.entities import FoundRun, ModelReference
+from services.registry.models import ModelRegistry
+from services.registry.tracking import Tracking
 
 _RUN_ID = re.compile(r"[0-9a-f]{32}")
 _DIGEST = "model_digest"

@@ -10,13 +10,14 @@ from typing import Any, cast
 
 import pandas as pd
 
+from cspace.bundle import Bundle
 from cspace.bundle.verification import load_verified
 from cspace.dataset import open_dataset
 from cspace.errors import ConfigError, RegistryError, RegistryUnavailableError
 from cspace.worlds import robot_digest
 from services.evaluator.cluster import on_cluster, spread
 from services.evaluator.evaluation import Evaluation, table_of
-from services.evaluator.gate import Verdict, compare, decide, gated_metrics
+from services.evaluator.gate import Comparison, Gain, Verdict, compare, decide, gated_metrics
 from services.evaluator.measure import (
     BUDGETS,
     MAX_SEED,
@@ -28,13 +29,16 @@ from services.evaluator.measure import (
     run_unit,
     units,
 )
+from services.evaluator.recalibrate import predicted_reports
 from services.evaluator.report import comparison_note, log_evaluation, scenes_text, shown_of
-from services.evaluator.rivals import find_rivals
+from services.evaluator.rivals import Rival, find_rivals
 from services.evaluator.scenes import PackedBundle, bundle_sampler
 from services.names import EXPERIMENT, TAG_MODEL, TAG_PRESET, TAG_STAGE, TAG_WORLD, recorded_name, shown_name
 from services.planner.samples import SampleSource
-from services.registry.ports import ID, ModelReference, ModelRegistry, ModelVersion, Tracking
+from services.registry.entities import ID, ModelReference, ModelVersion
+from services.registry.models import ModelRegistry
 from services.registry.promotion import Decision, record_decision
+from services.registry.tracking import Tracking
 
 STAGE = "evaluation"
 Execute = Callable[[Sequence[Unit], Setting, PackedBundle], Iterator[UnitResult]]
@@ -154,13 +158,27 @@ def evaluate_version(
                 tables.append(table_of(rows, rival.name))
             cpu_s = sum(one.seconds for one in results)
             evaluation = Evaluation(setting, str(version), pd.concat(tables, ignore_index=True), cpu_s)
-            compared = tuple(compare(evaluation, rival.name) for rival in rivals)
+            compared = tuple(
+                _with_reports(compare(evaluation, rival.name), bundle, rival, tracking)
+                if rival.version == bar.against
+                else compare(evaluation, rival.name)
+                for rival in rivals
+            )
             verdict = decide(evaluation, replace(bar, comparisons=compared))
             figures = log_evaluation(run, evaluation, verdict, bundle_sampler(bundle))
         if request.promote:
             _record(registry, version, evaluation, verdict)
             _show(registry, version, evaluation, verdict, progress)
     return Outcome(version, evaluation, verdict, request.promote, run.run_id, figures)
+
+
+def _with_reports(comparison: Comparison, bundle: Bundle, champion: Rival, tracking: Tracking) -> Comparison:
+    """The comparison of a recalibrated version counts the outcomes that it was calibrated by."""
+    predicted = predicted_reports(bundle, champion.packed.load(), tracking)
+    if predicted is None:
+        return comparison
+    gain = Gain("log loss of reported plans", *predicted)
+    return replace(comparison, gains=(*comparison.gains, gain))
 
 
 def _measure(

@@ -18,8 +18,10 @@ from services.evaluator import compare, stores
 from services.evaluator.report import shown
 from services.evaluator.tables import markdown
 from services.names import TAG_PRESET, recorded_name, shown_name
-from services.registry.ports import ModelReference, ModelRegistry, ModelVersion, Tracking
+from services.registry.entities import ModelReference, ModelVersion
+from services.registry.models import ModelRegistry
 from services.registry.promotion import decisions_of, utc
+from services.registry.tracking import Tracking
 
 # By task the measures that a card shows.
 _MEASURES = {

@@ -1,268 +1,292 @@
-"""Fit the confidence of plans to the outcomes of one site: ``python -m services.evaluator recalibrate``.
+"""Calibrate the plans of a version by their outcomes: ``python -m services.evaluator recalibrate``.
 
-A calibration has two parameters (:mod:`cspace.planning.calibration`) upon those of the bundle, with a prior
-that leaves these as they are, so that a few dozen outcomes suffice. Each becomes a version of the model
-``calibration-SITE``; ``POST /plan`` with this ``site`` uses the champion. It becomes that if such fits
-predict better what they were not fitted to.
+The confidence of plans is exp(-D'), where log D' = offset + slope log D and D is -log of what the version
+stated. Both numbers are fitted to uploaded outcomes, and become the calibration of a new version, the
+challenger, which the gate compares with the champion like any other.
+
+Every plan counts once a client and problem, a client makes up at most a given share of the plans, and no
+confidence is raised beyond the careful end of its interval.
 """
 
 import argparse
 import hashlib
-import re
-from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+import sys
+import tempfile
+from collections import Counter, defaultdict
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from scipy.optimize import minimize
 
-from cspace.errors import ConfigError, CspaceError, EvaluationError, InputError, RegistryError
+from cspace.bundle import Bundle
+from cspace.bundle.files import GOLDEN_FILE
+from cspace.bundle.golden import GoldenCase
+from cspace.bundle.load import graphs_of, write_bundle
+from cspace.bundle.verification import load_verified
+from cspace.errors import ConfigError, CspaceError, EvaluationError, InputError, ModelNotFoundError
 from cspace.planning.calibration import fit_calibration
-from cspace.planning.cost import calibration_error, confidence_of_cost
+from cspace.planning.cost import confidence_of_cost
 from services.command_errors import report_error
-from services.evaluator import stores
-from services.evaluator.statistics import log_losses
-from services.names import (
-    ALIAS_CHAMPION,
-    CALIBRATIONS_EXPERIMENT,
-    OUTCOMES_FILE,
-    SITE_PATTERN,
-    TAG_MODEL,
-    TAG_STAGE,
-)
-from services.outcomes import uploaded
-from services.registry.calibration import SiteCalibration, calibration_name
-from services.registry.ports import ModelRegistry, ModelVersion, Tracking
+from services.evaluator.statistics import Interval, log_losses, mean_interval
+from services.names import ALIAS_CHALLENGER, EXPERIMENT, MODEL_NAME, OUTCOMES_FILE, TAG_MODEL, TAG_STAGE
+from services.outcomes import Row, reliability, uploaded
+from services.registry.entities import ID, ModelReference, ModelVersion
+from services.registry.models import ModelRegistry
+from services.registry.tracking import Tracking
 
-LEAST_PLANS, FOLDS = 20, 5
-# Weaker than that of a bundle, for sites may be quite unlike training: 200 plans that were drawn with offset
-# 2 and slope 0.6 then leave an error of 0.03 instead of 0.06, those that fit already one of 0.014 for 0.010.
+LEAST_PROBLEMS, LEAST_OF_EACH, FOLDS = 20, 5, 5
+MOST_PER_CLIENT = 0.2
+# Weaker than that of a bundle, for places may be quite unlike training.
 PRIOR = 1.0
-_LEAST = 1e-6
-AS_IT_IS = (0.0, 1.0)
+# Of what the provenance says beside the source.
+FITTED_AGAIN = "plans_fitted_again"
+_RESAMPLES, _LEAST = 200, 1e-6
+_PRESENT = (0.0, 1.0)
+# log D of everything that a plan may be stated with.
+_GRID = np.linspace(np.log(_LEAST), np.log(30.0), 60)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plans:
-    """Executed or checked plans of one site and model version.
+    """Checked plans of one version, and the digest of each uploaded batch by its run."""
 
-    Args:
-        model: ``name/version``.
-        cost: (n,) -log of the model's own confidence in each.
-        free: (n,) whether each was free.
-        batches: digest of each uploaded batch by its run's id.
-    """
-
-    model: str
-    cost: NDArray[np.float64]
-    free: NDArray[np.bool_]
+    rows: list[Row]
     batches: Mapping[str, str]
 
-
-@dataclass(frozen=True, slots=True)
-class Fit:
-    """Quality of confidences that others were fitted for, and of those that were stated.
-
-    Args:
-        parameters: offset and slope, fitted to all plans.
-        collide: share of the plans that collide.
-        error: calibration error, ten bins, with each fifth predicted from the others.
-        error_before: that of the model's own confidence.
-        loss: mean of -log of what was predicted for what happened, predicted in the same way.
-        loss_before: that of the model's own confidence.
-    """
-
-    parameters: tuple[float, float]
-    collide: float
-    error: float
-    error_before: float
-    loss: float
-    loss_before: float
+    @property
+    def cost(self) -> NDArray[np.float64]:
+        """(n,) D of each."""
+        stated = np.array([row.confidence for row in self.rows], dtype=np.float64)
+        return np.asarray(-np.log(np.clip(stated, _LEAST, 1.0 - _LEAST)))
 
     @property
-    def better(self) -> bool:
-        """Whether plans that had no part in a fit are predicted better by it."""
-        return self.loss < self.loss_before
+    def free(self) -> NDArray[np.bool_]:
+        """(n,) whether each was free."""
+        return np.array([not row.collided for row in self.rows])
+
+    @property
+    def client(self) -> NDArray[np.int_]:
+        """(n,) number of the client of each."""
+        return np.unique([row.client or "" for row in self.rows], return_inverse=True)[1]
+
+
+class Predicted(NamedTuple):
+    """Mean log loss of the plans by fits to others and as stated, and the paired gain."""
+
+    loss: float
+    before: float
+    gain: Interval
 
 
 @dataclass(frozen=True, slots=True)
 class Recalibrated:
-    """What :func:`recalibrate` made.
-
-    Args:
-        version: of the site's calibrations.
-        plans: number of plans.
-        fit: what was fitted.
-    """
+    """What :func:`recalibrate` made."""
 
     version: ModelVersion
     plans: int
-    fit: Fit
+    parameters: tuple[float, float]
+    predicted: Predicted
 
 
-def recalibrate(site: str, model: str | None, tracking: Tracking, registry: ModelRegistry) -> Recalibrated:
-    """Fit to a site's outcomes, and register; the same outcomes make the same version.
+def recalibrate(
+    model: ModelReference,
+    site: str | None,
+    most_per_client: float,
+    tracking: Tracking,
+    registry: ModelRegistry,
+) -> Recalibrated:
+    """Fit to a version's outcomes, and register; the same outcomes make the same version.
 
     Args:
-        site: as outcomes name it.
-        model: ``name/version``; None for that of most plans.
+        model: whose plans.
+        site: outcomes of one place; None for all.
+        most_per_client: share of the plans that may be of one client.
         tracking: where outcomes were uploaded.
-        registry: where the calibration becomes a version.
-
-    Raises:
-        InputError: the site is no name that outcomes can have.
-        EvaluationError: there are fewer than 20 plans of which it is known whether they collide.
-        RegistryError: the tracking server is away, or holds something else.
+        registry: holds the version, and gets the new one.
     """
-    if re.fullmatch(SITE_PATTERN, site, re.ASCII) is None:
-        raise InputError(
-            "the site is no name",
-            expected="1 to 64 letters, digits, dots, dashes and underscores",
-            got=repr(site)[:200],
+    version = model.look_up(registry)
+    plans = plans_of(str(version), site, most_per_client, tracking)
+    parameters = careful_fit(plans.cost, plans.free, plans.client)
+    if parameters is None:
+        raise EvaluationError(
+            f"the outcomes agree with what {version} states",
+            expected="a 95 % interval of the calibration without the present one",
+            got=f"{len(plans.rows)} plans, of which {np.mean(plans.free):.1%} were free",
+            remedy="nothing is to be done, or send more outcomes",
         )
-    plans = plans_of(site, model, tracking, registry)
-    fit = fitted(plans.cost, plans.free)
-    offset, slope = fit.parameters
-    calibration = SiteCalibration(plans.model, offset, slope)
-    data = plans.cost.tobytes() + plans.free.tobytes() + f"{site} {plans.model}".encode()
-    tags = {TAG_STAGE: "calibration", TAG_MODEL: plans.model}
-    with tracking.start(
-        CALIBRATIONS_EXPERIMENT, f"{site}, {{id}}", tags=tags, key=hashlib.sha256(data).hexdigest()
-    ) as run:
-        run.params({"site": site, "model": plans.model, "plans": len(plans.cost)})
-        run.metrics(
-            {
-                "offset": offset,
-                "slope": slope,
-                "collide": fit.collide,
-                "calibration_error": fit.error,
-                "calibration_error_before": fit.error_before,
-                "log_loss": fit.loss,
-                "log_loss_before": fit.loss_before,
-            },
-            0,
+    predicted = _predicted(plans)
+    note = {"model": str(version), "site": site, "most_per_client": most_per_client}
+    tags = {TAG_STAGE: "recalibration", TAG_MODEL: str(version)}
+    key = hashlib.sha256(f"{version.digest} {parameters} {note}".encode()).hexdigest()
+    with tempfile.TemporaryDirectory(prefix="cspace-recalibrate-") as folder:
+        source = load_verified(registry.download(version, Path(folder) / "source"), version.digest)
+        made = _write(source, Path(folder) / "bundle", parameters, note)
+        with tracking.start(
+            EXPERIMENT, f"recalibrated, {ID}", version.run_id, tags, f"recalibrate/{key}"
+        ) as run:
+            run.params({**note, "plans": len(plans.rows), "offset": parameters[0], "slope": parameters[1]})
+            run.metrics({"log_loss": predicted.loss, "log_loss_before": predicted.before}, 0)
+            shown = reliability(plans.rows)
+            if shown is not None:
+                run.figure(shown[0], "reliability")
+                run.table(shown[1], "reliability")
+            for run_id, digest in plans.batches.items():
+                run.dataset("outcomes", digest, f"runs:/{run_id}/{OUTCOMES_FILE}", "calibration")
+        kept = {
+            name: version.tags[name] for name in ("data_digest", "preset", "seed") if name in version.tags
+        }
+        registered = registry.register(
+            version.name, made.folder, run.run_id, made.digest, kept, alias=ALIAS_CHALLENGER
         )
-        run.figure(reliability(plans, fit), "reliability")
-        for run_id, digest in plans.batches.items():
-            run.dataset("outcomes", digest, f"runs:/{run_id}/{OUTCOMES_FILE}", "calibration")
-    version = registry.record(
-        calibration_name(site), run.run_id, calibration.tags, alias=ALIAS_CHAMPION if fit.better else None
-    )
-    return Recalibrated(version, len(plans.cost), fit)
+    return Recalibrated(registered, len(plans.rows), parameters, predicted)
 
 
-def plans_of(site: str, model: str | None, tracking: Tracking, registry: ModelRegistry) -> Plans:
-    """The plans of a site in all uploaded batches; see :func:`recalibrate`."""
-    rows: dict[tuple[Any, Any], tuple[dict[str, Any], str]] = {}
+def predicted_reports(bundle: Bundle, champion: Bundle, tracking: Tracking) -> Predicted | None:
+    """How well a recalibrated version predicts reported plans beside the champion that it was made of.
+
+    None for other versions. Each fifth of the plans is predicted by a fit to the others.
+    """
+    note = bundle.spec.provenance.config.get(FITTED_AGAIN, {})
+    if not isinstance(note, dict) or note.get("source_digest") != champion.digest or "model" not in note:
+        return None
+    return _predicted(plans_of(note["model"], note["site"], note["most_per_client"], tracking))
+
+
+def plans_of(model: str, site: str | None, most_per_client: float, tracking: Tracking) -> Plans:
+    """The plans of ``name/version`` in all uploaded batches that count."""
+    known: dict[tuple[str | None, str], tuple[Row, str]] = {}
     digests = {}
     # From the oldest on, so that what was reported last holds.
     for run_id, digest, batch in uploaded(tracking):
         digests[run_id] = digest
         for row in batch:
-            is_known = row.get("confidence") is not None and row.get("collided") is not None
-            if is_known and (row["kind"], row.get("site")) == ("plan", site):
-                rows[row.get("client"), row["request_id"]] = row, run_id
-    models = Counter(row["model"] for row, _ in rows.values())
-    chosen = model or max(models, key=models.__getitem__, default="")
-    found = [(row, run_id) for row, run_id in rows.values() if row["model"] == chosen]
-    if len(found) < LEAST_PLANS:
-        others = ", ".join(f"{number} of {name}" for name, number in sorted(models.items()))
+            is_known = row.kind == "plan" and row.confidence is not None and row.collided is not None
+            if is_known and row.problem and row.model == model and site in (None, row.site):
+                known[row.client, row.problem] = row, run_id
+    clients = defaultdict(list)
+    for row, run_id in known.values():
+        clients[row.client].append((row, run_id))
+    most = _cap([len(of_one) for of_one in clients.values()], most_per_client)
+    used = [one for of_one in clients.values() for one in of_one[len(of_one) - min(most, len(of_one)) :]]
+    problems, ends = {row.problem for row, _ in used}, Counter(row.collided for row, _ in used)
+    if len(problems) < LEAST_PROBLEMS or min(ends[True], ends[False]) < LEAST_OF_EACH:
         raise EvaluationError(
-            f"too few outcomes of plans at the site {site}",
-            expected=f"at least {LEAST_PLANS} of {chosen or 'a model'}, with collided and confidence",
-            got=f"{len(found)}; the site has {others or 'none'}",
-            remedy="send outcomes with this site, and upload them with python -m services.outcomes",
+            f"too few outcomes of plans of {model}",
+            expected=f"{LEAST_PROBLEMS} different problems, {LEAST_OF_EACH} plans that collide and "
+            f"{LEAST_OF_EACH} that do not, at most {most_per_client:.0%} of one client",
+            got=f"{len(known)} plans of {len(clients)} clients, of which {len(used)} may count: "
+            f"{len(problems)} problems, {ends[True]} plans that collide",
+            remedy="send and upload more outcomes; --most-per-client 1 trusts one client alone",
         )
-    stated = np.array([row["confidence"] for row, _ in found])
-    cost = -np.log(np.clip(stated, _LEAST, 1.0 - _LEAST))
-    names = [row.get("calibration") for row, _ in found]
-    for name in sorted({one for one in names if one is not None}):
-        # What an earlier calibration has made of the model's own confidence is undone.
-        earlier = SiteCalibration.of(_version(registry, name))
-        at = np.array([one == name for one in names])
-        cost[at] = np.exp((np.log(cost[at]) - earlier.offset) / earlier.slope)
-    free = ~np.array([row["collided"] for row, _ in found], dtype=np.bool_)
-    used = {run_id for _, run_id in found}
-    return Plans(chosen, cost, free, {one: digest for one, digest in digests.items() if one in used})
+    runs = {run_id for _, run_id in used}
+    return Plans([row for row, _ in used], {one: digest for one, digest in digests.items() if one in runs})
 
 
-def fitted(cost: NDArray[np.float64], free: NDArray[np.bool_]) -> Fit:
-    """Fit to all plans (n,); each fifth is predicted from the others to see how good such a fit is."""
-    fold, predicted = np.arange(len(cost)) % FOLDS, np.empty(len(cost))
-    for number in range(FOLDS):
-        others = fold != number
-        predicted[~others] = confidence_of_cost(
-            cost[~others], fit_calibration(cost[others], free[others], PRIOR)
-        )
-    own = confidence_of_cost(cost, AS_IT_IS)
-    return Fit(
-        fit_calibration(cost, free, PRIOR),
-        float(1.0 - free.mean()),
-        calibration_error(predicted, free),
-        calibration_error(own, free),
-        float(log_losses(predicted, free, _LEAST).mean()),
-        float(log_losses(own, free, _LEAST).mean()),
-    )
-
-
-def reliability(plans: Plans, fit: Fit) -> Figure:
-    """Share of free plans over the stated confidence, before and after, in bins of equal number."""
-    figure = Figure((4.5, 4.0), layout="constrained")
-    axes = figure.subplots()
-    axes.plot((0, 1), (0, 1), color="0.7", linewidth=1)
-    for parameters, label in ((AS_IT_IS, "the model's own"), (fit.parameters, "recalibrated")):
-        confidence = confidence_of_cost(plans.cost, parameters)
-        bins = np.array_split(np.argsort(confidence), min(10, len(confidence) // 10))
-        stated, free = ([values[one].mean() for one in bins] for values in (confidence, plans.free))
-        axes.plot(stated, free, "o-", label=label)
-    axes.set(xlabel="stated confidence", ylabel="share that was free", xlim=(0, 1), ylim=(0, 1))
-    axes.legend()
-    return figure
-
-
-# Calibration error of a site's plans above which training on them is proposed.
-MISCALIBRATED = 0.05
-
-
-def main(arguments: Sequence[str], environment: Mapping[str, str]) -> int:
-    """Fit, print; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m services.evaluator recalibrate",
-        description="Fit the confidence of plans to the uploaded outcomes of a site, and register that.",
-        epilog="Exit codes: 0 fitted, whether in use or not; 1 failed; 2 wrong request or too few outcomes.",
-    )
-    parser.add_argument("--site", required=True, help="as in POST /outcomes and POST /plan")
-    parser.add_argument("--model", metavar="NAME/VERSION", help="default: that of most of the site's plans")
-    options = parser.parse_args(arguments)
-    try:
-        found = recalibrate(options.site, options.model, *stores.connect(environment))
-    except CspaceError as error:
-        return report_error(error, ConfigError, InputError, EvaluationError)
-    version, fit = found.version, found.fit
-    print(
-        f"{version} of {version.tags['model']}, {found.plans} plans, {fit.collide:.1%} collide\n"
-        f"calibration error {fit.error_before:.3f} before, {fit.error:.3f} after; "
-        f"log loss {fit.loss_before:.3f} before, {fit.loss:.3f} after (each fifth by a fit to the rest)\n"
-        + (
-            "in use for requests with this site"
-            if fit.better
-            else "not put into use, for it predicts no better"
-        )
-    )
-    if fit.error_before > MISCALIBRATED:
-        print(
-            f"the model misjudges this site; to train on its plans, if their pictures were kept:\n"
-            f"  python -m training.data import-outcomes $PWD/outcomes --site {options.site} --arm ROBOT\n"
-            "  ray job submit --working-dir . -- python training/cluster_train.py --preset panda_outcomes "
-            "--set data.robot=ROBOT --set data.outcomes=$PWD/outcomes"
-        )
+def _cap(counts: Collection[int], share: float) -> int:
+    """How many plans of each client may count so that none has more than its share of all that do."""
+    for most in range(max(counts, default=0), 0, -1):
+        if most <= share * sum(min(count, most) for count in counts) + 1e-9:
+            return most
     return 0
 
 
-def _version(registry: ModelRegistry, text: str) -> ModelVersion:
-    name, _, number = text.partition("/")
-    if not number.isdecimal():
-        raise RegistryError("an outcome names no calibration", expected="name/version", got=repr(text)[:200])
-    return registry.version(name, int(number))
+def careful_fit(
+    cost: NDArray[np.float64], free: NDArray[np.bool_], client: NDArray[np.int_]
+) -> tuple[float, float] | None:
+    """(offset, slope) for plans (n,); None where their interval holds the present calibration.
+
+    The fit is bound to lines that raise no confidence beyond the 97.5 % quantile of bootstrapped costs.
+    Clients are drawn and then plans of each, so that what one client alone reports is not certain.
+    """
+    rng, of_each = np.random.default_rng(0), [np.flatnonzero(client == one) for one in np.unique(client)]
+    drawn = np.empty((_RESAMPLES, 2))
+    for number in range(_RESAMPLES):
+        chosen = [of_each[one] for one in rng.integers(len(of_each), size=len(of_each))]
+        pick = np.concatenate([rng.choice(plans, len(plans)) for plans in chosen])
+        drawn[number] = fit_calibration(cost[pick], free[pick], PRIOR)
+    # Two intervals of 97.5 % have both parameters with 95 %.
+    shift = drawn @ np.array([1.0, np.median(np.log(cost))]) - np.median(np.log(cost))
+    low, high = np.quantile(np.stack([shift, drawn[:, 1] - 1.0]), [0.0125, 0.9875], axis=1)
+    if np.all((low <= 0.0) & (high >= 0.0)):
+        return None
+    careful = np.quantile(drawn[:, :1] + drawn[:, 1:] * _GRID, 0.975, axis=0)
+    least = np.minimum(_GRID, careful)
+
+    def loss(parameters: NDArray[np.float64]) -> float:
+        confidence = confidence_of_cost(cost, (parameters[0], parameters[1]))
+        pull = PRIOR * float(np.sum((parameters - _PRESENT) ** 2))
+        return pull + float(log_losses(confidence, free, _LEAST).sum())
+
+    bound = {"type": "ineq", "fun": lambda one: one[0] + one[1] * _GRID - least}
+    found = minimize(
+        loss, np.array(_PRESENT), method="SLSQP", bounds=[(-10.0, 10.0), (0.05, 10.0)], constraints=bound
+    ).x
+    # What the solver's tolerance leaves.
+    offset = float(found[0] + max(0.0, np.max(least - found[0] - found[1] * _GRID)))
+    return offset, float(found[1])
+
+
+def _predicted(plans: Plans) -> Predicted:
+    """The log loss of each fifth by a fit to the others, beside that of what was stated."""
+    cost, free, client = plans.cost, plans.free, plans.client
+    fold, predicted = np.arange(len(cost)) % FOLDS, np.empty(len(cost))
+    for number in range(FOLDS):
+        others = fold != number
+        parameters = careful_fit(cost[others], free[others], client[others]) or _PRESENT
+        predicted[~others] = confidence_of_cost(cost[~others], parameters)
+    ours, theirs = log_losses(predicted, free, _LEAST), log_losses(np.exp(-cost), free, _LEAST)
+    gain = mean_interval(theirs - ours, np.random.default_rng(0))
+    return Predicted(float(ours.mean()), float(theirs.mean()), gain)
+
+
+def _write(
+    source: Bundle, folder: Path, parameters: tuple[float, float], note: Mapping[str, object]
+) -> Bundle:
+    """The networks and the golden case of a bundle with another calibration of plans."""
+    spec, (offset, slope) = source.spec, parameters
+    usual = spec.plan_calibration or (_PRESENT,)
+    config = {**spec.provenance.config, FITTED_AGAIN: {**note, "source_digest": source.digest}}
+    made = replace(
+        spec,
+        plan_calibration=tuple((offset + slope * a, slope * b) for a, b in usual),
+        provenance=replace(spec.provenance, config=config),
+    )
+    golden = GoldenCase.from_npz((source.folder / GOLDEN_FILE).read_bytes())
+    return Bundle.load(write_bundle(folder, made, graphs_of(source.folder), golden))
+
+
+def main(arguments: Sequence[str], environment: Mapping[str, str]) -> int:
+    """Parse, fit, print; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="python -m services.evaluator recalibrate",
+        description="Fit the confidence of plans to uploaded outcomes, and register that as the challenger.",
+        epilog="Exit codes: 0 registered; 1 failed; 2 wrong request, too few outcomes, or nothing to change.",
+    )
+    parser.add_argument("--model", default=f"{MODEL_NAME}@champion", help="name, name@alias or name/version")
+    parser.add_argument("--site", help="outcomes of this place alone")
+    parser.add_argument(
+        "--most-per-client",
+        type=float,
+        default=MOST_PER_CLIENT,
+        metavar="SHARE",
+        help="of the plans that one client may make up (default %(default)s); 1 trusts a single client",
+    )
+    options = parser.parse_args(arguments)
+    try:
+        uri, model = environment.get("MLFLOW_TRACKING_URI", ""), ModelReference.parse(options.model)
+        if not uri:
+            raise ConfigError("no tracking server is named", remedy="set MLFLOW_TRACKING_URI")
+        found = recalibrate(model, options.site, options.most_per_client, Tracking(uri), ModelRegistry(uri))
+    except CspaceError as error:
+        return report_error(error, ConfigError, InputError, EvaluationError, ModelNotFoundError)
+    (offset, slope), (loss, before, gain) = found.parameters, found.predicted
+    sys.stdout.write(
+        f"{found.version} is the challenger: {found.plans} plans, offset {offset:.3f}, slope {slope:.3f}\n"
+        f"log loss {loss:.3f} instead of {before:.3f} (gain {gain:+.3f}), each fifth by a fit to the rest\n"
+        f"evaluate it: python -m services.evaluator --model {found.version}\n"
+    )
+    return 0

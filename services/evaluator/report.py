@@ -28,7 +28,8 @@ from services.evaluator.scenes import Scene, Stage
 from services.evaluator.tables import aligned, markdown
 from services.names import NOTE as DESCRIPTION
 from services.planner.samples import SampleSource
-from services.registry.ports import RunLog, Shown
+from services.registry.entities import Shown
+from services.registry.tracking import RunLog
 
 MEASURES_TABLE, COMPARISONS, NOTE = "measures", "comparisons", "comparison.md"
 REPORT_FOLDER = "report"

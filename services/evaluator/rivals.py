@@ -23,7 +23,8 @@ from cspace.worlds import robot_digest, simulator_of
 from services.evaluator.gate import SMALLER_IS_BETTER, Bar, Champion
 from services.evaluator.scenes import PackedBundle
 from services.names import ALIAS_CHAMPION, TAG_ROLLED_BACK
-from services.registry.ports import SHIPPED, ModelRegistry, ModelVersion
+from services.registry.entities import SHIPPED, ModelVersion
+from services.registry.models import ModelRegistry
 from services.registry.promotion import champions
 
 

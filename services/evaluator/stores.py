@@ -3,13 +3,13 @@
 from collections.abc import Mapping
 
 from cspace.errors import ConfigError
-from services.registry.mlflow_registry import MlflowRegistry
-from services.registry.mlflow_tracking import MlflowTracking
+from services.registry.models import ModelRegistry
+from services.registry.tracking import Tracking
 
 
-def connect(environment: Mapping[str, str]) -> tuple[MlflowTracking, MlflowRegistry]:
+def connect(environment: Mapping[str, str]) -> tuple[Tracking, ModelRegistry]:
     """Both on MLFLOW_TRACKING_URI."""
     uri = environment.get("MLFLOW_TRACKING_URI", "")
     if not uri:
         raise ConfigError("no tracking server is named", remedy="set MLFLOW_TRACKING_URI")
-    return MlflowTracking(uri), MlflowRegistry(uri)
+    return Tracking(uri), ModelRegistry(uri)

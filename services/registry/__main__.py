@@ -13,10 +13,10 @@ from cspace.errors import ConfigError, CspaceError, InputError, ModelNotFoundErr
 from services.command_errors import confirmed, report_error
 from services.names import ALIAS_CHAMPION, TAG_SIGNATURE
 from services.registry import promotion
-from services.registry.mlflow_registry import MlflowRegistry
-from services.registry.mlflow_tracking import MlflowTracking
-from services.registry.ports import ModelReference, ModelRegistry, ModelVersion
+from services.registry.entities import ModelReference, ModelVersion
+from services.registry.models import ModelRegistry
 from services.registry.promotion import PREFIX, Decision, decisions_of, utc
+from services.registry.tracking import Tracking
 
 _Run = Callable[[ModelRegistry, argparse.Namespace], None]
 
@@ -32,7 +32,7 @@ def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] 
                 expected="the tracking server's address",
                 remedy='`eval "$(make -s env)"` sets it',
             )
-        options.run(MlflowRegistry(options.uri), options)
+        options.run(ModelRegistry(options.uri), options)
     except CspaceError as error:
         return report_error(error, InputError, ModelNotFoundError)
     return 0
@@ -65,9 +65,6 @@ def _parser() -> argparse.ArgumentParser:
     ):
         one.add_argument("--reason", required=True, help="kept with the decision")
     commands.choices["rollback"].add_argument("name", help="of the model")
-    add("shadow", _shadow, "compare plans of the champion with what a version predicts").add_argument(
-        "--share", type=float, default=0.1, help="of the plans; 0 ends it (default %(default)s)"
-    )
     add("delete", _delete, "delete a version that no alias names").add_argument(
         "--yes", action="store_true", help="do not ask"
     )
@@ -130,13 +127,6 @@ def _roll_back(registry: ModelRegistry, options: argparse.Namespace) -> None:
     _print_decision(promotion.roll_back(registry, options.name, options.reason))
 
 
-def _shadow(registry: ModelRegistry, options: argparse.Namespace) -> None:
-    version = _version(registry, options)
-    promotion.shadow(registry, version, options.share)
-    what = f"{options.share:.0%} of the champion's plans" if options.share else "no plans any more"
-    print(f"{version} is compared with {what}; servers follow within half a minute")
-
-
 def _delete(registry: ModelRegistry, options: argparse.Namespace) -> None:
     version = _version(registry, options)
     if not options.yes and not confirmed(f"delete {version} for good?"):
@@ -158,7 +148,7 @@ def _sign(registry: ModelRegistry, options: argparse.Namespace) -> None:
 
 
 def _import(registry: ModelRegistry, options: argparse.Namespace) -> None:
-    tracking = MlflowTracking(options.uri)
+    tracking = Tracking(options.uri)
     version = promotion.import_version(registry, tracking, options.folder, options.name)
     print(f"{version} is the challenger; evaluate it: python -m services.evaluator --model {version}")
 

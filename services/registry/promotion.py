@@ -30,11 +30,9 @@ from services.names import (
     ALIAS_CHALLENGER,
     ALIAS_CHAMPION,
     EXPERIMENT,
-    SHADOW,
     TAG_DIGEST,
     TAG_ROBOT,
     TAG_ROLLED_BACK,
-    TAG_SHADOW_SHARE,
     TAG_SIGNATURE,
     is_kept,
     is_own,
@@ -42,11 +40,11 @@ from services.names import (
     names_beside,
 )
 from services.registry import signing
-from services.registry.ports import ModelRegistry, ModelVersion, Tracking
+from services.registry.entities import ModelVersion
+from services.registry.models import ModelRegistry
+from services.registry.tracking import Tracking
 
 PREFIX = "decision."
-# MLflow keeps 5000 characters of a page.
-_PAGE_ROWS, _PAGE_REASON = 20, 120
 _KEY = re.compile(rf"{re.escape(PREFIX)}(\d+)(?:\.[0-9a-f]+)?", re.ASCII)
 
 
@@ -54,15 +52,8 @@ _KEY = re.compile(rf"{re.escape(PREFIX)}(\d+)(?:\.[0-9a-f]+)?", re.ASCII)
 class Decision:
     """What the gate decided about one version.
 
-    Args:
-        name: of the model.
-        version: its number.
-        promoted: whether it becomes the champion.
-        reasons: in words, one for each thing that was looked at.
-        metrics: the gated metrics, from the validation scenarios.
-        against: the champion of that time, None when there was none.
-        created_ms: milliseconds since 1970-01-01 UTC.
-        robot: digest of the robot that it was evaluated with; champions of others are not compared.
+    ``metrics`` are the gated ones of the validation scenarios, ``against`` is the champion of that time, and
+    ``robot`` the digest of the robot of the evaluation: champions of others are not compared.
     """
 
     name: str
@@ -80,11 +71,7 @@ class Decision:
 
     @classmethod
     def from_json(cls, text: str) -> "Decision":
-        """Read an entry of the log.
-
-        Raises:
-            RegistryError: somebody else wrote it.
-        """
+        """Read an entry of the log; raises RegistryError where somebody else wrote it."""
         try:
             values = json.loads(text)
             return cls(**{**values, "reasons": tuple(values["reasons"])})
@@ -104,9 +91,6 @@ def record_decision(registry: ModelRegistry, decision: Decision) -> None:
 
     The log comes first: a champion without a reason must not be, a reason whose alias was not moved is
     recorded again by a second run of the evaluation.
-
-    Raises:
-        ModelNotFoundError: there is no such version.
     """
     version = registry.version(decision.name, decision.version)
     number = max((entry[0] for entry in _entries(version)), default=0) + 1
@@ -116,9 +100,6 @@ def record_decision(registry: ModelRegistry, decision: Decision) -> None:
         if TAG_ROLLED_BACK in version.tags:
             registry.remove_tag(decision.name, decision.version, TAG_ROLLED_BACK)
         registry.set_alias(decision.name, ALIAS_CHAMPION, decision.version)
-        with suppress(RegistryError):
-            # The page alone; the next promotion writes it again.
-            registry.describe(decision.name, _history_page(registry, decision.name))
 
 
 def decisions_of(version: ModelVersion) -> tuple[Decision, ...]:
@@ -143,14 +124,7 @@ def champions(registry: ModelRegistry, name: str) -> tuple[Decision, ...]:
 
 @dataclass(frozen=True, slots=True)
 class ChampionPeriod:
-    """A time during which one version was the champion.
-
-    Args:
-        version: its number.
-        since_ms: milliseconds since 1970-01-01 UTC; None where the version was deleted, and its log with it.
-        until_ms: likewise; None for the present champion as well.
-        reason: the first one of the decision; None where that was deleted.
-    """
+    """A time during which one version was the champion; what was deleted with a version is None."""
 
     version: int
     since_ms: int | None
@@ -178,15 +152,6 @@ def history(registry: ModelRegistry, name: str) -> tuple[ChampionPeriod, ...]:
     return tuple(periods)
 
 
-def _history_page(registry: ModelRegistry, name: str) -> str:
-    """The newest periods first, as a table in Markdown, for the model's page."""
-    rows = [period.cells for period in reversed(history(registry, name)[-_PAGE_ROWS:])]
-    # A line break or a bar would end the cell.
-    shown = [(*row[:3], " ".join(row[3].replace("|", "/").split())[:_PAGE_REASON]) for row in rows]
-    head = ("champion", "since", "until", "why"), ("---",) * 4
-    return "\n".join(f"| {' | '.join(row)} |" for row in (*head, *shown)) + "\n"
-
-
 def utc(moment_ms: int) -> str:
     """A moment as people read it."""
     return datetime.fromtimestamp(moment_ms / 1000, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
@@ -205,17 +170,7 @@ ROLLED_BACK = f"{BY_HAND}: {STEP_BACK}"
 
 
 def promote(registry: ModelRegistry, version: ModelVersion, reason: str) -> Decision:
-    """Make a version the champion, whatever the gate thinks of it; its bundle is read and replayed first.
-
-    Args:
-        registry: holds it.
-        version: which.
-        reason: is kept with the decision.
-
-    Raises:
-        BundleError: its bundle is damaged or answers otherwise here.
-        RegistryError: the registry refuses.
-    """
+    """Make a version the champion, whatever the gate decided; its bundle is verified first."""
     decision = _by_hand(registry, version, reason)
     record_decision(registry, decision)
     return decision
@@ -226,9 +181,6 @@ def roll_back(registry: ModelRegistry, name: str, reason: str) -> Decision:
 
     The one that is left bears the date in its tag ``rolled_back`` until it is promoted again: no candidate
     is held against it.
-
-    Raises:
-        ModelNotFoundError: there is no champion, or there was none before it that still exists.
     """
     present = registry.by_alias(name, ALIAS_CHAMPION).number
     there = {version.number: version for version in registry.versions(name)}
@@ -255,34 +207,8 @@ def roll_back(registry: ModelRegistry, name: str, reason: str) -> Decision:
     return decision
 
 
-def shadow(registry: ModelRegistry, version: ModelVersion, share: float) -> None:
-    """Have servers compare a share of the champion's plans with what a version predicts for them.
-
-    Args:
-        registry: holds it.
-        version: takes the alias ``shadow``.
-        share: of the plans, 0 to 1; 0 takes the alias away.
-
-    Raises:
-        ConfigError: the share is none.
-    """
-    if not 0.0 <= share <= 1.0:
-        raise ConfigError("--share does not fit", expected="a share from 0 to 1", got=f"{share:g}")
-    if share:
-        # Before the alias, by which servers find it.
-        registry.set_tags(version.name, version.number, {TAG_SHADOW_SHARE: f"{share:g}"})
-        registry.set_alias(version.name, SHADOW, version.number)
-    else:
-        registry.remove_alias(version.name, SHADOW)
-
-
 def delete(registry: ModelRegistry, version: ModelVersion) -> None:
-    """Delete a version that no alias names.
-
-    Raises:
-        ConfigError: an alias names it.
-        ModelNotFoundError: there is no such version.
-    """
+    """Delete a version that no alias names."""
     if version.aliases:
         raise ConfigError(
             f"{version} is in use",
@@ -294,12 +220,7 @@ def delete(registry: ModelRegistry, version: ModelVersion) -> None:
 
 
 def export_version(registry: ModelRegistry, version: ModelVersion, folder: Path) -> Path:
-    """Write a version's bundle, tags and decisions into a new folder, whole or not at all.
-
-    Raises:
-        ConfigError: the folder exists.
-        StorageError: it cannot be written.
-    """
+    """Write a version's bundle, tags and decisions into a new folder, whole or not at all."""
     if folder.exists():
         raise ConfigError("the export's folder exists", expected="a new folder", got=str(folder))
     with replacing(folder, "the export") as beside:
@@ -311,12 +232,7 @@ def export_version(registry: ModelRegistry, version: ModelVersion, folder: Path)
 
 
 def sign(registry: ModelRegistry, version: ModelVersion, private_key: Path) -> None:
-    """Sign a version's bundle, as it is in the registry; see :mod:`services.registry.signing`.
-
-    Raises:
-        BundleError: the bundle is damaged, or not the one that was registered.
-        ConfigError: there is no such key.
-    """
+    """Sign a version with its bundle as it is in the registry."""
     with tempfile.TemporaryDirectory(prefix="cspace-sign-") as temporary:
         folder = registry.download(version, Path(temporary) / BUNDLE_FOLDER)
         digest = read_files(folder).digest
@@ -324,16 +240,13 @@ def sign(registry: ModelRegistry, version: ModelVersion, private_key: Path) -> N
             raise BundleIntegrityError(
                 "the bundle is another one", expected=f"the digest {version.digest}", got=digest
             )
-        registry.set_tags(version.name, version.number, {TAG_SIGNATURE: signing.sign(folder, private_key)})
+        registry.set_tags(
+            version.name, version.number, {TAG_SIGNATURE: signing.sign(folder, version, private_key)}
+        )
 
 
 def import_version(registry: ModelRegistry, tracking: Tracking, folder: Path, name: str) -> ModelVersion:
-    """Register what :func:`export_version` wrote, or a bundle alone, as the challenger; once, if repeated.
-
-    Raises:
-        BundleError: the bundle is damaged or answers otherwise here.
-        ConfigError: the folder holds neither, or the name is another robot's.
-    """
+    """Register what :func:`export_version` wrote, or a bundle alone, as the challenger; once, if repeated."""
     bundle = folder / BUNDLE_FOLDER if (folder / BUNDLE_FOLDER).is_dir() else folder
     verified = load_verified(bundle)
     digest = verified.digest
@@ -367,14 +280,14 @@ class _Record(BaseModel):
 
 
 def _tags(record: Path) -> Mapping[str, str]:
-    """Of the exported version, the decisions about it elsewhere left out: they compare with others."""
+    """Of the exported version, without decisions and signature, which are about it elsewhere."""
     if not record.exists():
         return {}
     try:
         tags = _Record.model_validate_json(read_bounded(record, _MAX_RECORD_BYTES, ConfigError)).tags
     except ValidationError as error:
         raise refused(error, ConfigError, str(record), "import what `export` wrote") from error
-    left_out = (TAG_DIGEST, TAG_ROLLED_BACK, TAG_SHADOW_SHARE)
+    left_out = (TAG_DIGEST, TAG_ROLLED_BACK, TAG_SIGNATURE)
     return {
         key: value for key, value in tags.items() if not key.startswith("decision.") and key not in left_out
     }

@@ -3,8 +3,7 @@
     mlflow.pyfunc.load_model("models:/cspace-sampler/1").predict(frame, params={"n": 300, "seed": 7})
 
 ``frame`` has the column ``image`` with PNG bytes, and for path models ``start`` and ``goal`` (rad). The
-answer is float32 (rows, n, d) rad. The package ``cspace`` must be importable. The inference API does not come
-this way: it loads the bundle itself, which is faster and needs less.
+answer is float32 (rows, n, d) rad, not filtered; row i is sampled with ``seed + i``.
 """
 
 from pathlib import Path
@@ -32,14 +31,7 @@ class BundleModel(PythonModel):
     def predict(  # type: ignore[override]
         self, model_input: pd.DataFrame, params: dict[str, Any] | None = None
     ) -> NDArray[np.float32]:
-        """Configurations for each row's picture as the generator draws them, float32 (rows, n, d) rad.
-
-        They are not filtered, for every row has to have as many.
-
-        Args:
-            model_input: a data frame with ``image``, and ``start`` and ``goal`` for path models.
-            params: ``n`` and ``seed``; row i is sampled with ``seed + i``.
-        """
+        """Configurations for each row's picture."""
         chosen = params or {}
         count, seed = int(chosen.get("n", DEFAULT_COUNT)), int(chosen.get("seed", 0))
         rows = model_input.to_dict(orient="records")

@@ -1,81 +1,82 @@
-"""Signatures of bundles by keys, made and checked by the package model-signing, each in a process of its own.
+"""Signatures of versions by the package model-signing, whose command runs in a process of its own.
 
-A version carries its signature as a tag, so that it goes with whatever the registry stores.
+What is signed is a statement of the model's name, the version's number and the bundle's digest, which covers
+every file. So a signature holds for no other name, no other version and no other files. A version carries it
+as a tag.
 """
 
+import json
 import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 
+from cspace.bundle.files import read_files
 from cspace.errors import BundleIntegrityError, ConfigError, ServiceError
+from services.names import TAG_SIGNATURE
+from services.registry.entities import ModelVersion
 
 LIMIT_S = 60.0
-# Of ten files; more is none.
+# A signature has about 2 kB.
 MAX_BYTES = 64 * 2**10
 _SAYS = "failed with error:"
 
 
-def sign(folder: Path, private_key: Path) -> str:
-    """The signature of a folder's files, JSON.
+def sign(folder: Path, version: ModelVersion, private_key: Path) -> str:
+    """The signature, JSON, of a version whose bundle is in a folder.
 
-    Args:
-        folder: of a bundle.
-        private_key: PEM file of an elliptic curve's key without a password.
-
-    Raises:
-        ConfigError: the file holds no such key.
-        ServiceError: the package is missing, or its process does not end.
+    ``private_key`` is a PEM file of an elliptic curve's key without a password.
     """
-    with tempfile.TemporaryDirectory(prefix="cspace-signature-") as temporary:
-        made = Path(temporary, "model.sig")
-        said = _run("sign", folder, made, "--private_key", private_key)
+    with _statement(folder, version) as (signed, signature):
+        said = _run("sign", signed, signature, "--private_key", private_key)
         if said is not None:
             raise ConfigError(
                 "the bundle cannot be signed",
                 expected="a PEM file with the private key of an elliptic curve, without a password",
                 got=said,
             )
-        return made.read_text("utf-8")
+        return signature.read_text("utf-8")
 
 
-def require_signature(folder: Path, signature: str | None, public_key: Path) -> None:
-    """Refuse a bundle whose files are not those that the owner of a key has signed.
-
-    Args:
-        folder: of the bundle.
-        signature: what :func:`sign` returned; None where there is none.
-        public_key: PEM file.
-
-    Raises:
-        BundleIntegrityError: the signature is missing, another key's, or of other files.
-        ServiceError: the package is missing, or its process does not end.
-    """
-    expected = f"a signature by the key {public_key.name}"
-    if signature is None:
+def require_signature(folder: Path, version: ModelVersion, public_key: Path) -> None:
+    """Refuse a bundle that the owner of a key has not signed as this version; raises BundleIntegrityError."""
+    expected = f"a signature of {version} by the key {public_key.name}"
+    if TAG_SIGNATURE not in version.tags:
         raise BundleIntegrityError(
             "the bundle is not signed",
             expected=expected,
             got="none",
             remedy="python -m services.registry models sign NAME/VERSION --key FILE",
         )
-    with tempfile.TemporaryDirectory(prefix="cspace-signature-") as temporary:
-        written = Path(temporary, "model.sig")
-        written.write_text(signature[:MAX_BYTES], "utf-8")
-        said = _run("verify", folder, written, "--public_key", public_key)
+    with _statement(folder, version) as (signed, signature):
+        signature.write_text(version.tags[TAG_SIGNATURE][:MAX_BYTES], "utf-8")
+        said = _run("verify", signed, signature, "--public_key", public_key)
     if said is not None:
         raise BundleIntegrityError("the bundle's signature does not hold", expected=expected, got=said)
 
 
+@contextmanager
+def _statement(folder: Path, version: ModelVersion) -> Iterator[tuple[Path, Path]]:
+    """A folder with the statement alone, and where its signature is to be."""
+    statement = {"name": version.name, "version": version.number, "digest": read_files(folder).digest}
+    with tempfile.TemporaryDirectory(prefix="cspace-signature-") as temporary:
+        signed = Path(temporary, "signed")
+        signed.mkdir()
+        (signed / "version.json").write_text(json.dumps(statement, sort_keys=True), "utf-8")
+        yield signed, Path(temporary, "model.sig")
+
+
 def _run(what: str, folder: Path, signature: Path, option: str, key: Path) -> str | None:
-    """Runs the package's command; None where it did it, else what it says."""
+    """Run the package's command; None where it succeeded, else what it says."""
     if find_spec("model_signing") is None:
         raise ServiceError(
             "signatures need a package", got="no model-signing", remedy="install cspace-sampler[signing]"
         )
-    command = [sys.executable, "-m", "model_signing", what, "key", str(folder.absolute())]
+    command = [sys.executable, "-m", "model_signing", what, "key", str(folder)]
     command += ["--signature", str(signature), option, str(key.absolute())]
     environment = {name: value for name, value in os.environ.items() if not name.startswith("OTEL_")}
     try:

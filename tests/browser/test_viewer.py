@@ -17,8 +17,8 @@ from cspace.simulator import Split
 from cspace.worlds import examples, simulator_of
 from cspace.worlds.spatial.view import write_view
 from services.planner.viewer.app import world_of
-from services.registry.mlflow_registry import MlflowRegistry
-from services.registry.mlflow_tracking import MlflowTracking
+from services.registry.models import ModelRegistry
+from services.registry.tracking import Tracking
 from tests.browser.viewer import drop_file, open_viewer, plan_in_viewer, viewer_at
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
 from tests.inference_api.server import api_server
@@ -101,8 +101,8 @@ def test_a_view_file_or_a_recording_is_dropped_on_the_page(page: Page, address: 
 def test_the_model_of_an_own_arm_is_shown(page: Page, server: str, tmp_path: Path) -> None:
     own = replace(SPEC.world, body=replace(SPEC.world.body, name="bench-arm"))
     folder = write_bundle(tmp_path / "bundle", replace(SPEC, world=own), space_graphs())
-    with MlflowTracking(server).start("own-arm", "training") as run:
-        digest, registry = read_files(folder).digest, MlflowRegistry(server)
+    with Tracking(server).start("own-arm", "training") as run:
+        digest, registry = read_files(folder).digest, ModelRegistry(server)
         registry.register("bench-arm-sampler", folder, run.run_id, digest, {}, alias="champion")
     with api_server(tmp_path, {"MLFLOW_TRACKING_URI": server}) as api:
         # A model's world is listed once it is loaded.

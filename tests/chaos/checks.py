@@ -10,7 +10,8 @@ from mlflow.entities import LoggedModelStatus, Run
 
 from cspace.bundle import Bundle
 from services.names import EXPERIMENT, MODEL_NAME
-from services.registry.mlflow_registry import MlflowRegistry
+from services.registry.models import ModelRegistry
+from training.jobs.job import MISSED
 from training.models.checkpoint import WEIGHTS
 from training.trials.launch import TrialFolder
 
@@ -60,7 +61,7 @@ def left_behind(
         model: that the job makes a version of.
     """
     run_id, folder = str(result["run_id"]), data / "jobs" / str(result["run_id"])
-    client, registry = MlflowClient(uri), MlflowRegistry(uri)
+    client, registry = MlflowClient(uri), ModelRegistry(uri)
     check_runs(client, run_id, steps, every)
     versions = [one for one in registry.versions(model) if one.run_id == run_id]
     assert [one.number for one in versions] == [result["version"]]
@@ -108,5 +109,5 @@ def _check_files(folder: Path, trials: set[str]) -> None:
     assert set(record["children"]) == trials
     halves = [path for path in folder.rglob("*") if path.suffix == ".tmp" or path.name.startswith(".bundle")]
     assert halves == []
-    assert not list((folder / "spool").glob("*")), "metrics wait to be sent"
+    assert not list(folder.rglob(MISSED)), "metrics wait to be sent"
     assert not (folder / "stop").exists()

@@ -8,8 +8,8 @@ import mlflow
 
 from cspace.bundle import Bundle
 from services.names import MODEL_NAME
-from services.registry.mlflow_registry import MlflowRegistry
-from services.registry.ports import ModelVersion
+from services.registry.entities import ModelVersion
+from services.registry.models import ModelRegistry
 from tests.compose.stack import Stack
 
 LIST_DATA = "cd /var/lib/cspace/datasets && find . -type f -exec sha256sum {} + | sort"
@@ -35,12 +35,12 @@ class Kept:
             )
             for run in client.search_runs(experiments)
         }
-        return cls(runs, MlflowRegistry(stack.url("MLFLOW")).versions(MODEL_NAME))
+        return cls(runs, ModelRegistry(stack.url("MLFLOW")).versions(MODEL_NAME))
 
 
 def downloaded_digest(stack: Stack, alias: str, folder: Path) -> str:
     """The digest of the bundle behind an alias, downloaded, its sums and golden case passed."""
-    registry = MlflowRegistry(stack.url("MLFLOW"))
+    registry = ModelRegistry(stack.url("MLFLOW"))
     version = registry.by_alias(MODEL_NAME, alias)
     digest = Bundle.load(registry.download(version, folder / "bundle")).digest
     assert digest == version.digest

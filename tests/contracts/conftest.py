@@ -1,4 +1,4 @@
-"""Each contract runs on the fake, on MLflow over a database file, and (e2e) on a real MLflow server."""
+"""What fakes keep as MLflow does runs on both: on the fake, and on MLflow over a database file."""
 
 import itertools
 from collections.abc import Callable, Iterator
@@ -7,23 +7,23 @@ from pathlib import Path
 
 import pytest
 
-from services.registry.ports import ModelRegistry, Tracking
+from services.registry.models import ModelRegistry
+from services.registry.tracking import Tracking
 from tests.contracts.mlflow_server import mlflow_server
 from tests.contracts.run_records import RunRecord, read_fake, read_mlflow
 from tests.fakes.registry import FakeRegistry, FakeTracking
 
-BACKENDS = ["fake", "database", "spooled", pytest.param("server", marks=pytest.mark.e2e)]
+BACKENDS = ["fake", "database"]
 _numbers = itertools.count(1)
 
 
 @dataclass(frozen=True)
 class Backend:
-    """Tracking, registry, and ways to read runs and models' pages back, all on one store."""
+    """Tracking, registry, and a way to read runs back, all on one store."""
 
     tracking: Tracking
     registry: ModelRegistry
     read: Callable[[str], RunRecord]
-    page: Callable[[str], str]
 
 
 @pytest.fixture(scope="session")
@@ -46,11 +46,7 @@ def backend(request: pytest.FixtureRequest, tmp_path: Path) -> Backend:
     if request.param == "fake":
         tracking = FakeTracking()
         registry = FakeRegistry(tmp_path / "fake-registry", tracking.runs)
-        return Backend(
-            tracking, registry, lambda run_id: read_fake(tracking, run_id), registry.described.__getitem__
-        )
-    if request.param == "spooled":
-        return mlflow_backend(request.getfixturevalue("database_uri"), tmp_path / "spool")[1]
+        return Backend(tracking, registry, lambda run_id: read_fake(tracking, run_id))
     return mlflow_backend(request.getfixturevalue(f"{request.param}_uri"))[1]
 
 
@@ -70,18 +66,14 @@ def model_name() -> str:
     return f"model-{next(_numbers)}"
 
 
-def mlflow_backend(uri: str, spool_folder: Path | None = None) -> tuple[str, Backend]:
+def mlflow_backend(uri: str) -> tuple[str, Backend]:
     """Tracking and registry at an address, which is returned as well."""
     from mlflow import MlflowClient
 
-    from services.registry.mlflow_registry import MlflowRegistry
-    from services.registry.mlflow_tracking import MlflowTracking
-
     client = MlflowClient(tracking_uri=uri, registry_uri=uri)
-    tracking = MlflowTracking(uri, spool_folder=spool_folder)
+    tracking = Tracking(uri)
     return uri, Backend(
         tracking,
-        MlflowRegistry(uri),
+        ModelRegistry(uri),
         lambda run_id: read_mlflow(client, run_id),
-        lambda name: client.get_registered_model(name).description,
     )

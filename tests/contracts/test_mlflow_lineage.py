@@ -11,9 +11,9 @@ from mlflow import MlflowClient
 
 from cspace.bundle import Bundle
 from cspace.png import encode_png
-from services.registry.mlflow_registry import MlflowRegistry
-from services.registry.mlflow_tracking import MlflowTracking
-from services.registry.ports import ModelVersion, Shown
+from services.registry.entities import ModelVersion, Shown
+from services.registry.models import ModelRegistry
+from services.registry.tracking import Tracking
 from tests.bundles import picture, write_tiny_bundle
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
 
@@ -56,7 +56,7 @@ def test_a_version_leads_to_its_run_and_to_the_data(registered: Registered) -> N
 
     # What is shown later stands on the version's page and on its logged model.
     shown = Shown({"validation/edr": 0.25}, "## promoted", "planar scenes, seed 0", DIGEST)
-    MlflowRegistry(registered.uri).show(registered.version, shown)
+    ModelRegistry(registered.uri).show(registered.version, shown)
     page = client.get_model_version(registered.version.name, str(registered.version.number))
     assert page.description == "## promoted"
     metrics = {metric.key: metric for metric in client.get_logged_model(output.model_id).metrics}
@@ -88,23 +88,15 @@ def test_a_saved_model_holds_no_pickle(registered: Registered, tmp_path: Path) -
     assert names <= {"", ".json", ".npz", ".onnx", ".py", ".txt", ".yaml"}
 
 
-def test_the_adapters_leave_mlflow_s_global_state_alone(
-    registered: Registered, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
-    assert registered.uri not in (mlflow.get_tracking_uri(), mlflow.get_registry_uri())
-    assert mlflow.active_run() is None
-
-
 def _register(uri: str, folder: Path, name: str) -> Registered:
     bundle = Bundle.load(write_tiny_bundle(folder))
-    with MlflowTracking(uri).start("lineage", "global") as run:
+    with Tracking(uri).start("lineage", "global") as run:
         run.params({"seed": 7})
         run.metrics({"precision": 0.7}, 0)
         run.metrics({"precision": 0.84}, 1)
         run.flush()
         run.dataset("own", DIGEST, "data/own", "training")
-        made = MlflowRegistry(uri).register(
+        made = ModelRegistry(uri).register(
             name, folder, run.run_id, bundle.digest, {"data_digest": DIGEST}, alias="challenger"
         )
     return Registered(uri, made, bundle)

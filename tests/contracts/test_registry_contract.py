@@ -8,8 +8,9 @@ from cspace.bundle import Bundle
 from cspace.errors import BundleIntegrityError, ModelNotFoundError, RegistryError, StorageError
 from cspace.worlds import robot_digest
 from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION
-from services.registry.ports import ModelRegistry, ModelVersion, Shown, Tracking
-from services.registry.promotion import Decision, champions, decisions, record_decision
+from services.registry.entities import ModelVersion, Shown
+from services.registry.models import ModelRegistry
+from services.registry.tracking import Tracking
 from tests.bundles import write_tiny_bundle
 from tests.contracts.conftest import Backend
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
@@ -146,22 +147,6 @@ def test_figures_of_a_version_are_shown_on_the_run_that_made_it_the_last_ones_ho
         backend.registry.show(replace(first, number=99), shown)
 
 
-def test_an_alias_is_taken_away_and_once_more(registry: ModelRegistry, first: ModelVersion) -> None:
-    for _ in range(2):
-        registry.remove_alias(first.name, ALIAS_CHALLENGER)
-    assert registry.version(first.name, 1).aliases == ()
-    with pytest.raises(ModelNotFoundError):
-        registry.by_alias(first.name, ALIAS_CHALLENGER)
-
-
-def test_a_models_page_is_described_again(backend: Backend, first: ModelVersion) -> None:
-    for note in ("| one |", "| one |\n| two |"):
-        backend.registry.describe(first.name, note)
-        assert backend.page(first.name) == note
-    with pytest.raises(ModelNotFoundError):
-        backend.registry.describe("unknown", "note")
-
-
 def test_a_downloaded_bundle_is_the_registered_one_and_no_folder_is_overwritten(
     registry: ModelRegistry, first: ModelVersion, bundle: Bundle, tmp_path: Path
 ) -> None:
@@ -193,46 +178,9 @@ def test_what_is_not_there_is_not_found(registry: ModelRegistry, first: ModelVer
     assert list(tmp_path.glob("*bundle*")) == []
 
 
-@pytest.mark.parametrize("name", ["no'body", "a/b", "a:b", "no such\\", "", "é" * 300])
-def test_a_name_that_can_not_be_is_not_found(registry: ModelRegistry, name: str) -> None:
-    with pytest.raises(ModelNotFoundError):
-        registry.version(name, 1)
-    with pytest.raises(ModelNotFoundError):
-        registry.by_alias(name, ALIAS_CHAMPION)
-    assert registry.versions(name) == ()
-
-
 def test_a_bundle_with_another_digest_is_not_registered(
     registry: ModelRegistry, bundle: Bundle, other: Bundle, run_id: str, model_name: str
 ) -> None:
     with pytest.raises(BundleIntegrityError):
         registry.register(model_name, bundle.folder, run_id, other.digest, {})
     assert registry.versions(model_name) == ()
-
-
-def test_a_bundle_of_an_unknown_run_is_not_registered(
-    registry: ModelRegistry, bundle: Bundle, model_name: str
-) -> None:
-    with pytest.raises(RegistryError):
-        registry.register(model_name, bundle.folder, "f" * 32, bundle.digest, {})
-    assert registry.versions(model_name) == ()
-
-
-def test_decisions_are_recorded_on_the_version_and_move_the_champion(
-    registry: ModelRegistry, first: ModelVersion
-) -> None:
-    refused = _decision(first, promoted=False, at_ms=1)
-    promoted = _decision(first, promoted=True, at_ms=2)
-    record_decision(registry, refused)
-    with pytest.raises(ModelNotFoundError):
-        registry.by_alias(first.name, ALIAS_CHAMPION)
-    record_decision(registry, promoted)
-    assert registry.by_alias(first.name, ALIAS_CHAMPION).number == 1
-    assert decisions(registry, first.name) == (refused, promoted)
-    assert champions(registry, first.name) == (promoted,)
-
-
-def _decision(version: ModelVersion, *, promoted: bool, at_ms: int) -> Decision:
-    reasons = ("precision beats uniform beyond the interval: gain +0.151 over 60 scenarios",)
-    metrics = {"precision": 0.845, "coverage": 0.877}
-    return Decision(version.name, version.number, promoted, reasons, metrics, None, at_ms)

@@ -1,5 +1,4 @@
 import json
-import math
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
@@ -10,7 +9,7 @@ import pytest
 
 from cspace.errors import RegistryError
 from cspace.png import encode_png
-from services.registry.ports import RunLog, Tracking
+from services.registry.tracking import RunLog, Tracking
 from tests.contracts.conftest import Backend
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
 
@@ -31,15 +30,6 @@ class Pen:
     def savefig(self, fname: Path, *, format: str) -> None:  # noqa: A002
         assert format == "png"
         fname.write_bytes(encode_png(np.zeros((4, 4, 3), np.uint8)))
-
-
-def test_a_new_run_has_its_name_its_tags_and_its_parent_and_is_running(backend: Backend) -> None:
-    run = backend.tracking.start(EXPERIMENT, "vae", tags={"preset": "quickstart"})
-    record = backend.read(run.run_id)
-    assert (record.name, record.status, record.parent_run_id) == ("vae", "RUNNING", None)
-    assert record.tags["preset"] == "quickstart"
-    child = backend.tracking.start(EXPERIMENT, "local-0", parent_run_id=run.run_id)
-    assert backend.read(child.run_id).parent_run_id == run.run_id
 
 
 def test_a_run_of_a_key_is_started_once_within_its_experiment_and_gone_on_with(backend: Backend) -> None:
@@ -74,31 +64,6 @@ def test_more_parameters_than_one_call_takes_all_arrive_and_overlong_ones_are_cu
     assert len(params) == 151
     assert len(params["long"]) == 6000
     assert params["long"].endswith("...")
-
-
-def test_metrics_are_all_there_when_the_run_is_finished(backend: Backend, run: RunLog) -> None:
-    for step in range(600):
-        run.metrics({"critic_loss": 1.0 / (step + 1), "generator_loss": -step}, step)
-    run.finish()
-    record = backend.read(run.run_id)
-    assert record.status == "FINISHED"
-    assert record.history["critic_loss"] == [(step, 1.0 / (step + 1)) for step in range(600)]
-    assert [step for step, _ in record.history["generator_loss"]] == list(range(600))
-
-
-def test_a_metric_that_is_not_a_number_is_kept_as_such(backend: Backend, run: RunLog) -> None:
-    run.metrics({"critic_loss": math.nan}, 3)
-    run.flush()
-    [(step, value)] = backend.read(run.run_id).history["critic_loss"]
-    assert step == 3
-    assert math.isnan(value)
-
-
-def test_a_tag_takes_its_last_value(backend: Backend, run: RunLog) -> None:
-    run.tags({"git_dirty": "true", "preset": "paper"})
-    run.tags({"git_dirty": "false"})
-    tags = backend.read(run.run_id).tags
-    assert (tags["git_dirty"], tags["preset"]) == ("false", "paper")
 
 
 def test_files_and_folders_are_kept_under_their_names(backend: Backend, run: RunLog, tmp_path: Path) -> None:
@@ -151,18 +116,17 @@ def test_leaving_the_block_ends_the_run_and_an_exception_goes_on(
     assert (record.status, record.history) == (status, {"kl": [(0, 1.0)]})
 
 
-def test_a_resumed_run_runs_again_and_logs_repeated_steps_once(backend: Backend, run: RunLog) -> None:
-    for step in range(6):
-        run.metrics({"kl": step, "late": step} if step > 3 else {"kl": step}, step)
+def test_a_resumed_run_runs_again_and_keeps_a_point_that_is_sent_twice_once(
+    backend: Backend, run: RunLog
+) -> None:
+    rows = [{"step": step, "time_ms": 1000.0 + step, "kl": step / 7} for step in range(6)]
+    run.history(rows[:4])
     run.finish("FAILED")
     again = backend.tracking.resume(run.run_id)
     assert (again.run_id, backend.read(run.run_id).status) == (run.run_id, "RUNNING")
-    for step in range(3, 8):
-        again.metrics({"kl": step, "new": step}, step)
+    again.history([*rows, *rows])
     again.finish()
-    history = backend.read(run.run_id).history
-    assert [step for step, _ in history["kl"]] == list(range(8))
-    assert [step for step, _ in history["new"]] == [3, 4, 5, 6, 7]
+    assert backend.read(run.run_id).history["kl"] == [(step, step / 7) for step in range(6)]
 
 
 def test_a_run_that_has_ended_is_written_onto_and_stays_ended(backend: Backend, run: RunLog) -> None:

@@ -1,4 +1,4 @@
-"""Tracking and registry in memory. They pass the same contract tests as MLflow's adapters."""
+"""Tracking and registry in memory. They pass the same contract tests as those on MLflow."""
 
 import json
 import shutil
@@ -18,16 +18,9 @@ from cspace.errors import (
     StorageError,
 )
 from services.names import TAG_DIGEST, TAG_KEY, world_tags
-from services.registry.ports import (
-    ID,
-    ID_LENGTH,
-    FoundRun,
-    ModelVersion,
-    RunLog,
-    RunStatus,
-    Shown,
-    flatten,
-)
+from services.registry.entities import ID, ID_LENGTH, FoundRun, ModelVersion, RunStatus, Shown, flatten
+from services.registry.models import ModelRegistry
+from services.registry.tracking import RunLog, Tracking
 
 
 @dataclass
@@ -49,18 +42,19 @@ class FakeRun:
 class FakeRunLog(RunLog):
     """A RunLog that writes straight into a FakeRun."""
 
-    def __init__(self, run: FakeRun, held: Mapping[str, int]) -> None:
-        self._run, self._held, self.run_id = run, held, run.run_id
+    def __init__(self, run: FakeRun) -> None:
+        self._run, self.run_id = run, run.run_id
 
     def params(self, params: Mapping[str, Any]) -> None:
         for name, value in flatten(params).items():
             if self._run.params.setdefault(name, value) != value:
                 raise RegistryError(f"the parameter {name} has a value already")
 
-    def metrics(self, metrics: Mapping[str, float], step: int) -> None:
+    def metrics(self, metrics: Mapping[str, float], step: int, time_ms: int | None = None) -> None:
         for name, value in metrics.items():
-            if step > self._held.get(name, -1):
-                self._run.history.setdefault(name, []).append((step, float(value)))
+            points = self._run.history.setdefault(name, [])
+            if (step, float(value)) not in points:
+                points.append((step, float(value)))
 
     def tags(self, tags: Mapping[str, str]) -> None:
         self._run.tags |= tags
@@ -95,7 +89,7 @@ class FakeRunLog(RunLog):
         self._run.status = status
 
 
-class FakeTracking:
+class FakeTracking(Tracking):
     """Tracking in memory; ``runs`` is what it was told."""
 
     def __init__(self) -> None:
@@ -117,23 +111,19 @@ class FakeTracking:
         run_id = f"{len(self.runs) + 1:032x}"
         name = name.replace(ID, run_id[:ID_LENGTH])
         self.runs[run_id] = FakeRun(run_id, experiment, name, parent_run_id, tags=dict(tags or {}))
-        return FakeRunLog(self.runs[run_id], {})
+        return FakeRunLog(self.runs[run_id])
 
     def note(self, run_id: str, tags: Mapping[str, str]) -> None:
         if run_id not in self.runs:
             raise RegistryError(f"there is no run {run_id}")
         self.runs[run_id].tags |= tags
 
-    def deliver(self) -> None:
-        pass
-
     def resume(self, run_id: str) -> RunLog:
         if run_id not in self.runs:
             raise RegistryError(f"there is no run {run_id}")
         run = self.runs[run_id]
         run.status = "RUNNING"
-        held = {name: max(step for step, _ in points) for name, points in run.history.items()}
-        return FakeRunLog(run, held)
+        return FakeRunLog(run)
 
     def run(self, run_id: str) -> FoundRun:
         if run_id not in self.runs:
@@ -165,7 +155,7 @@ class FakeTracking:
         self.runs[run_id].artifacts.pop(path, None)
 
 
-class FakeRegistry:
+class FakeRegistry(ModelRegistry):
     """A model registry in memory that keeps its bundles in a folder.
 
     Args:
@@ -182,7 +172,6 @@ class FakeRegistry:
         self._versions: dict[str, list[ModelVersion | None]] = {}
         self._aliases: dict[tuple[str, str], int] = {}
         self.shown: dict[tuple[str, int], Shown] = {}
-        self.described: dict[str, str] = {}
 
     def register(
         self,
@@ -267,21 +256,9 @@ class FakeRegistry:
         self.version(name, number)
         self._aliases[name, alias] = number
 
-    def remove_alias(self, name: str, alias: str) -> None:
-        self._check_there()
-        if name not in self._versions:
-            raise ModelNotFoundError(f"there is no {name}")
-        self._aliases.pop((name, alias), None)
-
     def set_tags(self, name: str, number: int, tags: Mapping[str, str]) -> None:
         version = self.version(name, number)
         self._versions[name][number - 1] = replace(version, aliases=(), tags={**version.tags, **tags})
-
-    def describe(self, name: str, note: str) -> None:
-        self._check_there()
-        if name not in self._versions:
-            raise ModelNotFoundError(f"there is no {name}")
-        self.described[name] = note
 
     def show(self, version: ModelVersion, shown: Shown) -> None:
         known = self.version(version.name, version.number)

@@ -8,15 +8,12 @@ class RecordingRun:
 
     def __init__(self, run_id: str = "run") -> None:
         self.run_id = run_id
-        self.rows: list[tuple[int, dict[str, float]]] = []
+        self.rows: list[dict[str, float]] = []
         self.status: str | None = None
 
-    def metrics(self, metrics: Any, step: int) -> None:
-        """Keep a row."""
-        self.rows.append((step, dict(metrics)))
-
-    def flush(self) -> None:
-        """Nothing waits."""
+    def history(self, rows: Any) -> None:
+        """Keep rows."""
+        self.rows += rows
 
     def __enter__(self) -> Self:
         return self

@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from cspace.bundle.files import read_files
-from services.registry.ports import ModelVersion
+from services.registry.entities import ModelVersion
 from tests.fakes.registry import FakeRegistry
 
 MODEL = "cspace-sampler"

@@ -10,8 +10,8 @@ import httpx
 import pytest
 
 from cspace.bundle import Bundle
-from services.registry.mlflow_registry import MlflowRegistry
-from services.registry.mlflow_tracking import MlflowTracking
+from services.registry.models import ModelRegistry
+from services.registry.tracking import Tracking
 from tests.contracts.mlflow_server import mlflow_server
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
 from tests.inference_api.server import ROOT, api_server
@@ -49,9 +49,9 @@ def test_the_api_serves_a_champion_with_nothing_but_its_own_dependencies(
     for name in ("mlflow", "api"):
         (tmp_path / name).mkdir()
     with mlflow_server(tmp_path / "mlflow") as uri:
-        run = MlflowTracking(uri).start("cspace-sampler", "test")
+        run = Tracking(uri).start("cspace-sampler", "test")
         digest = Bundle.load(bundles["plain"]).digest
-        MlflowRegistry(uri).register(
+        ModelRegistry(uri).register(
             "cspace-sampler", bundles["plain"], run.run_id, digest, {}, alias="champion"
         )
         run.finish()

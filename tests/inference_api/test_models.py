@@ -14,7 +14,7 @@ from cspace.errors import CspaceError, ModelNotFoundError, RegistryError, Storag
 from inference_api.models import IN_USE_S, BundleFolders, ModelStore, Prepared
 from inference_api.problems import ModelNotReadyError
 from inference_api.settings import ApiSettings
-from services.registry.ports import ModelReference, ModelVersion
+from services.registry.entities import ModelReference, ModelVersion
 from tests.bundles import picture
 from tests.inference_api.client import ApiClient
 from tests.inference_api.conftest import StartApi

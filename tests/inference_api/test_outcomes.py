@@ -1,7 +1,9 @@
-"""``POST /outcomes``: what is kept, and what is refused."""
+"""``POST /outcomes``: what counts, what is refused, and that a disk that refuses harms nothing else."""
 
 import base64
+import errno
 import json
+import os
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
@@ -14,43 +16,23 @@ import pytest
 from cspace.worlds import robot_digest
 from inference_api.auth import digest_of
 from services.outcomes import files_of
-from tests.inference_api.answers import PNG, assert_problem
+from tests.inference_api.answers import assert_answers, assert_problem
 from tests.inference_api.client import ApiClient
 from tests.inference_api.conftest import api_over
 from tests.inference_api.fake_registry import MODEL, CountingRegistry
-from tests.inference_api.test_plan import PNG as PLANNED
-from tests.inference_api.test_plan import WORLD, ask
+from tests.inference_api.test_plan import ENDS, PNG, WORLD, ask
+from tests.inference_api.test_telemetry import scrape, value
 
 Keeping = Callable[..., AbstractContextManager[ApiClient]]
-
-PLAN = {
-    "kind": "plan",
-    "request_id": "robot-1.7",
-    "model": "cspace-sampler/3",
-    "stamp_s": 1.77e9,
-    "confidence": 0.75,
-    "novelty": None,
-    "site": "cell-4",
-    "success": False,
-    "executed": True,
-    "collided": True,
-    "collided_at": 0.25,
-    "time_s": 3,
-}
-SAMPLES = {
-    "kind": "samples",
-    "request_id": "robot-1.7",
-    "model": "pretrained/0",
-    "stamp_s": 1.77e9,
-    "checked": 300,
-    "free": 297,
-}
+REPORT = {"kind": "plan", "model": f"{MODEL}/1", "success": False, "collided": True, "collided_at": 0.25}
+SAMPLES = {"kind": "samples", "request_id": "robot-1.7", "model": "pretrained/0", "checked": 300, "free": 297}
 
 
 @pytest.fixture
-def keeping(tmp_path: Path, bundles: dict[str, Path]) -> Keeping:
+def keeping(tmp_path: Path, bundles: dict[str, Path], registry: CountingRegistry) -> Keeping:
     """Starts an API that keeps outcomes in ``outcomes`` of the test's folder."""
-    return partial(api_over, tmp_path, bundles, None, outcomes=tmp_path / "outcomes")
+    registry.add(bundles["careful"], "champion")
+    return partial(api_over, tmp_path, bundles, registry, outcomes=tmp_path / "outcomes")
 
 
 def rows_in(place: Path) -> list[dict[str, Any]]:
@@ -59,87 +41,108 @@ def rows_in(place: Path) -> list[dict[str, Any]]:
     ]
 
 
-def tell(api: ApiClient, *told: dict[str, Any], **options: Any) -> int:
-    answer = api.post("/outcomes", json={"outcomes": told}, **options)
-    assert answer.status_code == 202, answer.text
-    kept: int = answer.json()["kept"]
-    return kept
+def planned(api: ApiClient, **more: Any) -> dict[str, Any]:
+    """A report of a new plan."""
+    answer = ask(api, model=None, **more)
+    return REPORT | {"request_id": answer.headers["X-Request-ID"], "receipt": answer.json()["receipt"]}
 
 
-def test_outcomes_are_in_whole_files_when_the_server_has_ended(keeping: Keeping, tmp_path: Path) -> None:
-    began = time.time()
+def send(api: ApiClient, *reports: dict[str, Any], **options: Any) -> Any:
+    return api.post("/outcomes", json={"outcomes": reports}, **options)
+
+
+def test_a_plan_counts_as_what_its_answer_stated(keeping: Keeping, tmp_path: Path) -> None:
     with keeping() as api:
-        assert tell(api, PLAN, SAMPLES) == 2
-        assert tell(api, {**SAMPLES, "request_id": "robot-1.8"}) == 1
-    rows = rows_in(tmp_path)
-    expected = {name: value for name, value in PLAN.items() if value is not None}
-    assert rows[0] == expected | {"client": None, "received_s": rows[0]["received_s"]}
-    assert began - 1 < rows[0]["received_s"] < time.time() + 1
-    assert [row["request_id"] for row in rows] == ["robot-1.7", "robot-1.7", "robot-1.8"]
-    assert {name: rows[1][name] for name in SAMPLES} == SAMPLES
+        report = planned(api)
+        forged = {**report, "confidence": 0.999, "model": "other/7"}
+        assert send(api, forged, {**report, "request_id": "other"}, SAMPLES).json() == {"kept": 2}
+        # It is on disk by now.
+        plan, samples = rows_in(tmp_path)
+        for bad in ({}, {"receipt": None}, {"receipt": report["receipt"][:-1] + "x"}):
+            problem = assert_problem(send(api, {**REPORT, "request_id": "r", **bad}), 422, "invalid-value")
+            assert "match no answer" in problem["detail"]
+    assert (plan["model"], plan["collided_at"], plan["client"]) == (f"{MODEL}/1", 0.25, None)
+    assert 0.0 < plan["confidence"] < 0.999
+    assert len(plan["problem"]) == 16
+    assert samples["checked"] == 300
 
 
-def test_an_outcome_has_the_name_of_its_key(keeping: Keeping, tmp_path: Path) -> None:
+def test_a_receipt_is_of_one_client(keeping: Keeping, tmp_path: Path) -> None:
     keys = tmp_path / "keys"
     keys.touch(0o600)
     keys.write_text(f"one:{digest_of('csk_one')}\ntwo:{digest_of('csk_two')}\n")
+    own = {name: {"authorization": f"Bearer csk_{name}"} for name in ("one", "two")}
     with keeping(api_keys_file=keys) as api:
-        assert_problem(api.post("/outcomes", json={"outcomes": [PLAN]}), 401, "unauthorized")
-        for name in ("one", "two"):
-            tell(api, PLAN, headers={"authorization": f"Bearer csk_{name}"})
-    assert [row["client"] for row in rows_in(tmp_path)] == ["one", "two"]
+        body = {"image": base64.b64encode(PNG).decode(), "time_limit_s": 10.0, **ENDS}
+        answer = api.post("/plan", json=body | {"min_confidence": 0.0}, headers=own["one"])
+        report = REPORT | {"request_id": answer.headers["X-Request-ID"], "receipt": answer.json()["receipt"]}
+        assert_problem(send(api, report), 401, "unauthorized")
+        assert_problem(send(api, report, headers=own["two"]), 422, "invalid-value")
+        assert send(api, report, headers=own["one"]).json() == {"kept": 1}
+    assert [row["client"] for row in rows_in(tmp_path)] == ["one"]
 
 
 WRONG: list[tuple[object, str]] = [
     ([], "outcomes"),
     ([SAMPLES] * 1001, "outcomes"),
     ([SAMPLES, 7], "outcomes.1"),
-    ([{**PLAN, "kind": "route"}], "outcomes.0"),
-    ([{**PLAN, "success": None}], "outcomes.0.plan.success"),
-    ([{**PLAN, "collided": None}], "outcomes.0.plan"),
-    ([{**PLAN, "request_id": "a b"}], "outcomes.0.plan.request_id"),
-    ([{**PLAN, "model": "cspace-sampler"}], "outcomes.0.plan.model"),
-    ([{**PLAN, "site": "x" * 65}], "outcomes.0.plan.site"),
-    ([{**PLAN, "picture": "aGVsbG8="}], "outcomes.0.plan.picture"),
-    ([{**SAMPLES, "free": 301}], "outcomes.0.samples"),
+    ([{**SAMPLES, "kind": "route"}], "outcomes.0"),
+    ([{**REPORT, "request_id": "r", "collided": None}], "outcomes.0.collided_at"),
+    ([{**SAMPLES, "request_id": "a b"}], "outcomes.0.request_id"),
+    ([{**SAMPLES, "site": "x" * 65}], "outcomes.0.site"),
+    ([{**SAMPLES, "free": 301}], "outcomes.0.free"),
 ]
 
 
 def test_what_is_no_outcome_is_refused_by_name_and_nothing_of_its_batch_is_kept(
-    keeping: Keeping, tmp_path: Path
+    keeping: Keeping, tmp_path: Path, api: ApiClient
 ) -> None:
-    with keeping() as api:
-        for told, field in WRONG:
-            problem = assert_problem(api.post("/outcomes", json={"outcomes": told}), 422, "invalid-value")
+    with keeping() as own:
+        for reports, field in WRONG:
+            problem = assert_problem(own.post("/outcomes", json={"outcomes": reports}), 422, "invalid-value")
             assert [one["field"] for one in problem["errors"]] == [field], problem
-        form = api.post("/outcomes", data={"outcomes": "[]"}, files={"image": PNG})
+        form = own.post("/outcomes", data={"outcomes": "[]"}, files={"image": PNG})
         assert_problem(form, 415, "unsupported-media-type")
     assert rows_in(tmp_path) == []
+    # A server without a folder keeps none.
+    assert "CSPACE_OUTCOMES" in assert_problem(send(api, SAMPLES), 404, "no-outcomes")["remedy"]
+    assert "receipt" not in ask(api).json()
 
 
-def test_a_server_without_a_folder_says_that_it_keeps_nothing(api: ApiClient) -> None:
-    problem = assert_problem(api.post("/outcomes", json={"outcomes": [PLAN]}), 404, "no-outcomes")
-    assert "CSPACE_OUTCOMES" in problem["remedy"]
+def test_a_full_disk_refuses_outcomes_and_nothing_else(
+    keeping: Keeping, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with keeping() as api:
+        assert send(api, SAMPLES).json() == {"kept": 1}
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "write", full)
+            assert send(api, {**SAMPLES, "request_id": "lost"}).json() == {"kept": 0}
+        assert_answers(api)
+        assert send(api, {**SAMPLES, "request_id": "later"}).json() == {"kept": 1}
+        counts = [value(scrape(api), "cspace_outcomes_total", result=name) for name in ("kept", "storage")]
+    assert counts == [2, 1]
+    assert [row["request_id"] for row in rows_in(tmp_path)] == ["robot-1.7", "later"]
 
 
 def test_pictures_are_kept_only_of_plans_that_say_so_and_where_the_server_may(
-    tmp_path: Path, bundles: dict[str, Path], registry: CountingRegistry
+    keeping: Keeping, tmp_path: Path
 ) -> None:
-    registry.add(bundles["careful"], "champion")
-    folder = tmp_path / "outcomes"
-    with api_over(tmp_path, bundles, registry, outcomes=folder) as api:
+    with keeping() as api:
         assert ask(api, model=None, keep=True).json()["kept"] is False
-    assert rows_in(tmp_path) == []
     began = time.time()
-    with api_over(tmp_path, bundles, registry, outcomes=folder, outcomes_keep_days=2.0) as api:
+    with keeping(outcomes_keep_days=2.0) as api:
         assert "kept" not in ask(api, model=None).json()
         answer = ask(api, model=None, keep=True)
         assert answer.json()["kept"] is True
         refused = ask(api, model=None, keep=True, min_confidence=1.0).json()
         assert (refused["status"], refused["kept"]) == ("refused", False)
-    [row] = rows_in(tmp_path)
+    [path] = (tmp_path / "outcomes").rglob("view-*.json")
+    row = json.loads(path.read_text())
     assert row["request_id"] == answer.headers["X-Request-ID"]
     assert (row["kind"], row["model"], row["robot"]) == ("view", f"{MODEL}/1", robot_digest(WORLD))
-    assert base64.b64decode(row["image"]) == PLANNED
+    assert base64.b64decode(row["image"]) == PNG
     assert row["path"] == answer.json()["path"]
     assert 172_800.0 <= row["keep_until_s"] - began < 172_860.0

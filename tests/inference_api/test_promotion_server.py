@@ -7,8 +7,8 @@ import httpx
 import pytest
 
 from cspace.bundle import Bundle
-from services.registry.mlflow_registry import MlflowRegistry
-from services.registry.mlflow_tracking import MlflowTracking
+from services.registry.models import ModelRegistry
+from services.registry.tracking import Tracking
 from tests.contracts.mlflow_server import mlflow_server
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
 from tests.inference_api.raw import until
@@ -25,7 +25,7 @@ def test_a_promotion_in_mlflow_is_served_without_a_restart_and_outlives_the_regi
     for name in ("mlflow", "api"):
         (tmp_path / name).mkdir()
     with mlflow_server(tmp_path / "mlflow") as uri:
-        registry = MlflowRegistry(uri)
+        registry = ModelRegistry(uri)
         settings = {
             "MLFLOW_TRACKING_URI": uri,
             "CSPACE_MODEL_POLL_S": "0.1",
@@ -33,7 +33,7 @@ def test_a_promotion_in_mlflow_is_served_without_a_restart_and_outlives_the_regi
         }
         with (
             api_server(tmp_path / "api", settings) as address,
-            MlflowTracking(uri).start(NAME, "test") as run,
+            Tracking(uri).start(NAME, "test") as run,
         ):
             assert model_of(address, png, NAME)["fallback"] is True
             for number, name in ((1, "plain"), (2, "other")):

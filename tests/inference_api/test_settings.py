@@ -4,7 +4,7 @@ import pytest
 
 from cspace.errors import ConfigError
 from inference_api.settings import ApiSettings, further_folders
-from services.registry.ports import PRETRAINED, SHIPPED
+from services.registry.entities import PRETRAINED, SHIPPED
 
 READ = {
     "MLFLOW_TRACKING_URI": ("http://127.0.0.1:5000", "registry_uri", "http://127.0.0.1:5000"),

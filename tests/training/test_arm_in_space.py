@@ -10,10 +10,11 @@ from cspace.dataset import open_dataset
 from cspace.simulator import Split, scenario_rng
 from cspace.view_file import unpack_view
 from cspace.worlds import checker_of, examples, picture_file_of, robot_digest, simulator_of
-from services.outcomes import Spool, known_plans, upload, view_row
-from services.registry.mlflow_tracking import MlflowTracking
+from services.outcomes import Spool, upload, view_row
+from services.registry.tracking import Tracking
 from tests.training.clusters.test_pipeline import bundle_of, submit
 from training.data.__main__ import main as datasets
+from training.data.outcomes import known_plans
 
 pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(600)]
 
@@ -113,14 +114,13 @@ def test_what_became_of_plans_trains_the_scene_model_further(server, tmp_path, m
         rows.append(asked | {"kind": "plan", "model": "panda-sampler/1"} | ended)
     spool, data = tmp_path / "spool", tmp_path / "outcomes"
     kept = Spool(spool, 2**28, lambda *_: None)
-    assert kept.add(rows)
-    kept.flush()
+    assert all(kept.add([row]) for row in rows)
     monkeypatch.setenv("MLFLOW_TRACKING_URI", server)
-    assert len(list(upload(spool, MlflowTracking(server)))) == 1
+    assert len(list(upload(spool, Tracking(server)))) == 1
     assert datasets(["import-outcomes", str(data), "--arm", "panda"]) == 0
     there = open_dataset(data)
     assert there.scenario_count == sum(
-        not one.held_out for one in known_plans(MlflowTracking(server), robot_digest(WORLD))
+        not one.held_out for one in known_plans(Tracking(server), robot_digest(WORLD))
     )
     without_size = [
         part

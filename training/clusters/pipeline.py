@@ -19,8 +19,8 @@ from services.evaluator.figures import gallery
 from services.evaluator.scenes import Scene, Stage
 from services.names import ALIAS_CHALLENGER, TAG_MODEL, label, recorded_name
 from services.planner.samples import BundleSampler
-from services.registry.mlflow_registry import MlflowRegistry
-from services.registry.ports import RunLog
+from services.registry.models import ModelRegistry
+from services.registry.tracking import RunLog
 from services.results import numbers
 from training.clusters.bundling import TrainedParts, make_bundle
 from training.clusters.clustering import Partition, cluster, group
@@ -70,8 +70,10 @@ def log_result(
     }
     for name, figure in figures.items():
         run.figure(figure, name)
-    final = outcomes[-1].metrics
-    run.metrics({f"last/{name}": value for name, value in final.items() if name != "steps_per_s"}, 0)
+    final = outcomes[-1]
+    last = {f"last/{name}": value for name, value in final.metrics.items() if name != "steps_per_s"}
+    # The same moment for a job that goes on, so that it is one point.
+    run.metrics(last, 0, round(1e3 * final.ended_s))
     # The registry copies what the server holds by the time of registration.
     run.flush()
     return tuple(figures)
@@ -403,7 +405,7 @@ def _checkpoint(outcome: TrialOutcome | None) -> Path | None:
 
 
 def _register(job: Job[TrainConfig], model: str, dataset: Dataset, bundle: Bundle) -> int:
-    registry = MlflowRegistry(job.environment.tracking_uri)
+    registry = ModelRegistry(job.environment.tracking_uri)
     tags = {"data_digest": dataset.digest, "preset": job.config.preset, "seed": str(job.config.seed)}
     tags |= {} if job.start_run_id is None else {TAG_START: job.start_run_id}
     version = job.patiently(

@@ -167,13 +167,13 @@ def _add_outcomes(parser: argparse.ArgumentParser) -> None:
 
 def _import_outcomes(options: argparse.Namespace) -> Dataset:
     # Imported here so that other commands do not wait for MLflow.
-    from services.registry.mlflow_tracking import MlflowTracking  # noqa: PLC0415
+    from services.registry.tracking import Tracking  # noqa: PLC0415
 
     uri = os.environ.get("MLFLOW_TRACKING_URI", "")
     if not uri:
         raise ConfigError("no tracking server is named", remedy="set MLFLOW_TRACKING_URI")
     world = described_world(options)
-    return import_outcomes(options.folder, world=world, tracking=MlflowTracking(uri), site=options.site)
+    return import_outcomes(options.folder, world=world, tracking=Tracking(uri), site=options.site)
 
 
 def _merge(options: argparse.Namespace) -> Dataset:

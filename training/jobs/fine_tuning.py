@@ -8,9 +8,9 @@ from pydantic import ValidationError
 
 from cspace.bundle import BundleSpec
 from cspace.errors import BundleError, ConfigError
-from services.registry.mlflow_errors import patiently
-from services.registry.mlflow_registry import MlflowRegistry
-from services.registry.ports import ModelReference
+from services.registry.entities import ModelReference
+from services.registry.errors import retry
+from services.registry.models import ModelRegistry
 from training.config import JobConfig
 from training.jobs.environment import RECORD, Environment, job_folder
 
@@ -79,9 +79,9 @@ def _maker(start_from: str, environment: Environment) -> str:
     reference = ModelReference.parse_version(
         start_from, "start_from does not fit", "name@alias, name/version or a run's id"
     )
-    return patiently(
+    return retry(
         f"looking {start_from} up",
-        lambda: reference.look_up(MlflowRegistry(environment.tracking_uri)).run_id,
+        lambda: reference.look_up(ModelRegistry(environment.tracking_uri)).run_id,
         environment.patience_s,
     )
 

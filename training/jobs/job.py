@@ -30,10 +30,10 @@ from services.names import (
     model_name,
     robot_name,
 )
-from services.registry.mlflow_errors import patiently
-from services.registry.mlflow_registry import MlflowRegistry
-from services.registry.mlflow_tracking import MlflowTracking
-from services.registry.ports import ID, RunLog, Tracking, flatten
+from services.registry.entities import ID, flatten
+from services.registry.errors import retry
+from services.registry.models import ModelRegistry
+from services.registry.tracking import RunLog, Tracking
 from training.config import JobConfig
 from training.jobs.environment import (
     RECORD,
@@ -45,6 +45,7 @@ from training.jobs.environment import (
     submission_id,
 )
 from training.jobs.fine_tuning import earlier_job, require_folder
+from training.models.checkpoint import read_progress
 from training.section import Section
 
 LONGEST = 100
@@ -95,6 +96,8 @@ def log_configuration(run: RunLog, config: JobConfig) -> None:
 TAG_START = "start_from.run_id"
 # On a trial's run: its name in the job.
 TAG_TRIAL = "trial"
+# In a trial's folder: its parameters, where the server was away when it ended.
+MISSED = "missed.json"
 # Under which of Ray's ids the job runs; there while it does.
 _RUNNING = "running.json"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}")
@@ -111,7 +114,7 @@ class Job(Generic[Config]):
     Args:
         config: what it trains.
         environment: where it works.
-        tracking: its server, which is waited for; metrics that it does not take wait in the job's folder.
+        tracking: its server, which is waited for.
         run: the parent run.
         folder: of its trials, named after the run; ``job.json`` there holds configuration and child runs.
         children: child run by trial.
@@ -166,7 +169,7 @@ class Job(Generic[Config]):
             return cls.resume(known, environment, type(config)).same(config)
         start = config.start_from and earlier_job(config, config.start_from, environment)
         tags = {**tags, "start_from": config.start_from or "", TAG_START: start} if start else tags
-        tracking = MlflowTracking(environment.tracking_uri, wait_s=environment.patience_s)
+        tracking = Tracking(environment.tracking_uri, wait_s=environment.patience_s)
         title, tags = f"{job_label(config, name)}, {ID}", {**tags, **shown_tags(config, name, stage)}
         key = None if name is None else f"job/{name}"
         run = tracking.start(EXPERIMENT, title, None, tags, key=key)
@@ -205,16 +208,14 @@ class Job(Generic[Config]):
             config = kind.model_validate(record["config"])
         except ValidationError as error:
             raise refused(error, ConfigError, f"the job is no {kind.__name__}") from error
-        tracking = MlflowTracking(
-            environment.tracking_uri, spool_folder=folder / "spool", wait_s=environment.patience_s
-        )
+        tracking = Tracking(environment.tracking_uri, wait_s=environment.patience_s)
         children, named, start = dict(record["children"]), record.get("name"), record.get("start")
         run = tracking.resume(run_id)
         return cls(config, environment, tracking, run, folder, children, named, start)
 
     @contextmanager
     def running(self) -> Iterator[RunLog]:
-        """The run, for as long as this process works on the job; afterwards nothing waits to be sent.
+        """The run, for as long as this process works on the job; in the end the server has all of its trials.
 
         Raises:
             JobError: another process works on it.
@@ -230,10 +231,17 @@ class Job(Generic[Config]):
                 write_json(self.folder / _RUNNING, {"submission_id": submission})
             with self.run as run:
                 yield run
-                self.tracking.deliver()
+                self._send_missed()
                 self._tidy()
-            # The run's own end may have had to wait as well.
-            self.tracking.deliver()
+
+    def _send_missed(self) -> None:
+        """Send what trials could not, because the server was away when they ended."""
+        for missed in sorted(self.folder.glob(f"*/*/{MISSED}")):
+            progress = read_progress(max(missed.parent.glob("step-*")))
+            with self.tracking.resume(progress.run_id) as run:
+                run.params(json.loads(missed.read_text(encoding="utf-8")))
+                run.history(progress.history)
+            discard(missed)
 
     def child(self, name: str) -> str:
         """A trial's run, made here so that a retried trial and a resumed job continue it."""
@@ -268,7 +276,7 @@ class Job(Generic[Config]):
 
     def patiently(self, action: str, call: Callable[[], Answer]) -> Answer:
         """The answer of ``call``, asked again while the tracking server is away."""
-        return patiently(action, call, self.environment.patience_s)
+        return retry(action, call, self.environment.patience_s)
 
     def _busy(self) -> JobError:
         """That another process works on the job, with Ray's id of it where it has one."""
@@ -355,7 +363,7 @@ def registered_name(job: Job[Config], world: World, given: str | None, *, path: 
     digest, name = robot_digest(world), model_name(world, given, path=path)
     if given is None:
         return name
-    registry = MlflowRegistry(job.environment.tracking_uri)
+    registry = ModelRegistry(job.environment.tracking_uri)
     for model in {model_name(world, given, path=kind) for kind in (False, True)}:
         versions = job.patiently(f"looking at {model}", partial(registry.versions, model))
         other = next((one for one in versions if one.tags.get(TAG_ROBOT, digest) != digest), None)

@@ -5,7 +5,9 @@ import os
 from cspace.bundle import Bundle
 from cspace.errors import ConfigError
 from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, EXPERIMENT, TAG_STAGE, recorded_name
-from services.registry.ports import ID, ModelRegistry, Tracking
+from services.registry.entities import ID
+from services.registry.models import ModelRegistry
+from services.registry.tracking import Tracking
 from training.jobs.job import world_tag
 
 ALIASES = (ALIAS_CHALLENGER, ALIAS_CHAMPION)
@@ -28,10 +30,10 @@ def registry_uri() -> str:
 def registry_at(uri: str) -> tuple[Tracking, ModelRegistry]:
     """Runs and models on a tracking server."""
     # MLflow takes seconds to import.
-    from services.registry.mlflow_registry import MlflowRegistry  # noqa: PLC0415
-    from services.registry.mlflow_tracking import MlflowTracking  # noqa: PLC0415
+    from services.registry.models import ModelRegistry  # noqa: PLC0415
+    from services.registry.tracking import Tracking  # noqa: PLC0415
 
-    return MlflowTracking(uri), MlflowRegistry(uri)
+    return Tracking(uri), ModelRegistry(uri)
 
 
 def register_untrained(bundle: Bundle, uri: str, model: str, alias: str, stage: str) -> str:

@@ -18,7 +18,9 @@ from services.names import (
     TAG_DIGEST,
     TAG_STAGE,
 )
-from services.registry.ports import ID, ModelReference, ModelRegistry, ModelVersion, Tracking
+from services.registry.entities import ID, ModelReference, ModelVersion
+from services.registry.models import ModelRegistry
+from services.registry.tracking import Tracking
 
 # How many more of those that pass may be in collision for an arm, before a model is no better.
 _MARGIN = 0.005

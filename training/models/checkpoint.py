@@ -32,7 +32,7 @@ class Progress:
     Args:
         step: steps that are done.
         run_id: the tracking run that the trial reports to.
-        history: the metrics logged so far, each row with its ``step``.
+        history: the metrics logged so far, each row with its ``step`` and ``time_ms``.
     """
 
     step: int

@@ -12,7 +12,7 @@ import numpy as np
 from cspace.bundle import Bundle
 from cspace.dataset import Dataset, open_dataset
 from services.names import ALIAS_CHALLENGER, TAG_MODEL, recorded_name
-from services.registry.mlflow_registry import MlflowRegistry
+from services.registry.models import ModelRegistry
 from services.results import numbers
 from training.config import PathTrainConfig
 from training.data.generate import generate
@@ -70,7 +70,7 @@ def run_job(job: Job[PathTrainConfig]) -> PathTrainResult:
     """
     config = job.config
     with job.running() as run:
-        registry = MlflowRegistry(job.environment.tracking_uri)
+        registry = ModelRegistry(job.environment.tracking_uri)
         source = job.patiently(
             "fetching the source", lambda: source_bundle(config.source, registry, job.folder / "source")
         )
@@ -147,7 +147,7 @@ def _bundles(
 
 
 def _register(
-    job: Job[PathTrainConfig], registry: MlflowRegistry, model: str, name: str, bundle: Bundle
+    job: Job[PathTrainConfig], registry: ModelRegistry, model: str, name: str, bundle: Bundle
 ) -> int:
     tags = {
         "path_model": name,

@@ -10,7 +10,8 @@ from cspace.bundle.files import ENCODER_FILE, MAP_FILE, NOVELTY_FILE, VALIDITY_F
 from cspace.bundle.spec import WAYS
 from cspace.bundle.verification import load_verified
 from cspace.errors import BundleError, ConfigError
-from services.registry.ports import ModelReference, ModelRegistry
+from services.registry.entities import ModelReference
+from services.registry.models import ModelRegistry
 from training.jobs.environment import provenance
 
 

@@ -4,7 +4,7 @@ import logging
 import os
 import time
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import lightning
@@ -12,11 +12,12 @@ import torch
 from torch.utils.data import DataLoader
 
 from cspace.errors import RegistryError, RegistryUnavailableError
+from cspace.files import write_json
 from services.progress import Estimate
-from services.registry.mlflow_errors import lower_patience
-from services.registry.mlflow_tracking import MlflowTracking
-from services.registry.ports import RunLog
+from services.registry.errors import set_timeouts
+from services.registry.tracking import RunLog, Tracking
 from training.config import ResourceConfig
+from training.jobs.job import MISSED
 from training.models.checkpoint import Progress, load_checkpoint, read_progress, start_from
 from training.models.data import StepCounter
 from training.models.modules import Metrics, TrialModule
@@ -25,6 +26,8 @@ from training.trials.launch import TrialFolder, TrialRequest
 
 # Readers of a log want a line now and then, however fast the steps are.
 LINE_EVERY_S = 5.0
+# A server that hangs costs the client's timeout at each try.
+RETRY_S = 10.0
 # Whoever stops a job waits for this and for a checkpoint.
 STOP_LOOK_EVERY_S = 0.25
 
@@ -43,7 +46,7 @@ class TrialCallback(lightning.Callback):
         progress: where it starts.
         steps: where it ends.
         resources: how often it logs and checkpoints.
-        run: its tracking run.
+        run: its tracking run, finished here.
         folder: takes its checkpoints, and holds those of earlier attempts.
         stopping: whether it is to end early.
     """
@@ -62,6 +65,7 @@ class TrialCallback(lightning.Callback):
         self.resources, self.run, self.folder = resources, run, folder
         self.stopping, self.stopped, self.looked_s = stopping, False, time.monotonic()
         self.history = [dict(row) for row in progress.history]
+        self.sent, self.away_until = 0, float("-inf")
         self.first, self.started = progress.step, time.monotonic()
         self.shown_s, self.estimate = -LINE_EVERY_S, Estimate(steps, progress.step)
 
@@ -98,19 +102,14 @@ class TrialCallback(lightning.Callback):
         elapsed = time.monotonic() - self.started
         rate = (self.step - self.first) / max(elapsed, 1e-9)
         metrics = module.metrics() | {"steps_per_s": rate}
-        self.history.append({"step": float(self.step), **metrics})
-        self.run.metrics(metrics, self.step)
+        now_ms = time.time_ns() // 1_000_000
+        self.history.append({"step": float(self.step), "time_ms": float(now_ms), **metrics})
         if elapsed - self.shown_s < LINE_EVERY_S and self.step < self.steps:
             return
         self.shown_s = elapsed
         shown = ", ".join(f"{key} {value:.4g}" for key, value in metrics.items() if key != "steps_per_s")
         left = self.estimate.left(self.step)
         _LOG.info("%s: step %d/%d, %s%s", self.name, self.step, self.steps, shown, left)
-
-    @property
-    def last(self) -> Metrics:
-        """The last metrics."""
-        return {name: value for name, value in self.history[-1].items() if name != "step"}
 
     def _should_stop(self) -> bool:
         now = time.monotonic()
@@ -120,9 +119,16 @@ class TrialCallback(lightning.Callback):
         return self.stopping()
 
     def _checkpoint(self, module: TrialModule) -> None:
-        # First the metrics: a trial that goes on from here does not log them again.
-        self.run.flush()
+        # First the checkpoint: a trial that goes on from it sends the same points again, and no others.
         self.folder.save(module, Progress(self.step, self.run.run_id, tuple(self.history)))
+        if time.monotonic() < self.away_until:
+            return
+        try:
+            self.run.history(self.history[self.sent :])
+            self.sent = len(self.history)
+        except RegistryUnavailableError as error:
+            _LOG.warning("%s: metrics are sent later: %s", self.name, error)
+            self.away_until = time.monotonic() + RETRY_S
 
 
 def fit(
@@ -150,6 +156,7 @@ def fit(
 
     Raises:
         TrialStopped: it was, and did.
+        RegistryUnavailableError: it is trained, and the server is away.
     """
     checkpoint = folder.latest()
     progress = Progress(0, run.run_id, ()) if checkpoint is None else read_progress(checkpoint)
@@ -174,7 +181,8 @@ def fit(
                 trainer.fit(module, DataLoader(StepCounter(progress.step, steps), batch_size=None))
             if callback.stopped:
                 raise TrialStopped
-    return callback.last
+            run.history(callback.history[callback.sent :])
+    return last_metrics(callback.history)
 
 
 def fit_tracked(
@@ -187,8 +195,9 @@ def fit_tracked(
 ) -> Metrics | None:
     """Train a trial's module, from its last checkpoint on where it has one.
 
-    Training goes on while the tracking server is away: metrics wait on disk. A job that is being stopped ends
-    it early, with a checkpoint.
+    Training goes on while the tracking server is away: the metrics are in the checkpoint. What the server
+    lacks is sent when the trial ends, else by the job's driver. A job that is being stopped ends it early,
+    with a checkpoint.
 
     Args:
         trial: which.
@@ -206,23 +215,35 @@ def fit_tracked(
     logging.basicConfig(level=logging.WARNING, format="%(message)s", force=True)
     logging.getLogger("training").setLevel(logging.INFO)
     logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
-    # What can not be sent is kept, so there is nothing to be patient for.
-    lower_patience(os.environ)
+    # What can not be sent is sent later, so there is nothing to be patient for.
+    set_timeouts(os.environ)
     label = f"{trial.name} ({trial.job})"
     folder = TrialFolder(trial.folder, resources.checkpoints_kept)
     if trial.start is not None:
         start_from(trial.start, module)
         _LOG.info("%s: starts from the weights of %s", label, trial.start)
-    run = MlflowTracking(tracking_uri, spool_folder=trial.spool).resume(trial.run_id)
+    run = RunLog(Tracking(tracking_uri), trial.run_id)
     parameters = _parameters(trial, module, settings) | extra_parameters
-    shown = _show(run, parameters)
     try:
-        metrics = fit(label, module, settings.steps, resources, run, folder, trial.stop.exists)
+        run.params(parameters)
+    except RegistryUnavailableError:
+        _LOG.warning("%s: the tracking server is away; training goes on", label)
+    except RegistryError as error:
+        # A trial may go on where another version of the code began it.
+        _LOG.warning("run %s: other parameters than it began with: %s", run.run_id, error)
+    try:
+        return fit(label, module, settings.steps, resources, run, folder, trial.stop.exists)
     except TrialStopped:
         return None
-    if not shown:
-        _show(run, parameters)
-    return metrics
+    except RegistryUnavailableError as error:
+        _LOG.warning("%s: the job sends the metrics when it ends: %s", label, error)
+        write_json(trial.folder / MISSED, parameters)
+        return last_metrics(read_progress(folder.checkpoints()[-1]).history)
+
+
+def last_metrics(history: Sequence[Mapping[str, float]]) -> Metrics:
+    """Of a trial's last row."""
+    return {name: value for name, value in history[-1].items() if name not in ("step", "time_ms")}
 
 
 def _parameters(trial: TrialRequest, module: TrialModule, settings: TrialSettings) -> dict[str, Any]:
@@ -231,14 +252,3 @@ def _parameters(trial: TrialRequest, module: TrialModule, settings: TrialSetting
     device = "cuda" if torch.cuda.is_available() else "cpu"
     sizes = {"parameters": sum(one.numel() for one in module.parameters())}
     return settings.to_dict() | cluster | sizes | {"seed": trial.seed, "device": device}
-
-
-def _show(run: RunLog, parameters: Mapping[str, Any]) -> bool:
-    """Whether the run has them; a trial does not wait for that, and may go on where another began it."""
-    try:
-        run.params(parameters)
-    except RegistryUnavailableError:
-        return False
-    except RegistryError as error:
-        _LOG.warning("run %s: other parameters than it began with: %s", run.run_id, error)
-    return True

@@ -130,11 +130,6 @@ class TrialRequest:
         return self.folder.parent
 
     @property
-    def spool(self) -> Path:
-        """Where metrics wait that could not be sent, for all trials of the job."""
-        return self.stage.parent / "spool"
-
-    @property
     def stop(self) -> Path:
         """A file that is there while the job is being stopped."""
         return stop_file(self.stage.parent)

@@ -20,7 +20,7 @@ from cspace.simulator import Split, derived_seed
 from cspace.world import World
 from services.evaluator.scenes import Scene, Stage
 from services.names import EXPERIMENT, TAG_STAGE
-from services.registry.mlflow_tracking import MlflowTracking
+from services.registry.tracking import Tracking
 from training.config import ResourceConfig, TrainConfig
 from training.models.cells import UniformBase
 from training.models.mixture import GatedSampler, LookupSampler
@@ -128,7 +128,7 @@ def search_trial(
     module = make_wgan(gan, arrays, None, derived_seed(train.seed, "search"))
     gate = load_gate(train, Path(checkpoints["gate"]))
     name = "search " + tune.get_context().get_trial_id()
-    run = MlflowTracking(tracking_uri).start(
+    run = Tracking(tracking_uri).start(
         EXPERIMENT, name, parent_run_id=parent_run_id, tags={TAG_STAGE: "search-trial"}
     )
     with run:

@@ -29,7 +29,7 @@ from services.evaluator.benchmark.variants import (
     pick,
     table,
 )
-from services.registry.ports import Tracking
+from services.registry.tracking import Tracking
 
 WORLDS = examples()
 SPLITS = (Split.VALIDATION, Split.TEST)
@@ -59,9 +59,9 @@ def _tracking(environment: Mapping[str, str]) -> Tracking:
             "no tracking server is named", remedy="set MLFLOW_TRACKING_URI, or give --no-mlflow"
         )
     # MLflow takes seconds to import.
-    from services.registry.mlflow_tracking import MlflowTracking  # noqa: PLC0415
+    from services.registry.tracking import Tracking  # noqa: PLC0415
 
-    return MlflowTracking(uri)
+    return Tracking(uri)
 
 
 def parser() -> argparse.ArgumentParser:

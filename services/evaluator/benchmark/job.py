@@ -29,7 +29,8 @@ from services.evaluator.benchmark.variants import Key, Protocol, Setting, Unit, 
 from services.evaluator.cluster import on_cluster, spread
 from services.names import EXPERIMENT, NOTE, TAG_STAGE
 from services.progress import Progress
-from services.registry.ports import ID, Tracking
+from services.registry.entities import ID
+from services.registry.tracking import Tracking
 
 Show = Callable[[str], None]
 Execute = Callable[[Sequence[Unit], Setting, Sequence[SourceSpec]], Iterator[list[Row]]]

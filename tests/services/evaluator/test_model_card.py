@@ -8,7 +8,7 @@ from inference_api.settings import PRETRAINED_FOLDER
 from services.evaluator.job import evaluate_version
 from services.evaluator.model_card import make_card
 from services.names import ALIAS_CHALLENGER, MODEL_NAME, TAG_PRESET
-from services.registry.ports import ModelReference
+from services.registry.entities import ModelReference
 from services.registry.promotion import promote
 from tests.bundles import write_tiny_bundle
 from tests.fakes.registry import FakeRegistry, FakeTracking

@@ -10,7 +10,7 @@ from services.evaluator import measure
 from services.evaluator.measure import Budget
 from services.names import ALIAS_CHAMPION, MODEL_NAME
 from services.registry import __main__ as models
-from services.registry.mlflow_registry import MlflowRegistry
+from services.registry.models import ModelRegistry
 from services.registry.promotion import decisions
 from tests.contracts.mlflow_server import mlflow_server
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
@@ -44,7 +44,7 @@ def test_the_imported_shipped_model_is_judged_and_a_worsened_copy_is_refused(tmp
             assert not result["promoted"]
             (worse,) = [reason for reason in result["reasons"] if reason.startswith("worse than version 1")]
             assert "precision" in worse
-        registry = MlflowRegistry(uri)
+        registry = ModelRegistry(uri)
         assert registry.by_alias(MODEL_NAME, ALIAS_CHAMPION).number == 1
         assert [(one.version, one.promoted, one.against) for one in decisions(registry, MODEL_NAME)] == [
             (1, True, None),

@@ -1,140 +1,168 @@
-"""Confidence that is fitted to what became of plans."""
-
-import json
-from pathlib import Path
+"""Calibrations of plans by reported outcomes: who counts how much, and what becomes of a version."""
 
 import numpy as np
 import pytest
 
-from cspace.errors import EvaluationError, InputError, RegistryError
-from cspace.planning.cost import calibration_error, confidence_of_cost
-from services.evaluator.recalibrate import Fit, fitted, recalibrate
-from services.names import ALIAS_CHAMPION, CALIBRATIONS_EXPERIMENT, OUTCOMES_EXPERIMENT
-from services.registry.calibration import SiteCalibration
+from cspace.bundle import Bundle
+from cspace.errors import EvaluationError
+from cspace.planning.calibration import fit_calibration
+from cspace.planning.cost import confidence_of_cost
+from services.evaluator import recalibrate as module
+from services.evaluator.recalibrate import careful_fit, predicted_reports, recalibrate
+from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION
+from services.outcomes import Spool, upload
+from services.registry.entities import ModelReference
+from tests.bundles import write_tiny_bundle
 from tests.fakes.registry import FakeRegistry, FakeTracking
 
-MODEL, SITE = "panda-sampler/3", "lab-3"
+NAME = "cspace-sampler"
 # Half of what the model is 97 % sure of collides there.
 SHIFT = (2.0, 0.6)
-IN_USE = f"calibration-{SITE}/1"
 
 
 def drawn(count, seed=0, shift=SHIFT):
+    """Costs of plans that are stated with exp(-cost), and whether each was free."""
     rng = np.random.default_rng(seed)
     cost = np.exp(rng.normal(-3.0, 1.5, count))
     return cost, rng.random(count) < confidence_of_cost(cost, shift)
 
 
-def rows_of(cost, free, start=0, **more):
-    stated = confidence_of_cost(cost, more.pop("stated_by", (0.0, 1.0)))
+def rows_of(stated, free, clients=6, start=0, **more):
     return [
-        {"kind": "plan", "model": MODEL, "site": SITE, "client": "c", "request_id": f"r{start + at}"}
-        | {"confidence": float(stated[at]), "collided": not bool(free[at]), "success": bool(free[at])}
+        {"kind": "plan", "model": f"{NAME}/1", "site": "lab", "client": f"c{number % clients}"}
+        | {"request_id": f"r{number}", "problem": f"p{number}", "confidence": float(stated[number - start])}
+        | {"collided": not free[number - start], "success": bool(free[number - start])}
         | more
-        for at in range(len(cost))
+        for number in range(start, start + len(stated))
     ]
 
 
 class Platform:
-    """Tracking and registry, and outcomes that were uploaded to them."""
+    """Tracking and a registry with one version, and outcomes that were uploaded."""
 
-    def __init__(self, folder: Path) -> None:
-        self.tracking, self.folder = FakeTracking(), folder
+    def __init__(self, folder):
+        self.folder, self.tracking = folder, FakeTracking()
         self.registry = FakeRegistry(folder / "registry", self.tracking.runs)
+        self.bundle = Bundle.load(write_tiny_bundle(folder / "bundle", validity=True))
+        run = self.tracking.start("training", "run")
+        tags = {"preset": "smoke"}
+        self.registry.register(
+            NAME, self.bundle.folder, run.run_id, self.bundle.digest, tags, alias=ALIAS_CHAMPION
+        )
 
-    def upload(self, rows) -> None:
-        path = self.folder / "outcomes.jsonl"
-        path.write_text("".join(json.dumps(row) + "\n" for row in rows))
-        with self.tracking.start(OUTCOMES_EXPERIMENT, "outcomes") as run:
-            run.artifact(path)
+    def upload(self, rows):
+        spool = Spool(self.folder / "outcomes", 2**28, lambda *_: None)
+        for client in {row["client"] for row in rows}:
+            assert spool.add([row for row in rows if row["client"] == client])
+        list(upload(self.folder / "outcomes", self.tracking))
 
-    def recalibrate(self, model=None):
-        return recalibrate(SITE, model, self.tracking, self.registry)
+    def recalibrate(self, site=None, most=0.2):
+        return recalibrate(ModelReference.parse(NAME), site, most, self.tracking, self.registry)
 
 
 @pytest.fixture
-def platform(tmp_path: Path) -> Platform:
+def platform(tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        module, "load_verified", lambda folder, digest=None: Bundle.load(folder, digest=digest)
+    )
     return Platform(tmp_path)
 
 
-def test_two_hundred_outcomes_bring_the_calibration_error_of_other_plans_down(platform: Platform) -> None:
-    platform.upload(rows_of(*drawn(200)))
+def honest(count, seed=0, **more):
+    cost, free = drawn(count, seed)
+    return rows_of(np.exp(-cost), free, **more)
+
+
+def test_outcomes_make_the_challenger_with_another_calibration_once(platform):
+    platform.upload(honest(200))
     found = platform.recalibrate()
-    assert (found.plans, str(found.version), found.version.aliases) == (200, IN_USE, (ALIAS_CHAMPION,))
-    calibration = SiteCalibration.of(found.version)
-    assert calibration.model == MODEL
-    others, free = drawn(20_000, seed=9)
-    before = calibration_error(confidence_of_cost(others, (0.0, 1.0)), free)
-    after = calibration_error(confidence_of_cost(others, calibration.after((0.0, 1.0))), free)
-    assert before > 0.2
-    errors = [
-        calibration_error(confidence_of_cost(others, fitted(*drawn(200, seed)).parameters), free)
-        for seed in range(9)
-    ]
-    assert np.median(errors) < 0.05
-    assert max(after, *errors) < 0.1
-    # What it says of itself is about that.
-    assert found.fit.error_before == pytest.approx(before, abs=0.08)
-    assert found.fit.error == pytest.approx(after, abs=0.08)
+    assert (str(found.version), found.version.aliases, found.plans) == (f"{NAME}/2", (ALIAS_CHALLENGER,), 200)
+    assert found.version.tags["preset"] == "smoke"
+    made = Bundle.load(platform.registry.download(found.version, platform.folder / "made"))
+    [calibration] = made.spec.plan_calibration
+    assert calibration == found.parameters
+    # The networks are the same, and other plans of the place are predicted better.
+    for name in ("encoder.onnx", "generator.onnx", "validity.onnx", "golden.npz"):
+        assert (made.folder / name).read_bytes() == (platform.bundle.folder / name).read_bytes()
+    cost, free = drawn(20_000, seed=9)
+    assert (
+        abs(confidence_of_cost(cost, calibration).mean() - free.mean())
+        < 0.05
+        < np.exp(-cost).mean() - free.mean()
+    )
+    assert platform.registry.by_alias(NAME, ALIAS_CHAMPION).number == 1
+    assert platform.recalibrate().version == found.version
+    # The gate counts the reports for this version alone.
+    predicted = predicted_reports(made, platform.bundle, platform.tracking)
+    assert predicted.loss < predicted.before
+    assert predicted.gain.low > 0.0
+    assert predicted_reports(platform.bundle, platform.bundle, platform.tracking) is None
     run = platform.tracking.runs[found.version.run_id]
-    assert run.experiment == CALIBRATIONS_EXPERIMENT
     assert "figures/reliability.png" in run.artifacts
     assert [one["context"] for one in run.inputs] == ["calibration"]
 
 
-def test_the_same_outcomes_make_the_same_version_and_more_make_the_next(platform: Platform) -> None:
-    platform.upload(rows_of(*drawn(100)))
-    first = platform.recalibrate()
-    # The batch once more, as after an interruption, and a sender's repetition.
-    platform.upload(rows_of(*drawn(100)))
-    assert platform.recalibrate().version.number == first.version.number == 1
-    platform.upload(rows_of(*drawn(100, seed=2), start=100))
-    assert platform.recalibrate().version.number == 2
-    assert platform.registry.by_alias(f"calibration-{SITE}", ALIAS_CHAMPION).number == 2
-
-
-def test_confidence_that_a_calibration_has_changed_already_is_changed_back_first(platform: Platform) -> None:
-    platform.upload(rows_of(*drawn(300)))
-    first = platform.recalibrate()
-    by = SiteCalibration.of(first.version).after((0.0, 1.0))
-    cost, free = drawn(300, seed=3)
-    platform.upload(rows_of(cost, free, start=300, stated_by=by, calibration=IN_USE))
-    second = platform.recalibrate()
-    own = Platform(platform.folder / "own")
-    own.folder.mkdir()
-    own.upload(rows_of(*drawn(300)) + rows_of(cost, free, start=300))
-    expected = own.recalibrate()
-    assert second.fit.parameters == pytest.approx(expected.fit.parameters, abs=1e-4)
-
-
-def test_other_sites_models_and_plans_that_nobody_checked_do_not_count(platform: Platform) -> None:
-    rows = rows_of(*drawn(60))
-    for row in rows[:30]:
-        row["model"] = "panda-sampler/2"
-    unknown = rows_of(*drawn(40), start=100, collided=None) + rows_of(*drawn(40), start=200, site="lab-4")
-    samples = [{"kind": "samples", "model": MODEL, "site": SITE, "request_id": "s", "checked": 9, "free": 9}]
-    platform.upload(rows[:31] + unknown + samples)
-    assert SiteCalibration.of(platform.recalibrate().version).model == "panda-sampler/2"
-    with pytest.raises(InputError, match="the site is no name"):
-        recalibrate("lab 3'", None, platform.tracking, platform.registry)
-    with pytest.raises(EvaluationError, match=r"at least 20 of panda-sampler/3.*got 1; the site has 30 of"):
-        platform.recalibrate(MODEL)
-
-
-def test_a_model_that_is_right_is_left_as_it_is(platform: Platform) -> None:
-    fit = fitted(*drawn(40, shift=(0.0, 1.0)))
-    assert fit.parameters == pytest.approx((0.0, 1.0), abs=0.4)
-    worse = [seed for seed in range(20) if not fitted(*drawn(40, seed, shift=(0.0, 1.0))).better]
-    assert len(worse) >= 8
-    platform.upload(rows_of(*drawn(40, worse[0], shift=(0.0, 1.0))))
+def test_a_client_that_reports_without_end_does_not_outvote_the_others(platform):
+    platform.upload(honest(60))
+    stated = np.random.default_rng(1).choice([0.1, 0.3, 0.5], 900)
+    platform.upload(rows_of(stated, np.ones(900, bool), start=1000, client="forger"))
     found = platform.recalibrate()
-    assert isinstance(found.fit, Fit)
-    assert found.version.aliases == ()
+    assert found.plans == 75
+    for confidence in (1e-6, 0.1, 0.3, 0.5, 0.9, 0.99):
+        cost = np.array([-np.log(confidence)])
+        assert confidence_of_cost(cost, found.parameters) < confidence + 0.05
+    # What the others report still lowers it.
+    assert confidence_of_cost(np.array([0.1]), found.parameters) < 0.7
 
 
-@pytest.mark.parametrize("tags", [{}, {"model": MODEL, "offset": "nan", "slope": "1"}, {"slope": "0.0"}])
-def test_tags_that_are_no_calibration_are_refused(platform: Platform, tags: dict[str, str]) -> None:
-    with platform.tracking.start(CALIBRATIONS_EXPERIMENT, "by hand") as run:
-        version = platform.registry.record("calibration-x", run.run_id, tags)
-    with pytest.raises(RegistryError):
-        SiteCalibration.of(version)
+REFUSED = {
+    "one client": honest(200, clients=1),
+    "two clients": honest(200, clients=2),
+    "no problem is named": honest(200, problem=""),
+    "near-copies of ten problems": [row | {"problem": row["problem"][-1]} for row in honest(200)],
+    "no plan collides": [row | {"collided": False} for row in honest(200)],
+    "four plans are free": [row | {"collided": number > 3} for number, row in enumerate(honest(200))],
+    "another version's": honest(200, model=f"{NAME}/7"),
+    "another place's": honest(200, site="elsewhere"),
+    "nobody knows whether they collide": honest(200, collided=None),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_outcomes_that_prove_too_little_make_no_version(platform, case):
+    platform.upload(REFUSED[case])
+    with pytest.raises(EvaluationError, match="too few outcomes"):
+        platform.recalibrate(site="lab")
+    assert len(platform.registry.versions(NAME)) == 1
+
+
+def test_a_single_client_counts_where_it_is_trusted_and_bad_rows_block_nothing(platform):
+    rows = honest(60, clients=1)
+    bad = [
+        {"kind": "plan", "client": "c0", "request_id": 7},
+        rows[0] | {"request_id": "x", "confidence": 7.0},
+    ]
+    platform.upload([*rows, *bad])
+    assert platform.recalibrate(most=1.0).plans == 60
+
+
+def test_outcomes_that_agree_with_what_is_stated_change_nothing(platform):
+    cost, free = drawn(200, shift=(0.0, 1.0))
+    platform.upload(rows_of(np.exp(-cost), free))
+    with pytest.raises(EvaluationError, match="agree"):
+        platform.recalibrate()
+
+
+@pytest.mark.parametrize("shift", [(-1.5, 1.0), (0.0, 0.5), (1.5, 1.6), (-1.0, 0.4)])
+def test_no_confidence_is_raised_beyond_the_careful_end(shift):
+    rng = np.random.default_rng(4)
+    cost, client = np.exp(rng.normal(-0.7, 1.2, 400)), rng.integers(8, size=400)
+    free = rng.random(400) < confidence_of_cost(cost, shift)
+    found = careful_fit(cost, free, client)
+    assert found is not None
+    every = np.exp(np.linspace(np.log(1e-6), np.log(30.0), 200))
+    stated, now = np.exp(-every), confidence_of_cost(every, found)
+    picks = rng.integers(400, size=(100, 400))
+    again = [confidence_of_cost(every, fit_calibration(cost[one], free[one], 1.0)) for one in picks]
+    raised = now > stated + 1e-6
+    assert np.all(now[raised] <= np.quantile(again, 0.2, axis=0)[raised] + 1e-3)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from services.registry.mlflow_tracking import MlflowTracking
+from services.registry.tracking import Tracking
 
 
 @pytest.fixture(scope="session")
@@ -14,5 +14,5 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         # The store fixes its folder of artifacts, ./mlruns, when it is opened for the first time.
         patch.chdir(folder)
-        MlflowTracking(f"sqlite:///{folder / 'mlflow.db'}").start("first", "first")
+        Tracking(f"sqlite:///{folder / 'mlflow.db'}").start("first", "first")
     return folder

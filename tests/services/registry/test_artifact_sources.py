@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from cspace.errors import RegistryError
-from services.registry.mlflow_registry import MlflowRegistry, check_source
-from services.registry.ports import ModelVersion
+from services.registry.entities import ModelVersion
+from services.registry.models import ModelRegistry, check_source
 
 VERSION = ModelVersion("m", 1, "r", "d" * 64, (), {}, 0)
 SERVER = "http://user:secret@registry:5000"
@@ -65,7 +65,7 @@ def test_a_bundle_is_fetched_from_no_place_of_the_registrys_choice(
     (own / "secret").write_text("of this machine")
     registry.source = form.format(folder=tmp_path / "own", address=registry.address)
     with pytest.raises(RegistryError, match="artifact store"):
-        MlflowRegistry(registry.address).download(VERSION, tmp_path / "bundle")
+        ModelRegistry(registry.address).download(VERSION, tmp_path / "bundle")
     assert not (tmp_path / "bundle").exists()
     assert "elsewhere" not in "".join(registry.paths)
     assert "/x" not in registry.paths
@@ -74,7 +74,7 @@ def test_a_bundle_is_fetched_from_no_place_of_the_registrys_choice(
 def test_a_redirect_of_the_artifact_store_is_not_followed(registry: Registry, tmp_path: Path) -> None:
     registry.source = "mlflow-artifacts:/1/models/m"
     with pytest.raises(RegistryError):
-        MlflowRegistry(registry.address).download(VERSION, tmp_path / "bundle")
+        ModelRegistry(registry.address).download(VERSION, tmp_path / "bundle")
     assert any("mlflow-artifacts" in path for path in registry.paths)
     assert "/elsewhere" not in registry.paths
 
@@ -101,6 +101,8 @@ def test_the_artifact_store_is_where_bundles_are_fetched(source: str, uri: str, 
         ("mlflow-artifacts://registry:5000@elsewhere/1/m", ""),
         ("mlflow-artifacts:/1/../../api/2.0/mlflow/x", ""),
         ("mlflow-artifacts:/1/%2e%2e/%2e%2e/x", ""),
+        ("mlflow-artifacts:/1/%252e%252e/x", ""),
+        ("mlflow-artifacts:/1/100%/x", ""),
         ("models:/m/1", ""),
         ("runs:/r/model", ""),
         ("s3://models/1/m", ""),

@@ -7,8 +7,8 @@ from mlflow.entities import LoggedModelStatus
 
 from cspace.bundle import Bundle
 from cspace.errors import RegistryUnavailableError
-from services.registry.mlflow_registry import MlflowRegistry
-from services.registry.mlflow_tracking import MlflowTracking
+from services.registry.models import ModelRegistry
+from services.registry.tracking import Tracking
 from tests.bundles import write_tiny_bundle
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
 
@@ -54,10 +54,10 @@ def interrupted(patch, step, *, carried_out):
 @pytest.mark.parametrize(("step", "carried_out"), [(STEPS[0], False), *((step, True) for step in STEPS)])
 def test_a_repeated_registration_leaves_one_version(uri, bundle, step, carried_out, monkeypatch):
     name = f"model-{step}-{carried_out}"
-    run = MlflowTracking(uri).start("registering", name)
+    run = Tracking(uri).start("registering", name)
     run.metrics({"loss": 1.0}, 1)
     run.finish()
-    registry = MlflowRegistry(uri)
+    registry = ModelRegistry(uri)
 
     def register():
         return registry.register(name, bundle.folder, run.run_id, bundle.digest, {}, alias="challenger")
@@ -82,8 +82,8 @@ def test_a_call_that_was_repeated_below_makes_no_second_version(uri, bundle, mon
         return real(*args, **kwargs)
 
     monkeypatch.setattr(MlflowClient, "create_model_version", twice)
-    run = MlflowTracking(uri).start("registering", "twice")
-    registry = MlflowRegistry(uri)
+    run = Tracking(uri).start("registering", "twice")
+    registry = ModelRegistry(uri)
     version = registry.register("model-twice", bundle.folder, run.run_id, bundle.digest, {})
     assert [one.number for one in registry.versions("model-twice")] == [version.number] == [1]
     assert Bundle.load(registry.download(version, tmp_path / "bundle")).digest == bundle.digest

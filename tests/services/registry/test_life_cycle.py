@@ -16,7 +16,7 @@ from cspace.worlds.planar.world import PlanarWorld
 from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, TAG_ROLLED_BACK
 from services.registry import promotion
 from services.registry.__main__ import main
-from services.registry.ports import ModelVersion
+from services.registry.entities import ModelVersion
 from services.registry.promotion import (
     decisions,
     decisions_of,
@@ -96,13 +96,6 @@ def test_rolling_back_walks_down_the_row_of_champions(registry: FakeRegistry) ->
     assert champion(registry) == 1
 
 
-def test_the_way_back_leads_to_what_was_replaced_and_skips_what_was_deleted(registry: FakeRegistry) -> None:
-    promote_all(registry, 1, 2, 3, 1)
-    assert roll_back(registry, NAME, "worse").version == 3
-    delete(registry, version(registry, 2))
-    assert roll_back(registry, NAME, "worse").version == 1
-
-
 def tagged(registry: FakeRegistry) -> list[int]:
     """The versions that were rolled back from."""
     return [one.number for one in registry.versions(NAME) if TAG_ROLLED_BACK in one.tags]
@@ -124,25 +117,6 @@ def test_the_version_that_was_left_bears_the_date_until_it_is_promoted_again(reg
     record_decision(registry, decision)
     assert tagged(registry) == [2]
     assert roll_back(registry, NAME, "it was not").version == 1
-
-
-def test_a_roll_back_that_can_not_be_leaves_no_date(registry: FakeRegistry, tmp_path: Path) -> None:
-    promote(registry, version(registry, 1), "first")
-    with pytest.raises(ModelNotFoundError):
-        roll_back(registry, NAME, "worse")
-    promote(registry, version(registry, 2), "better")
-    (tmp_path / "registry" / NAME / "1" / "generator.onnx").write_bytes(b"damaged")
-    with pytest.raises(BundleError):
-        roll_back(registry, NAME, "worse")
-    assert (champion(registry), tagged(registry)) == (2, [])
-
-
-def test_an_exported_version_is_not_rolled_back_elsewhere(registry: FakeRegistry, tmp_path: Path) -> None:
-    promote_all(registry, 1, 2)
-    roll_back(registry, NAME, "worse")
-    folder = export_version(registry, version(registry, 2), tmp_path / "out")
-    came = import_version(FakeRegistry(tmp_path / "elsewhere"), FakeTracking(), folder, "mine")
-    assert TAG_ROLLED_BACK not in came.tags
 
 
 def test_what_an_alias_names_is_not_deleted(registry: FakeRegistry) -> None:
@@ -212,30 +186,6 @@ def test_a_version_is_not_imported_where_the_registry_has_those_of_another_robot
         import_version(registry, tracking, bundle, "arm-7-sampler")
     assert [len(registry.versions(name)) for name in registry.names()] == [1]
     assert import_version(registry, tracking, bundle, "arm-8-sampler").number == 1
-
-
-@pytest.mark.parametrize(
-    ("robot", "kind", "name"),
-    [
-        (TWO_LINK, "configuration", "mine"),
-        (TWO_LINK, "configuration", "two-link-sampler"),
-        (TWO_LINK, "path", "path-sampler"),
-        (TWO_LINK, "path", "cspace-path-sampler"),
-        (THREE_LINK, "path", "three-link-path-sampler"),
-        (OWN, "configuration", f"{OWN_NAME}-sampler"),
-    ],
-)
-def test_a_version_is_imported_under_its_robots_names_and_those_of_none(robot, kind, name, tmp_path) -> None:
-    registry, tracking = FakeRegistry(tmp_path / "registry"), FakeTracking()
-    bundle = write_tiny_bundle(tmp_path / "bundle", robot, kind=kind)
-    assert import_version(registry, tracking, bundle, name).number == 1
-
-
-def test_a_robot_keeps_its_own_name_where_earlier_releases_gave_it_to_others(tmp_path) -> None:
-    registry, tracking = FakeRegistry(tmp_path / "registry"), FakeTracking()
-    earlier = write_tiny_bundle(tmp_path / "earlier", THREE_LINK)
-    registry.register(NAME, earlier, "1", Bundle.load(earlier).digest, {})
-    assert import_version(registry, tracking, write_tiny_bundle(tmp_path / "own"), NAME).number == 2
 
 
 @pytest.mark.parametrize(

@@ -49,11 +49,6 @@ def test_a_model_lives_through_all_commands(uri: str, tmp_path: Path) -> None:
     assert [line.split()[0] for line in history] == [f"{NAME}/{number}" for number in (1, 2, 1)]
     assert history[2].endswith("by hand: rolled back from 2: worse in the field")
     assert "there is no" in models(uri, "history", "unknown", code=2)
-    assert "10% of the champion's plans" in models(uri, "shadow", f"{NAME}/2")
-    assert "shadow_share 0.1" in models(uri, "show", f"{NAME}@shadow")
-    assert "no plans any more" in models(uri, "shadow", f"{NAME}/2", "--share", "0")
-    assert "there is no" in models(uri, "show", f"{NAME}@shadow", code=2)
-    assert "--share does not fit" in models(uri, "shadow", f"{NAME}/2", "--share", "1.5", code=2)
     assert "is in use" in models(uri, "delete", f"{NAME}/1", "--yes", code=2)
     private, public = key(tmp_path, "lab")
     assert "is signed" in models(uri, "sign", f"{NAME}/1", "--key", str(private))
@@ -64,7 +59,7 @@ def test_a_model_lives_through_all_commands(uri: str, tmp_path: Path) -> None:
     exported = LocalSampler(tmp_path / "out" / "bundle").sample(picture, 30, seed=7)
     assert (exported.digest, exported.samples.shape) == (Bundle.load(tmp_path / "bundle-1").digest, (30, 2))
     assert "elsewhere/1 is" in models(uri, "import", str(tmp_path / "out"), "elsewhere")
-    # A signature is of the files, wherever they are registered.
-    assert "signature by a key" in models(uri, "show", "elsewhere/1")
+    # A signature is of one name and version.
+    assert "signature" not in models(uri, "show", "elsewhere/1")
     models(uri, "promote", f"{NAME}@challenger", "--reason", "mended")
     assert "there is none" in models(uri, "rollback", "elsewhere", "--reason", "none", code=2)

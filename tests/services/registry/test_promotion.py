@@ -8,7 +8,7 @@ import pytest
 from cspace.bundle import Bundle
 from cspace.errors import ModelNotFoundError, RegistryError
 from services.names import ALIAS_CHAMPION
-from services.registry.ports import ModelVersion
+from services.registry.entities import ModelVersion
 from services.registry.promotion import (
     ChampionPeriod,
     Decision,
@@ -59,29 +59,12 @@ def test_a_promotion_moves_the_champion_and_a_refusal_leaves_it(registry: FakeRe
         record_decision(registry, replace(DECISION, version=9))
 
 
-def test_the_log_of_a_version_only_grows(registry: FakeRegistry) -> None:
-    many = [replace(DECISION, promoted=False, created_ms=number) for number in range(12)]
-    for decision in many:
-        record_decision(registry, decision)
-    version = registry.version(NAME, 1)
-    assert decisions_of(version) == tuple(many)
-    keys = sorted(key for key in version.tags if key not in ("digest", "robot", "world"))
-    assert [key.rpartition(".")[0] for key in keys] == [f"decision.{number:04d}" for number in range(1, 13)]
-
-
 def test_the_ten_thousandth_entry_comes_after_the_one_before(registry: FakeRegistry) -> None:
     early, late = replace(DECISION, created_ms=5), replace(DECISION, created_ms=3)
     registry.set_tags(NAME, 1, {"decision.10000": late.to_json(), "decision.9999": early.to_json()})
     assert decisions_of(registry.version(NAME, 1)) == (early, late)
     record_decision(registry, DECISION)
     assert any(key.startswith("decision.10001.") for key in registry.version(NAME, 1).tags)
-
-
-def test_tags_that_only_look_alike_are_no_decisions(registry: FakeRegistry) -> None:
-    registry.set_tags(NAME, 1, {"decision.note": "x", "decision": "y", "decision.": "z"})
-    assert decisions(registry, NAME) == ()
-    record_decision(registry, DECISION)
-    assert decisions(registry, NAME) == (DECISION,)
 
 
 def test_the_log_of_the_model_is_in_the_order_of_time(registry: FakeRegistry) -> None:
@@ -141,35 +124,3 @@ def test_the_history_tells_which_version_was_the_champion_when(registry: FakeReg
     first = ChampionPeriod(1, 1, 3, DECISION.reasons[0])
     last = ChampionPeriod(1, 4, None, "by hand: rolled | back")
     assert history(registry, NAME) == (first, ChampionPeriod(2, 3, 4, "better"), last)
-    # The page, the newest first.
-    rows = registry.described[NAME].splitlines()
-    assert rows[2] == "| 1 | 1970-01-01 00:00:00 UTC |  | by hand: rolled / back |"
-    assert [row.split()[1] for row in rows[2:]] == ["1", "2", "1"]
-
-
-def test_the_history_names_a_champion_that_was_deleted(registry: FakeRegistry) -> None:
-    for version, before, now_ms in ((1, None, 1), (2, 1, 2), (3, 2, 3)):
-        record_decision(registry, replace(DECISION, version=version, against=before, created_ms=now_ms))
-    registry.delete(NAME, 2)
-    reason = DECISION.reasons[0]
-    assert history(registry, NAME) == (
-        ChampionPeriod(1, 1, None, reason),
-        ChampionPeriod(2, None, 3, None),
-        ChampionPeriod(3, 3, None, reason),
-    )
-    assert history(registry, "unknown") == ()
-
-
-class NoPages(FakeRegistry):
-    """A registry that describes no model."""
-
-    def __init__(self, inner: FakeRegistry) -> None:
-        self.__dict__.update(inner.__dict__)
-
-    def describe(self, name: str, note: str) -> None:
-        raise RegistryError(f"{name} cannot be described", got=note)
-
-
-def test_a_promotion_holds_where_the_page_cannot_be_written(registry: FakeRegistry) -> None:
-    record_decision(NoPages(registry), DECISION)
-    assert registry.by_alias(NAME, ALIAS_CHAMPION).number == 1

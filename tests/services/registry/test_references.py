@@ -6,7 +6,7 @@ import pytest
 
 from cspace.bundle import Bundle
 from cspace.errors import ConfigError, InputError
-from services.registry.ports import ModelReference
+from services.registry.entities import ModelReference
 from tests.bundles import write_tiny_bundle
 from tests.fakes.registry import FakeRegistry
 

@@ -1,5 +1,6 @@
 """Signed bundles, by the real package: what was signed is served, and nothing else."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -8,11 +9,9 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from cspace.bundle import Bundle
 from cspace.errors import BundleIntegrityError, ConfigError, ServiceError
-from inference_api.models import ModelStore
-from inference_api.problems import ModelNotReadyError
-from inference_api.settings import ApiSettings
+from inference_api.models.cache import BundleCache, DiskCache
 from services.registry import promotion, signing
-from services.registry.ports import ModelReference, ModelVersion
+from services.registry.entities import ModelVersion
 from services.registry.signing import require_signature
 from tests.bundles import write_tiny_bundle
 from tests.fakes.registry import FakeRegistry
@@ -51,35 +50,36 @@ def test_what_was_signed_is_served_and_nothing_else(
     registry, version, public = signed
     other = key(tmp_path, "other")[1]
 
-    def load(trusted: Path) -> Bundle:
-        settings = ApiSettings(
-            model_cache=tmp_path / "cache", pretrained_model=tmp_path / "none", trusted_key=trusted
-        )
-        store = ModelStore(settings, lambda: registry, lambda path, _: Bundle.load(path))
-        return store.get(ModelReference(version.name, version=1)).bundle
+    def load(trusted: Path, wanted: ModelVersion) -> Bundle:
+        disk = DiskCache(tmp_path / f"cache-{trusted.stem}-{len(wanted.tags)}")
+        cache = BundleCache(disk, registry, lambda path, _: Bundle.load(path), 2, trusted_key=trusted)
+        return cache.start(wanted).result(60.0)
 
-    assert load(public).digest == version.digest
-    with pytest.raises(ModelNotReadyError, match=r"does not hold.*other\.pub.*Key mismatch"):
-        load(other)
-    registry.remove_tag(version.name, 1, "signature")
-    with pytest.raises(ModelNotReadyError, match=r"not signed.*models sign"):
-        load(public)
+    assert load(public, version).digest == version.digest
+    with pytest.raises(BundleIntegrityError, match=r"does not hold.*other\.pub.*Key mismatch"):
+        load(other, version)
+    with pytest.raises(BundleIntegrityError, match=r"not signed.*models sign"):
+        load(public, replace(version, tags={}))
 
 
-def test_a_changed_byte_is_told_with_its_file(
+def test_a_signature_holds_for_no_other_name_version_or_files(
     signed: tuple[FakeRegistry, ModelVersion, Path], tmp_path: Path
 ) -> None:
     registry, version, public = signed
-    folder = registry.download(version, tmp_path / "changed")
-    signature = version.tags["signature"]
-    require_signature(folder, signature, public)
-    data = bytearray((folder / "golden.npz").read_bytes())
-    data[100] ^= 1
-    (folder / "golden.npz").write_bytes(data)
+    folder = registry.download(version, tmp_path / "own")
+    require_signature(folder, version, public)
+    changed = write_tiny_bundle(tmp_path / "changed", scale=0.5)
+    for where, claimed in (
+        (folder, replace(version, name="other")),
+        (folder, replace(version, number=2)),
+        (changed, version),
+        (folder, replace(version, tags={"signature": "{}"})),
+    ):
+        with pytest.raises(BundleIntegrityError, match="does not hold"):
+            require_signature(where, claimed, public)
+    (folder / "golden.npz").write_bytes(b"damaged")
     with pytest.raises(BundleIntegrityError, match=r"golden\.npz"):
-        require_signature(folder, signature, public)
-    with pytest.raises(BundleIntegrityError, match="does not hold"):
-        require_signature(folder, "{}", public)
+        require_signature(folder, version, public)
 
 
 def test_a_file_that_is_no_key_is_refused(
@@ -89,10 +89,7 @@ def test_a_file_that_is_no_key_is_refused(
     with pytest.raises(ConfigError, match="private key"):
         promotion.sign(registry, version, public)
     assert registry.version("arm-sampler", 1).tags == version.tags
-    with pytest.raises(ConfigError, match="CSPACE_TRUSTED_KEY"), monkeypatch.context() as patch:
-        patch.setenv("CSPACE_TRUSTED_KEY", str(tmp_path / "none.pub"))
-        ApiSettings.from_environment()
-    assert ApiSettings(trusted_key=public).trusted_key == public
+    folder = registry.download(version, tmp_path / "own")
     monkeypatch.setattr(signing, "find_spec", lambda _: None)
     with pytest.raises(ServiceError, match="no model-signing"):
-        require_signature(tmp_path, version.tags["signature"], public)
+        require_signature(folder, version, public)

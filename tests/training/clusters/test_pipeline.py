@@ -14,7 +14,7 @@ from cspace.png import encode_png
 from inference_api.app import create_app
 from inference_api.settings import ApiSettings
 from services.names import ALIAS_CHALLENGER, EXPERIMENT, MODEL_NAME
-from services.registry.mlflow_registry import MlflowRegistry
+from services.registry.models import ModelRegistry
 from tests.inference_api.client import running
 from tests.own_ray import run_alone
 from training.config import CLUSTERS_FILE
@@ -49,7 +49,7 @@ def run_script(uri, data_folder, *arguments, script="cluster_train.py"):
 
 def bundle_of(uri, name, number, folder):
     """The bundle of a registered version."""
-    registry = MlflowRegistry(uri)
+    registry = ModelRegistry(uri)
     return Bundle.load(registry.download(registry.version(name, number), folder))
 
 
@@ -102,7 +102,7 @@ def test_the_parent_holds_configuration_data_pictures_and_source(result, client)
 
 
 def test_the_bundle_is_the_challenger_with_its_lineage_and_samples(result, server, tmp_path):
-    registry = MlflowRegistry(server)
+    registry = ModelRegistry(server)
     version = registry.by_alias(MODEL_NAME, ALIAS_CHALLENGER)
     assert (version.number, version.run_id) == (result["version"], result["run_id"])
     bundle = Bundle.load(registry.download(version, tmp_path / "bundle"))
@@ -134,9 +134,7 @@ def test_a_three_link_arm_runs_through_the_same_job(server, data_folder, tmp_pat
     assert set(result["trials"]) == {"vae", "validity", "local-0", "local-1", "local-2", "global"}
     assert result["model"] == "three-link-sampler"
     bundle = bundle_of(server, result["model"], result["version"], tmp_path / "bundle")
-    settings = ApiSettings(
-        registry_uri=None, model_cache=tmp_path / "cache", pretrained_model=bundle.folder
-    )
+    settings = ApiSettings(registry_uri=None, model_cache=tmp_path / "cache", pretrained_model=bundle.folder)
     with running(create_app(settings, None)) as client:
         body = {"image": base64.b64encode(encode_png(WHITE)).decode(), "n": 7, "min_confidence": 0}
         answer = client.post("/sample", json=body)
@@ -199,7 +197,7 @@ def test_a_grown_data_set_is_trained_on_from_the_weights_of_a_version(server, da
     assert bundle.sample(WHITE, 9, 1, min_confidence=0.0).samples.shape == (9, 2)
     config = bundle.spec.provenance.config
     assert (config["start_from"], config[TAG_START]) == (reference, first["run_id"])
-    version = MlflowRegistry(server).version(MODEL_NAME, tuned["version"])
+    version = ModelRegistry(server).version(MODEL_NAME, tuned["version"])
     assert version.tags[TAG_START] == first["run_id"]
     run = client.get_run(tuned["run_id"])
     assert run.data.params["start_from"] == reference

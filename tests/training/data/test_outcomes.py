@@ -9,12 +9,11 @@ from cspace.dataset import Dataset
 from cspace.errors import DatasetError
 from cspace.png import encode_png
 from cspace.worlds import examples, robot_digest
-from services.outcomes import KnownPlan
 from tests.bundles import picture
 from tests.fakes.registry import FakeTracking
-from tests.services.test_known_plans import uploaded
+from tests.training.data.test_known_plans import uploaded
 from training.data import outcomes
-from training.data.outcomes import import_outcomes
+from training.data.outcomes import KnownPlan, import_outcomes
 
 WORLD = examples()["two-link"]
 PATH = np.array([[0.0, 0.0], [1.0, 0.0]])

@@ -8,7 +8,7 @@ import pytest
 
 from cspace.errors import ConfigError, ModelNotFoundError
 from inference_api.settings import PRETRAINED_FOLDER
-from services.registry.ports import ModelVersion
+from services.registry.entities import ModelVersion
 from tests.fakes.registry import FakeTracking
 from tests.training.models.builders import tiny_module
 from training.config import CLUSTERS_FILE, PathTrainConfig, TrainConfig
@@ -38,8 +38,8 @@ class Registry:
 @pytest.fixture
 def tracking(monkeypatch):
     tracking = FakeTracking()
-    monkeypatch.setattr("training.jobs.job.MlflowTracking", lambda uri, **spool: tracking)
-    monkeypatch.setattr("training.jobs.fine_tuning.MlflowRegistry", lambda uri: Registry())
+    monkeypatch.setattr("training.jobs.job.Tracking", lambda uri, **spool: tracking)
+    monkeypatch.setattr("training.jobs.fine_tuning.ModelRegistry", lambda uri: Registry())
     return tracking
 
 

@@ -4,11 +4,15 @@ import json
 import pytest
 
 from cspace.errors import ConfigError, JobError, RegistryUnavailableError, StorageError
+from cspace.files import write_json
 from services.names import TAG_KEY
 from tests.fakes.registry import FakeTracking
+from tests.training.models.builders import tiny_module
 from training.config import TrainConfig
 from training.jobs.environment import RECORD, Environment, job_environment, job_folder, run_of, submission_id
-from training.jobs.job import Job, kept_bundle
+from training.jobs.job import MISSED, Job, kept_bundle
+from training.models.checkpoint import Progress
+from training.trials.launch import TrialFolder
 
 SMOKE = TrainConfig.load("smoke", ["seed=4"])
 
@@ -21,7 +25,7 @@ def environment(tmp_path):
 @pytest.fixture
 def tracking(monkeypatch):
     tracking = FakeTracking()
-    monkeypatch.setattr("training.jobs.job.MlflowTracking", lambda uri, **spool: tracking)
+    monkeypatch.setattr("training.jobs.job.Tracking", lambda uri, **spool: tracking)
     return tracking
 
 
@@ -131,15 +135,30 @@ def test_an_interrupted_job_is_a_killed_run(environment, tracking):
     assert tracking.runs[job.run.run_id].status == "KILLED"
 
 
-def test_what_waited_is_delivered_before_a_job_counts_as_done(environment, tracking, monkeypatch):
-    def away():
-        raise RegistryUnavailableError("away")
-
+def test_what_trials_could_not_send_is_sent_before_a_job_counts_as_done(environment, tracking, monkeypatch):
     job = Job.start(SMOKE, environment, {})
-    monkeypatch.setattr(tracking, "deliver", away)
-    with pytest.raises(RegistryUnavailableError, match="away"), job.running():
-        pass
+    run_id, folder = job.child("local-0"), job.folder / "local" / "local-0"
+    rows = [{"step": 2.0, "time_ms": 7.0, "loss": 0.5}, {"step": 4.0, "time_ms": 9.0, "loss": 0.25}]
+    TrialFolder(folder).save(tiny_module(), Progress(4, run_id, tuple(rows)))
+    write_json(folder / MISSED, {"seed": 7})
+    with monkeypatch.context() as patch:
+        patch.setattr(tracking, "resume", away)
+        with pytest.raises(RegistryUnavailableError), job.running():
+            pass
     assert tracking.runs[job.run.run_id].status == "FAILED"
+    with Job.resume(job.run.run_id, environment, TrainConfig).running():
+        pass
+    run = tracking.runs[run_id]
+    assert (run.status, run.params, run.history) == (
+        "FINISHED",
+        {"seed": "7"},
+        {"loss": [(2, 0.5), (4, 0.25)]},
+    )
+    assert not (folder / MISSED).exists()
+
+
+def away(*_):
+    raise RegistryUnavailableError("away")
 
 
 def test_a_folder_that_can_not_be_written_or_has_no_room_is_told_before_the_work(

@@ -26,7 +26,7 @@ class StubJob:
 @pytest.fixture
 def registry(tmp_path, monkeypatch):
     found = FakeRegistry(tmp_path / "registry")
-    monkeypatch.setattr(job, "MlflowRegistry", lambda _: found)
+    monkeypatch.setattr(job, "ModelRegistry", lambda _: found)
     return found
 
 

@@ -12,7 +12,7 @@ from cspace.bundle.golden import scene
 from cspace.errors import ConfigError
 from inference_api.settings import PRETRAINED_FOLDER
 from services.names import ALIAS_CHALLENGER, EXPERIMENT, PATH_MODEL_NAME
-from services.registry.mlflow_registry import MlflowRegistry
+from services.registry.models import ModelRegistry
 from tests.bundles import write_tiny_bundle
 from tests.fakes.registry import FakeRegistry
 from tests.space_bundle import WORLD, write_space_bundle
@@ -45,7 +45,7 @@ def result(server, data_folder):
 def test_every_model_is_a_version_of_its_own_that_draws_between_start_and_goal(result, server, tmp_path):
     assert set(result["versions"]) == {"ways", "wgan"}
     assert len(set(result["versions"].values())) == len(result["versions"])
-    registry = MlflowRegistry(server)
+    registry = ModelRegistry(server)
     for name, number in result["versions"].items():
         version = registry.by_alias(PATH_MODEL_NAME, name.replace("_", "-"))
         assert version.number == number

@@ -1,6 +1,7 @@
 import pytest
 import torch
 
+from cspace.errors import RegistryUnavailableError
 from tests.fakes.run_log import RecordingRun
 from tests.training.models.builders import tiny_module
 from training.config import ResourceConfig
@@ -9,17 +10,25 @@ from training.trials.fit import TrialStopped, fit
 from training.trials.launch import TrialFolder
 
 
-class KilledAt(RecordingRun):
-    """A run whose trial ends without warning when it logs a step."""
+class Killed(RecordingRun):
+    """A run whose trial ends without warning at its first checkpoint, before anything was sent."""
 
-    def __init__(self, step):
+    def history(self, rows):
+        raise RuntimeError("killed")
+
+
+class Away(RecordingRun):
+    """A run whose server is away for the first checkpoints."""
+
+    def __init__(self, times):
         super().__init__()
-        self.step = step
+        self.times = times
 
-    def metrics(self, metrics, step):
-        if step == self.step:
-            raise RuntimeError("killed")
-        super().metrics(metrics, step)
+    def history(self, rows):
+        self.times -= 1
+        if self.times >= 0:
+            raise RegistryUnavailableError("the server is away")
+        super().history(rows)
 
 
 def train(module, folder, run, stopping=lambda: False):
@@ -35,17 +44,30 @@ def last(folder):
 def test_a_trial_logs_at_its_rhythm_and_keeps_its_last_step_with_its_whole_history(tmp_path):
     run = RecordingRun()
     metrics = train(tiny_module(), tmp_path, run)
-    assert [step for step, _ in run.rows] == [1, 2, 4, 6, 8, 9]
-    assert {"critic_loss", "generator_loss", "wasserstein_estimate", "steps_per_s"} <= set(run.rows[0][1])
+    assert steps_of(run) == [1, 2, 4, 6, 8, 9]
+    assert {"critic_loss", "generator_loss", "wasserstein_estimate", "steps_per_s"} <= set(run.rows[0])
     assert run.status == "FINISHED"
     assert last(tmp_path).step == 9
-    assert [row["step"] for row in last(tmp_path).history] == [1, 2, 4, 6, 8, 9]
-    assert (9, metrics) == run.rows[-1]
-    # What had come to its end trains nothing and has the same metrics.
+    assert list(last(tmp_path).history) == run.rows
+    assert metrics.items() < run.rows[-1].items()
+    # What had come to its end trains nothing, has the same metrics, and sends the same points.
     again = RecordingRun()
     assert train(tiny_module(), tmp_path, again) == metrics
-    assert again.rows == []
+    assert again.rows == run.rows
     assert again.status == "FINISHED"
+
+
+def steps_of(run):
+    return [row["step"] for row in run.rows]
+
+
+def test_metrics_that_the_server_missed_are_sent_at_the_end(tmp_path):
+    run = Away(1)
+    train(tiny_module(), tmp_path, run)
+    assert (steps_of(run), run.status) == ([1, 2, 4, 6, 8, 9], "FINISHED")
+    with pytest.raises(RegistryUnavailableError):
+        train(tiny_module(), tmp_path / "away", Away(9))
+    assert len(last(tmp_path / "away").history) == 6
 
 
 def same_weights(one, other):
@@ -56,11 +78,11 @@ def test_a_trial_that_was_killed_goes_on_from_its_checkpoint_to_the_same_weights
     whole = tiny_module()
     train(whole, tmp_path / "whole", RecordingRun())
     with pytest.raises(RuntimeError, match="killed"):
-        train(tiny_module(), tmp_path / "half", KilledAt(6))
+        train(tiny_module(), tmp_path / "half", Killed())
     assert last(tmp_path / "half").step == 4
     resumed, run = tiny_module(), RecordingRun()
     train(resumed, tmp_path / "half", run)
-    assert [step for step, _ in run.rows] == [5, 6, 8, 9]
+    assert steps_of(run) == [1, 2, 4, 5, 6, 8, 9]
     assert same_weights(whole, resumed)
 
 

@@ -1,16 +1,14 @@
 """Plans whose pictures were kept: which ends are known, and what they say of configurations."""
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from cspace.space import circles
-from services.names import OUTCOMES_FILE, VIEWS_FILE
-from services.outcomes import KnownPlan, Spool, forget, known_plans, upload, view_row
+from services.outcomes import Spool, upload, view_row
 from tests.fakes.registry import FakeTracking
+from training.data.outcomes import KnownPlan, known_plans
 
 SPACE = circles(2)
 PATH = np.array([[3.0, 0.0], [-2.2832, 0.0], [-2.2832, 0.5]])
@@ -30,8 +28,7 @@ def uploaded(folder: Path, *batches: list[dict[str, Any]]) -> FakeTracking:
     tracking = FakeTracking()
     for rows in batches:
         spool = Spool(folder, 2**28, lambda *_: None)
-        assert spool.add(rows)
-        spool.flush()
+        assert all(spool.add([row]) for row in rows)
         list(upload(folder, tracking))
     return tracking
 
@@ -53,23 +50,6 @@ def test_only_plans_whose_end_is_known_are_known(tmp_path: Path) -> None:
     assert [one.image for one in known_plans(tracking, "a", "lab")] == [b"picture 1"]
     [other] = known_plans(tracking, "b")
     np.testing.assert_array_equal(other.path, PATH)
-
-
-def test_pictures_lie_apart_from_outcomes_and_are_gone_when_their_time_is_over(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    over, short, longer = view(0, keep_s=-1.0), view(1, keep_s=50.0), view(2, keep_s=500.0)
-    tracking = uploaded(tmp_path, [over, short, longer, end(1, collided=False)], [view(3, keep_s=9e9)])
-    first, second = tracking.runs.values()
-    assert [json.loads(line) for line in first.artifacts[VIEWS_FILE].splitlines()] == [short, longer]
-    assert [json.loads(line)["kind"] for line in first.artifacts[OUTCOMES_FILE].splitlines()] == ["plan"]
-    assert forget(tracking) == 0
-    # The first of a batch whose time is over takes the others along.
-    monkeypatch.setattr("services.outcomes.time.time", lambda: short["keep_until_s"] + 1.0)
-    assert (forget(tracking), forget(tracking)) == (1, 0)
-    assert VIEWS_FILE not in first.artifacts
-    assert OUTCOMES_FILE in first.artifacts
-    assert VIEWS_FILE in second.artifacts
 
 
 def test_a_path_is_free_up_to_where_it_collides() -> None:

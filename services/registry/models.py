@@ -1,4 +1,4 @@
-"""The model registry on an MLflow server.
+"""Registered models on an MLflow server.
 
 Looking up and downloading work with ``mlflow-skinny`` alone; registering needs the whole of MLflow. A version
 belongs to one of MLflow's logged models, which ties it to its run and, through the run's inputs, to the data.
@@ -8,7 +8,7 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib.metadata import version
@@ -27,15 +27,13 @@ from cspace.bundle import BundleSpec
 from cspace.bundle.files import SPEC_FILE, read_files
 from cspace.errors import BundleIntegrityError, ModelNotFoundError, RegistryError, StorageError
 from services.names import ARTIFACT_STORE, TAG_DIGEST, world_tags
-from services.registry.failures import without_user_info
-from services.registry.mlflow_errors import all_pages, check_reachable, mapped
-from services.registry.mlflow_tracking import MAX_BATCH, MAX_DIGEST
-from services.registry.ports import ModelVersion, Shown
+from services.registry.entities import ModelVersion, Shown
+from services.registry.errors import check_reachable, mapped, without_user_info
+from services.registry.tracking import MAX_BATCH, MAX_DIGEST, all_pages
 
 # Where the bundle lies inside the saved model.
 BUNDLE_PATH = "artifacts/bundle"
 MODEL_CODE = Path(__file__).with_name("pyfunc_model.py")
-MODEL_TYPE = "sampler"
 _REQUIREMENTS = ("numpy", "onnx", "onnxruntime", "pillow", "pydantic")
 _PAGE = 100
 # A redirect and a presigned address lead wherever the answering server likes. MLflow reads these from the
@@ -43,24 +41,23 @@ _PAGE = 100
 _FOLLOW_NOTHING = {"MLFLOW_ALLOW_HTTP_REDIRECTS": "false", "MLFLOW_ENABLE_PROXY_MULTIPART_DOWNLOAD": "false"}
 
 
-class MlflowRegistry:
-    """The port :class:`services.registry.ports.ModelRegistry` on MLflow.
+class ModelRegistry:
+    """Where bundles become versions. What names a version that is not there raises ModelNotFoundError.
 
     Args:
         uri: of the tracking server, or ``sqlite:///…`` where the whole of mlflow is installed.
-        patience_s: how long the server may take to show that it is there, before each operation.
+        timeout_s: within which the server has to show that it is there, before each operation.
         artifact_store: address below which bundles are fetched beside the tracking server's own artifacts;
             ``CSPACE_ARTIFACT_STORE`` when empty.
     """
 
-    def __init__(self, uri: str, *, patience_s: float = 3.0, artifact_store: str = "") -> None:
+    def __init__(self, uri: str, *, timeout_s: float = 3.0, artifact_store: str = "") -> None:
         for name, value in _FOLLOW_NOTHING.items():
             os.environ.setdefault(name, value)
         with mapped("opening the registry"):
             self._client = MlflowClient(tracking_uri=uri, registry_uri=uri)
-        self._uri = uri
+        self._uri, self._timeout_s = uri, timeout_s
         self._artifact_store = artifact_store or os.environ.get(ARTIFACT_STORE, "")
-        self._patience_s = patience_s
 
     def register(
         self,
@@ -72,7 +69,11 @@ class MlflowRegistry:
         *,
         alias: str | None = None,
     ) -> ModelVersion:
-        """Make a bundle a version; see :meth:`services.registry.ports.ModelRegistry.register`."""
+        """Make a bundle of a run the next version of a model, which is created when it is new.
+
+        The same digest from the same run is registered once: a second call returns the first version, with
+        the tags and the alias set again. :func:`services.names.world_tags` are added.
+        """
         files = read_files(bundle_folder)
         if files.digest != digest:
             raise BundleIntegrityError(
@@ -82,31 +83,51 @@ class MlflowRegistry:
             )
         spec = BundleSpec.from_json(files.contents[SPEC_FILE])
         all_tags = {**tags, **world_tags(spec.world), TAG_DIGEST: digest}
-        found = [one for one in self.versions(name) if (one.run_id, one.digest) == (run_id, digest)]
-        if found:
-            number = found[-1].number
-            self.set_tags(name, number, all_tags)
-        else:
-            with mapped(f"registering {name} for run {run_id}"):
-                number = _create_version(self._client, name, bundle_folder, spec, run_id, all_tags)
-        if alias is not None:
-            self.set_alias(name, alias, number)
-        return self.version(name, number)
+
+        def create(run: Run) -> None:
+            model = _logged_model(self._client, name, bundle_folder, spec, run, all_tags)
+            _create_model(self._client, name)
+            # The UI links a version to its logged model by the short form, which only a server can resolve.
+            is_server = self._client.tracking_uri.startswith("http")
+            source = f"models:/{model.model_id}" if is_server else str(model.artifact_location)
+            self._client.create_model_version(
+                name, source, run_id=run_id, tags=all_tags, await_creation_for=0, model_id=model.model_id
+            )
+
+        return self._once(name, run_id, all_tags, alias, create)
 
     def record(
         self, name: str, run_id: str, tags: Mapping[str, str], *, alias: str | None = None
     ) -> ModelVersion:
-        """Make a version of tags; see :meth:`services.registry.ports.ModelRegistry.record`."""
-        with self._asking(f"recording {name} of run {run_id}"):
-            run = self._client.get_run(run_id)
+        """Make what a run found the next version of a model without a bundle: its tags are all there is.
+
+        A run makes one version for a digest: a second call returns it, with the tags and the alias set again.
+        """
+
+        def create(run: Run) -> None:
             _create_model(self._client, name)
-            source = str(run.info.artifact_uri)
-            if not self._runs_of(name, run_id):
-                self._client.create_model_version(
-                    name, source, run_id=run_id, tags=dict(tags), await_creation_for=0
-                )
-            # A call that was repeated may have made two.
-            first, *repeated = self._runs_of(name, run_id)
+            self._client.create_model_version(
+                name, str(run.info.artifact_uri), run_id=run_id, tags=dict(tags), await_creation_for=0
+            )
+
+        return self._once(name, run_id, tags, alias, create)
+
+    def _once(
+        self,
+        name: str,
+        run_id: str,
+        tags: Mapping[str, str],
+        alias: str | None,
+        create: Callable[[Run], None],
+    ) -> ModelVersion:
+        """The version of a run and a digest, created where there is none."""
+        with self._asking(f"registering {name} for run {run_id}"):
+            run = self._client.get_run(run_id)
+            if not (made := self._made(name, run_id, tags.get(TAG_DIGEST))):
+                create(run)
+                made = self._made(name, run_id, tags.get(TAG_DIGEST))
+            # A call that MLflow's client repeated may have made two.
+            first, *repeated = made
             for number in repeated:
                 self._client.delete_model_version(name, str(number))
         self.set_tags(name, first, tags)
@@ -114,23 +135,22 @@ class MlflowRegistry:
             self.set_alias(name, alias, first)
         return self.version(name, first)
 
-    def _runs_of(self, name: str, run_id: str) -> list[int]:
-        """Versions that a run made, the first first."""
+    def _made(self, name: str, run_id: str, digest: str | None) -> list[int]:
         found = self._client.search_model_versions(f"name='{name}' AND run_id='{run_id}'")
-        return sorted(int(one.version) for one in found)
+        return sorted(int(one.version) for one in found if one.tags.get(TAG_DIGEST) == digest)
 
     def version(self, name: str, number: int) -> ModelVersion:
-        """One version by its number; see :meth:`services.registry.ports.ModelRegistry.version`."""
+        """One version by its number."""
         with self._asking(f"looking up {name}/{number}", lookup=True):
             return _version(self._client.get_model_version(name, str(number)))
 
     def by_alias(self, name: str, alias: str) -> ModelVersion:
-        """The version of an alias; see :meth:`services.registry.ports.ModelRegistry.by_alias`."""
+        """The version that an alias points to."""
         with self._asking(f"looking up {name}@{alias}", lookup=True):
             return _version(self._client.get_model_version_by_alias(name, alias))
 
     def versions(self, name: str) -> tuple[ModelVersion, ...]:
-        """All versions, newest first; see :meth:`services.registry.ports.ModelRegistry.versions`."""
+        """All versions, newest first; empty for an unknown model."""
         if "'" in name:
             # It would end the filter's quotes, and MLflow has no way to escape it.
             return ()
@@ -138,59 +158,49 @@ class MlflowRegistry:
             found = all_pages(self._client.search_model_versions, f"name='{name}'", max_results=_PAGE)
             # MLflow's search for versions leaves the aliases out.
             aliases = self._client.get_registered_model(name).aliases if found else {}
-            complete = [
-                replace(one, aliases=tuple(sorted(a for a in aliases if int(aliases[a]) == one.number)))
-                for one in map(_version, found)
-            ]
+        complete = [
+            replace(one, aliases=tuple(sorted(a for a in aliases if int(aliases[a]) == one.number)))
+            for one in map(_version, found)
+        ]
         return tuple(sorted(complete, key=lambda one: one.number, reverse=True))
 
     def names(self) -> tuple[str, ...]:
-        """The registered models; see :meth:`services.registry.ports.ModelReader.names`."""
+        """The registered models, in alphabetical order."""
         with self._asking("listing the models"):
             found = all_pages(self._client.search_registered_models, max_results=_PAGE)
             return tuple(sorted(model.name for model in found))
 
     def delete(self, name: str, number: int) -> None:
-        """Delete a version; see :meth:`services.registry.ports.ModelRegistry.delete`."""
+        """Delete a version for good; its number is not given again."""
         with self._asking(f"deleting {name}/{number}", lookup=True):
             self._client.delete_model_version(name, str(number))
 
     def set_alias(self, name: str, alias: str, number: int) -> None:
-        """Point an alias to a version; see :meth:`services.registry.ports.ModelRegistry.set_alias`."""
+        """Point an alias to a version, away from whichever had it."""
         with self._asking(f"pointing {name}@{alias} to {number}", lookup=True):
             self._client.set_registered_model_alias(name, alias, str(number))
 
-    def remove_alias(self, name: str, alias: str) -> None:
-        """Take an alias away; see :meth:`services.registry.ports.ModelRegistry.remove_alias`."""
-        with self._asking(f"taking {name}@{alias} away", lookup=True):
-            self._client.delete_registered_model_alias(name, alias)
-
     def set_tags(self, name: str, number: int, tags: Mapping[str, str]) -> None:
-        """Set tags on a version; see :meth:`services.registry.ports.ModelRegistry.set_tags`."""
+        """Set tags on a version; others stay."""
         with self._asking(f"setting tags on {name}/{number}", lookup=True):
             for key, value in tags.items():
                 self._client.set_model_version_tag(name, str(number), key, value)
 
     def remove_tag(self, name: str, number: int, tag: str) -> None:
-        """Take a tag off; see :meth:`services.registry.ports.ModelRegistry.remove_tag`."""
+        """Take a tag off a version; nothing happens where it has none of this name."""
         with self._asking(f"taking a tag off {name}/{number}", lookup=True):
             self._client.delete_model_version_tag(name, str(number), tag)
 
-    def describe(self, name: str, note: str) -> None:
-        """Show a note on a model's page; see :meth:`services.registry.ports.ModelRegistry.describe`."""
-        with self._asking(f"describing {name}", lookup=True):
-            self._client.update_registered_model(name, note)
-
     def show(self, version: ModelVersion, shown: Shown) -> None:
-        """Show figures and a note; see :meth:`services.registry.ports.ModelRegistry.show`."""
-        name, number = version.name, str(version.number)
+        """Show figures and a note of a version, on its run and logged model too, in place of earlier ones."""
         with self._asking(f"showing figures of {version}", lookup=True):
-            self._client.update_model_version(name, number, shown.note)
+            self._client.update_model_version(version.name, str(version.number), shown.note)
         with mapped(f"showing figures of {version}"):
-            models = _logged_models(self._client, name, self._client.get_run(version.run_id), version.digest)
-            whole = [model.model_id for model in models if model.status == LoggedModelStatus.READY]
-            model_id = whole[0] if whole else None
-            now_ms, digest = time.time_ns() // 1_000_000, shown.data_digest[:MAX_DIGEST]
+            run = self._client.get_run(version.run_id)
+            model = next(_whole_models(self._client, version.name, run, version.digest), None)
+            model_id = None if model is None else model.model_id
+            digest = shown.data_digest[:MAX_DIGEST]
+            now_ms = time.time_ns() // 1_000_000
             points = [
                 Metric(key, value, now_ms, 0, model_id, shown.data, digest, version.run_id)
                 for key, value in shown.metrics.items()
@@ -198,34 +208,32 @@ class MlflowRegistry:
             self._client.log_batch(version.run_id, points)
 
     def download(self, version: ModelVersion, folder: Path) -> Path:
-        """Fetch a version's bundle; see :meth:`services.registry.ports.ModelRegistry.download`."""
+        """Fetch a version's bundle into a new folder, whole or not at all; returns the folder."""
         if folder.exists():
             raise StorageError("the download's folder exists", expected="a new folder", got=str(folder))
-        label = str(version)
-        with self._asking(f"looking up {label}", lookup=True):
+        with self._asking(f"looking up {version}", lookup=True):
             source = self._client.get_model_version_download_uri(version.name, str(version.number))
-        check_source(label, source, self._uri, self._artifact_store)
-        with mapped(f"downloading {label}"):
+        check_source(str(version), source, self._uri, self._artifact_store)
+        with mapped(f"downloading {version}"):
             folder.parent.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as beside:
-                fetched = download_artifacts(
-                    artifact_uri=f"{source}/{BUNDLE_PATH}",
-                    dst_path=beside,
-                    tracking_uri=self._uri,
-                    registry_uri=self._uri,
+                address = f"{source}/{BUNDLE_PATH}"
+                got = Path(
+                    download_artifacts(
+                        address, dst_path=beside, tracking_uri=self._uri, registry_uri=self._uri
+                    )
                 )
-                got = Path(fetched)
                 if not got.is_dir() or not any(got.iterdir()):
                     raise ModelNotFoundError(
-                        f"{label} holds no bundle", expected=BUNDLE_PATH, got="a model of another kind"
+                        f"{version} holds no bundle", expected=BUNDLE_PATH, got="a model of another kind"
                     )
                 got.rename(folder)
         return folder
 
     @contextmanager
     def _asking(self, action: str, *, lookup: bool = False) -> Iterator[None]:
-        """See :func:`mapped`; a server that is away is found out first, with this registry's patience."""
-        check_reachable(self._uri, self._patience_s)
+        """As :func:`mapped`; a server that is away is found out first, within this registry's timeout."""
+        check_reachable(self._uri, self._timeout_s)
         with mapped(action, lookup=lookup):
             yield
 
@@ -241,18 +249,17 @@ def check_source(label: str, source: str, tracking_uri: str, artifact_store: str
         source: the address that the registry names.
         tracking_uri: of the registry. The artifacts of one that is no server are files of this machine.
         artifact_store: address of a further store whose artifacts are fetched; none when empty.
-
-    Raises:
-        RegistryError: the address is outside of both.
     """
     found, server, store = urlsplit(source), urlsplit(tracking_uri), artifact_store.rstrip("/")
-    own = ("", server.netloc, server.netloc.rpartition("@")[2])
-    if server.scheme not in ("http", "https"):
-        is_known = found.scheme in ("", "file") and not found.netloc
-    else:
+    if server.scheme in ("http", "https"):
+        own = ("", server.netloc, server.netloc.rpartition("@")[2])
         is_known = found.scheme == "mlflow-artifacts" and found.netloc in own
+    else:
+        is_known = found.scheme in ("", "file") and not found.netloc
     is_known = is_known or (bool(store) and source.startswith(f"{store}/"))
-    if not is_known or ".." in unquote(source).replace("\\", "/").split("/"):
+    # Further servers on the way may decode once more.
+    decoded = unquote(source)
+    if not is_known or "%" in decoded or ".." in decoded.replace("\\", "/").split("/"):
         raise RegistryError(
             f"{label} does not lie in the artifact store",
             expected="mlflow-artifacts of the tracking server" + (f", or {store}/..." if store else ""),
@@ -282,54 +289,19 @@ def _create_model(client: MlflowClient, name: str) -> None:
             raise
 
 
-def _create_version(
-    client: MlflowClient,
-    name: str,
-    bundle_folder: Path,
-    spec: BundleSpec,
-    run_id: str,
-    tags: Mapping[str, str],
-) -> int:
-    """Upload a bundle as a logged model of its run and make it the next version, once; returns its number.
-
-    Each step may be the last one of a process, and each call may be carried out without an answer. So what an
-    interrupted attempt has finished is taken over, what it left half is deleted, and a version that a call
-    made twice because it was repeated is one again.
-    """
-    run, digest = client.get_run(run_id), tags[TAG_DIGEST]
-    whole = []
-    for one in _logged_models(client, name, run, digest):
-        if one.status == LoggedModelStatus.READY:
-            whole.append(one)
+def _whole_models(client: MlflowClient, name: str, run: Run, digest: str) -> Iterator[LoggedModel]:
+    """Logged models of a run and a digest; those that an interrupted attempt left half are deleted."""
+    query = f"source_run_id = '{run.info.run_id}' AND name = '{name}'"
+    for model in client.search_logged_models([run.info.experiment_id], query):
+        if model.tags.get(TAG_DIGEST) != digest:
+            continue
+        if model.status == LoggedModelStatus.READY:
+            yield model
         else:
-            client.delete_logged_model(one.model_id)
-    model = whole[0] if whole else _log_model(client, name, bundle_folder, spec, run, tags)
-    _create_model(client, name)
-    # The UI links a version to its logged model by the short form, which only a server can resolve.
-    is_server = client.tracking_uri.startswith("http")
-    client.create_model_version(
-        name,
-        f"models:/{model.model_id}" if is_server else str(model.artifact_location),
-        run_id=run_id,
-        tags=dict(tags),
-        await_creation_for=0,
-        model_id=model.model_id,
-    )
-    made = client.search_model_versions(f"name='{name}' AND run_id='{run_id}'")
-    first, *repeated = sorted(int(one.version) for one in made if one.tags.get(TAG_DIGEST) == digest)
-    for number in repeated:
-        client.delete_model_version(name, str(number))
-    return first
+            client.delete_logged_model(model.model_id)
 
 
-def _logged_models(client: MlflowClient, name: str, run: Run, digest: str) -> list[LoggedModel]:
-    found = client.search_logged_models(
-        [run.info.experiment_id], f"source_run_id = '{run.info.run_id}' AND name = '{name}'"
-    )
-    return [model for model in found if model.tags.get(TAG_DIGEST) == digest]
-
-
-def _log_model(
+def _logged_model(
     client: MlflowClient,
     name: str,
     bundle_folder: Path,
@@ -337,16 +309,20 @@ def _log_model(
     run: Run,
     tags: Mapping[str, str],
 ) -> LoggedModel:
-    run_id = run.info.run_id
+    """A bundle as a logged model of its run; one that an interrupted attempt has finished is taken over."""
+    whole = list(_whole_models(client, name, run, tags[TAG_DIGEST]))
+    if whole:
+        return whole[0]
+    info = run.info
     model = client.create_logged_model(
-        run.info.experiment_id, name, run_id, dict(tags), run.data.params, MODEL_TYPE
+        info.experiment_id, name, info.run_id, dict(tags), run.data.params, "sampler"
     )
     status = LoggedModelStatus.FAILED
     try:
         with tempfile.TemporaryDirectory(prefix="cspace-model-") as folder:
             _save_model(bundle_folder, spec, Path(folder), model.model_id, tags)
             client.log_model_artifacts(model.model_id, f"{folder}/model")
-        client.log_outputs(run_id, [LoggedModelOutput(model.model_id, step=0)])
+        client.log_outputs(info.run_id, [LoggedModelOutput(model.model_id, step=0)])
         _carry_metrics(client, run, model.model_id)
         status = LoggedModelStatus.READY
     finally:
@@ -357,7 +333,7 @@ def _log_model(
 def _carry_metrics(client: MlflowClient, run: Run, model_id: str) -> None:
     """Show the run's last metrics and its data set on the logged model too.
 
-    The run itself does not change: points that equal one that is there are dropped by MLflow.
+    The run itself does not change: MLflow drops points that equal one that is there.
     """
     run_id, used = run.info.run_id, run.inputs.dataset_inputs if run.inputs else []
     name, digest = (used[0].dataset.name, used[0].dataset.digest) if used else (None, None)

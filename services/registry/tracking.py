@@ -1,0 +1,344 @@
+"""Runs on an MLflow server, named by their ids; no run is ever current.
+
+MLflow's own asynchronous logging loses what a killed process had queued. So metrics are sent in batches, and
+a trial sends them from its checkpoint: those that the server missed are sent again, and it drops the points
+that it has.
+"""
+
+import json
+import tempfile
+import time
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self, TypeVar
+
+import PIL.Image
+from mlflow import MlflowClient
+from mlflow.artifacts import download_artifacts
+from mlflow.entities import Dataset, DatasetInput, Experiment, InputTag, Metric, Param, Run, RunTag
+from mlflow.exceptions import MlflowException
+from mlflow.store.artifact.artifact_repository_registry import get_artifact_repository
+from mlflow.store.entities import PagedList
+
+from cspace.errors import RegistryError
+from services.names import OUTCOMES_EXPERIMENT, TAG_KEY
+from services.registry.entities import ID, ID_LENGTH, FoundRun, RunStatus, flatten
+from services.registry.errors import mapped, retry
+from services.registry.views import experiment_page
+
+# Limits of the server: metrics and parameters in one call, and characters of a data set's digest.
+MAX_BATCH, _MAX_PARAMS, MAX_DIGEST = 1000, 100, 36
+# A call costs about as much for one metric as for many.
+_BUFFERED, _BUFFERED_S = 500, 5.0
+_PARENT = "mlflow.parentRunId"
+Answer = TypeVar("Answer")
+Item = TypeVar("Item")
+
+
+class Tracking:
+    """Where runs are kept.
+
+    Args:
+        uri: of the tracking server, or ``sqlite:///…`` where the whole of mlflow is installed.
+        wait_s: how long calls wait for a server that is away; None raises RegistryUnavailableError at once.
+    """
+
+    def __init__(self, uri: str, *, wait_s: float | None = None) -> None:
+        with mapped("opening the tracking server"):
+            self.client = MlflowClient(tracking_uri=uri, registry_uri=uri)
+        self._uri, self._wait_s = uri, wait_s
+
+    def start(
+        self,
+        experiment: str,
+        name: str,
+        parent_run_id: str | None = None,
+        tags: Mapping[str, str] | None = None,
+        key: str | None = None,
+    ) -> "RunLog":
+        """Start a run, or go on with the one of the same key.
+
+        Args:
+            experiment: created when it is new.
+            name: of the run; ``{id}`` in it becomes the first characters of the run's id.
+            parent_run_id: the run under which it is shown.
+            tags: commit, seeds, preset.
+            key: names the run within its experiment for whoever was interrupted before he could remember its
+                id: letters, digits, ``-``, ``_`` and ``/``. None always starts a new one.
+        """
+        parent = {} if parent_run_id is None else {_PARENT: parent_run_id}
+        keyed = {} if key is None else {TAG_KEY: key}
+        all_tags = {**(tags or {}), **parent, **keyed}
+        return self.ask(f"starting the run {name}", partial(self._start, experiment, name, all_tags, key))
+
+    def _start(self, experiment: str, name: str, tags: dict[str, str], key: str | None) -> "RunLog":
+        experiment_id = self._experiment_id(experiment)
+        query = f"tags.`{TAG_KEY}` = '{key}'"
+        found = [] if key is None else self.client.search_runs([experiment_id], query, max_results=1)
+        run = found[0] if found else self.client.create_run(experiment_id, run_name=name, tags=tags)
+        run_id, name = str(run.info.run_id), str(run.info.run_name)
+        if ID in name:
+            self.client.update_run(run_id, name=name.replace(ID, run_id[:ID_LENGTH]))
+        log = RunLog(self, run_id)
+        log.open()
+        return log
+
+    def resume(self, run_id: str) -> "RunLog":
+        """Go on with a run that was started before, by this or by another process."""
+        log = RunLog(self, run_id)
+        self.ask(f"resuming the run {run_id}", log.open)
+        return log
+
+    def note(self, run_id: str, tags: Mapping[str, str]) -> None:
+        """Set tags of a run, whether it has ended or not; it is not resumed."""
+        pairs = [RunTag(*pair) for pair in tags.items()]
+        self.ask(f"setting tags of run {run_id}", lambda: self.client.log_batch(run_id, tags=pairs))
+
+    def run(self, run_id: str) -> FoundRun:
+        """One run."""
+        return self.ask(f"looking up the run {run_id}", lambda: _found(self.client.get_run(run_id)))
+
+    def children(self, run_id: str) -> tuple[FoundRun, ...]:
+        """The runs that are shown under another, newest first."""
+        with mapped(f"looking up the runs under {run_id}"):
+            experiment_id = self.client.get_run(run_id).info.experiment_id
+            return self._search(experiment_id, f"tags.`{_PARENT}` = '{run_id}'")
+
+    def finished(self, experiment: str) -> tuple[FoundRun, ...]:
+        """The runs of an experiment that have finished, newest first; empty for an unknown one."""
+        with mapped(f"looking up the runs of {experiment}"):
+            one = self.client.get_experiment_by_name(experiment)
+            return () if one is None else self._search(one.experiment_id, "attributes.status = 'FINISHED'")
+
+    def _search(self, experiment_id: str, query: str) -> tuple[FoundRun, ...]:
+        newest = ["attributes.start_time DESC"]
+        return tuple(map(_found, all_pages(self.client.search_runs, [experiment_id], query, order_by=newest)))
+
+    def file(self, run_id: str, path: str, folder: Path) -> Path | None:
+        """A file that a run keeps, fetched into a folder; None where it keeps none of this name."""
+        with mapped(f"fetching {path} of run {run_id}"):
+            if not self._keeps(run_id, path):
+                return None
+            fetched = download_artifacts(
+                run_id=run_id, artifact_path=path, dst_path=str(folder), tracking_uri=self._uri
+            )
+            return Path(fetched)
+
+    def remove_file(self, run_id: str, path: str) -> None:
+        """Delete a file that a run keeps, for good; nothing happens where it keeps none of this name."""
+        with mapped(f"deleting {path} of run {run_id}"):
+            if self._keeps(run_id, path):
+                address = self.client.get_run(run_id).info.artifact_uri
+                repository: Any = get_artifact_repository(address, tracking_uri=self._uri)
+                repository.delete_artifacts(path)
+
+    def _keeps(self, run_id: str, path: str) -> bool:
+        parent = Path(path).parent.as_posix()
+        there = self.client.list_artifacts(run_id, None if parent == "." else parent)
+        return any(one.path == path for one in there)
+
+    def ask(self, action: str, call: Callable[[], Answer]) -> Answer:
+        """The answer of a call that may be repeated, waited for as long as this waits."""
+
+        def call_once() -> Answer:
+            with mapped(action):
+                return call()
+
+        return call_once() if self._wait_s is None else retry(action, call_once, self._wait_s)
+
+    def _experiment_id(self, name: str) -> str:
+        found: Experiment | None = self.client.get_experiment_by_name(name)
+        if found is None:
+            try:
+                self.client.create_experiment(name)
+            except MlflowException as error:
+                # Another trial may have been quicker.
+                if error.error_code != "RESOURCE_ALREADY_EXISTS":
+                    raise
+            found = self.client.get_experiment_by_name(name)
+        if found is None or found.lifecycle_stage != "active":
+            raise RegistryError(
+                f"the experiment {name} was deleted",
+                remedy="restore it in the MLflow UI, or remove it for good with `mlflow gc`",
+            )
+        experiment_id = str(found.experiment_id)
+        # The page of an experiment that others have made is filled in; outcomes are no trainings.
+        page = {} if name == OUTCOMES_EXPERIMENT else experiment_page(experiment_id)
+        for key, value in page.items():
+            if key not in found.tags:
+                self.client.set_experiment_tag(experiment_id, key, value)
+        return experiment_id
+
+
+class RunLog:
+    """One run that is being written; not for sharing between threads.
+
+    As a context manager it finishes the run, FAILED when an exception ends the block (KILLED when the
+    exception is an interrupt). Metrics that could not be sent are sent with the next ones.
+
+    Args:
+        tracking: its server, which is not asked before the first call that needs it.
+        run_id: survives in a checkpoint; :meth:`Tracking.resume` goes on with it.
+    """
+
+    def __init__(self, tracking: Tracking, run_id: str) -> None:
+        self.run_id = run_id
+        self._tracking, self._client = tracking, tracking.client
+        self._points: list[Metric] = []
+        self._since_s, self._is_open = 0.0, False
+
+    def open(self) -> None:
+        """Mark the run as under way."""
+        if not self._is_open:
+            if self._client.get_run(self.run_id).info.status != "RUNNING":
+                self._client.update_run(self.run_id, status="RUNNING")
+            self._is_open = True
+
+    def params(self, params: Mapping[str, Any]) -> None:
+        """Log parameters; nested mappings become dotted names. A parameter keeps its first value for good."""
+        entities = [Param(name, value) for name, value in flatten(params).items()]
+        for first in range(0, len(entities), _MAX_PARAMS):
+            batch = entities[first : first + _MAX_PARAMS]
+            self._ask("logging parameters", partial(self._client.log_batch, self.run_id, params=batch))
+
+    def metrics(self, metrics: Mapping[str, float], step: int, time_ms: int | None = None) -> None:
+        """Log metrics of one step, buffered.
+
+        Points of the same step, value and ``time_ms`` (now, without one) are one point.
+        """
+        if not self._points:
+            self._since_s = time.monotonic()
+        at = time.time_ns() // 1_000_000 if time_ms is None else time_ms
+        self._points += [Metric(name, float(value), at, step) for name, value in metrics.items()]
+        if len(self._points) >= _BUFFERED or time.monotonic() - self._since_s >= _BUFFERED_S:
+            self.flush()
+
+    def history(self, rows: Iterable[Mapping[str, float]]) -> None:
+        """Log and send a trial's metrics, each row with its ``step`` and ``time_ms``."""
+        for row in rows:
+            values = {name: value for name, value in row.items() if name not in ("step", "time_ms")}
+            self.metrics(values, int(row["step"]), int(row["time_ms"]))
+        self.flush()
+
+    def flush(self) -> None:
+        """Send the metrics that wait."""
+        while self._points:
+            batch = self._points[:MAX_BATCH]
+            self._ask("logging metrics", partial(self._client.log_batch, self.run_id, metrics=batch))
+            del self._points[: len(batch)]
+
+    def tags(self, tags: Mapping[str, str]) -> None:
+        """Set tags; the last value holds."""
+        pairs = [RunTag(name, value) for name, value in tags.items()]
+        self._ask("setting tags", lambda: self._client.log_batch(self.run_id, tags=pairs))
+
+    def artifact(self, path: Path, folder: str = "") -> None:
+        """Keep a copy of a file, or of a folder's content, in a folder of the run."""
+        if not path.exists():
+            raise RegistryError("there is no such artifact", expected="a file or a folder", got=str(path))
+        upload = self._client.log_artifacts if path.is_dir() else self._client.log_artifact
+        self._ask(f"uploading {path.name}", lambda: upload(self.run_id, str(path), folder or None))
+
+    def figure(self, fig: Any, name: str) -> None:
+        """Keep a figure of matplotlib as ``figures/<name>.png``, and as the UI's image grid takes it."""
+        key = name.removesuffix(".png")
+        with tempfile.TemporaryDirectory(prefix="cspace-figure-") as folder:
+            path = Path(folder) / f"{key}.png"
+            fig.savefig(path, format="png")
+            self.artifact(path, "figures")
+            with PIL.Image.open(path) as image:
+                upload = partial(self._client.log_image, self.run_id, image, key=key, step=0)
+                self._ask(f"uploading {key}", upload)
+
+    def table(self, columns: Mapping[str, Sequence[Any]], name: str) -> None:
+        """Keep columns of one length as ``tables/<name>.json``, which the UI compares, and as Parquet."""
+        import pyarrow as pa  # noqa: PLC0415 - with pandas, which comes with the whole of mlflow alone
+        from pyarrow import parquet  # noqa: PLC0415 - as above
+
+        path = f"tables/{name}.json"
+        there = self._ask(f"uploading {path}", lambda: self._client.list_artifacts(self.run_id, "tables"))
+        # MLflow would append to one that is there.
+        if any(found.path == path for found in there):
+            return
+        with tempfile.TemporaryDirectory(prefix="cspace-table-") as folder:
+            whole = Path(folder) / f"{name}.parquet"
+            parquet.write_table(pa.table(dict(columns)), whole)
+            self.artifact(whole, "tables")
+        with warnings.catch_warnings():
+            # MLflow's use of pandas is nothing that a reader of the log can change.
+            warnings.filterwarnings("ignore", "For backward compatibility, 'str' dtypes")
+            upload = partial(self._client.log_table, self.run_id, dict(columns), path)
+            self._ask(f"uploading {path}", upload)
+
+    def dataset(self, name: str, digest: str, source: str, context: str) -> None:
+        """Log a data set as an input, with the whole digest in its profile: MLflow cuts the field."""
+        entity = Dataset(
+            name=name,
+            digest=digest[:MAX_DIGEST],
+            source_type="local",
+            source=json.dumps({"uri": source}),
+            profile=json.dumps({"sha256": digest}),
+        )
+        inputs = [DatasetInput(entity, [InputTag("mlflow.data.context", context)])]
+
+        def log() -> None:
+            try:
+                self._client.log_inputs(self.run_id, inputs)
+            except MlflowException as error:
+                if error.error_code != "BAD_REQUEST":
+                    raise
+                # Another run logged the same one in this moment, and MLflow wants each to be new or there.
+                self._client.log_inputs(self.run_id, inputs)
+
+        self._ask("logging the data set", log)
+
+    def finish(self, status: RunStatus = "FINISHED") -> None:
+        """Send what waits and end the run."""
+        self.flush()
+        self._ask("ending", lambda: self._client.set_terminated(self.run_id, status))
+        self._is_open = False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None:
+            self.finish()
+            return
+        # The error that ended the block matters more than a server that is away or refuses as well.
+        with suppress(RegistryError):
+            self.finish("FAILED" if issubclass(kind, Exception) else "KILLED")
+
+    def _ask(self, action: str, call: Callable[[], Answer]) -> Answer:
+        def opened() -> Answer:
+            self.open()
+            return call()
+
+        return self._tracking.ask(f"{action} of run {self.run_id}", opened)
+
+
+def all_pages(search: Callable[..., PagedList[Item]], *arguments: Any, **options: Any) -> list[Item]:
+    """Everything that one of the client's searches finds."""
+    found: list[Item] = []
+    token: str | None = None
+    while True:
+        page = search(*arguments, page_token=token, **options)
+        found += page
+        token = page.token or None
+        if token is None:
+            return found
+
+
+def _found(run: Run) -> FoundRun:
+    if run.info.lifecycle_stage != "active":
+        raise RegistryError(f"the run {run.info.run_id} was deleted", remedy="restore it in the MLflow UI")
+    info, tags, metrics = run.info, dict(run.data.tags), dict(run.data.metrics)
+    return FoundRun(
+        str(info.run_id), str(info.run_name), tags.get(_PARENT), tags, metrics, int(info.start_time)
+    )
