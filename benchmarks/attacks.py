@@ -125,7 +125,7 @@ def served(root: Path) -> Iterator[tuple[int, int]]:
 
 
 def stretch(port: int, process_id: int, seconds: float, name: str | None) -> tuple[float, float, float]:
-    """The 99th percentile of samples and the longest look at health, ms; and the most memory, MiB."""
+    """The 99th percentile of samples and the longest look at health, ms; and the rise of memory, MiB."""
     spawn = multiprocessing.get_context("spawn")
     queues = [spawn.Queue(), spawn.Queue()]
     pages = zip(("/sample", "/health/live"), queues, strict=True)
@@ -133,15 +133,15 @@ def stretch(port: int, process_id: int, seconds: float, name: str | None) -> tup
     workers += [spawn.Process(target=attack, args=(name, port, seconds))] if name else []
     for worker in workers:
         worker.start()
-    most, until = 0, time.monotonic() + seconds
+    held, until = [], time.monotonic() + seconds
     while time.monotonic() < until:
-        pages_held = int(Path(f"/proc/{process_id}/statm").read_text().split()[1])
-        most = max(most, pages_held * os.sysconf("SC_PAGE_SIZE"))
+        held.append(int(Path(f"/proc/{process_id}/statm").read_text().split()[1]))
         time.sleep(PAUSE_S)
     samples, health = (queue.get(timeout=120) for queue in queues)
     for worker in workers:
         worker.join(120)
-    return float(np.quantile(samples, 0.99)), max(health), most / MIB
+    rise = (max(held) - held[0]) * os.sysconf("SC_PAGE_SIZE") / MIB
+    return float(np.quantile(samples, 0.99)), max(health), rise
 
 
 def main() -> int:
@@ -154,10 +154,10 @@ def main() -> int:
     with served(options.root) as (port, process_id):
         send(http.client.HTTPConnection("127.0.0.1", port, 120), depth(160, 0, n=1))
         for name in options.only or ATTACKS:
-            usual, _, before = stretch(port, process_id, options.seconds, None)
-            p99, health, most = stretch(port, process_id, options.seconds, name)
+            usual, _, _ = stretch(port, process_id, options.seconds, None)
+            p99, health, rise = stretch(port, process_id, options.seconds, name)
             found[name] = {
-                "memory, MiB": most - before,
+                "memory, MiB": rise,
                 "health, ms": health,
                 "p99, ms": p99,
                 "ratio": p99 / usual,

@@ -10,6 +10,7 @@ import time
 from collections import Counter
 from collections.abc import AsyncIterator, Iterable
 from contextlib import AsyncExitStack
+from functools import lru_cache
 from typing import Annotated
 from weakref import WeakValueDictionary
 
@@ -52,14 +53,18 @@ def client_of(scope: Scope) -> str:
     name = scope.get("state", {}).get("client")
     if name is not None:
         return f"key {name}"
-    host = (scope.get("client") or ("unknown", 0))[0]
+    return f"peer {_subscriber((scope.get('client') or ('unknown', 0))[0])}"
+
+
+@lru_cache(maxsize=4096)
+def _subscriber(host: str) -> str:
     try:
         address = ipaddress.ip_address(host.partition("%")[0])
     except ValueError:
-        return f"peer {host}"
+        return host
     if isinstance(address, ipaddress.IPv6Address) and address.ipv4_mapped is None:
-        return f"peer {ipaddress.ip_network((int(address), _SUBSCRIBER_BITS), strict=False)}"
-    return f"peer {address}"
+        return str(ipaddress.ip_network((int(address), _SUBSCRIBER_BITS), strict=False))
+    return str(address)
 
 
 class KnownDoors:

@@ -87,10 +87,10 @@ WRONG: list[tuple[object, str]] = [
     ([SAMPLES] * 1001, "outcomes"),
     ([SAMPLES, 7], "outcomes.1"),
     ([{**SAMPLES, "kind": "route"}], "outcomes.0"),
-    ([{**REPORT, "request_id": "r", "collided": None}], "outcomes.0.collided_at"),
-    ([{**SAMPLES, "request_id": "a b"}], "outcomes.0.request_id"),
-    ([{**SAMPLES, "site": "x" * 65}], "outcomes.0.site"),
-    ([{**SAMPLES, "free": 301}], "outcomes.0.free"),
+    ([{**REPORT, "request_id": "r", "collided": None}], "outcomes.0.plan"),
+    ([{**SAMPLES, "request_id": "a b"}], "outcomes.0.samples.request_id"),
+    ([{**SAMPLES, "site": "x" * 65}], "outcomes.0.samples.site"),
+    ([{**SAMPLES, "free": 301}], "outcomes.0.samples"),
 ]
 
 

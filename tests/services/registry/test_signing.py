@@ -9,9 +9,11 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from cspace.bundle import Bundle
 from cspace.errors import BundleIntegrityError, ConfigError, ServiceError
-from inference_api.models.cache import BundleCache, DiskCache
+from inference_api.models import ModelStore
+from inference_api.problems import ModelNotReadyError
+from inference_api.settings import ApiSettings
 from services.registry import promotion, signing
-from services.registry.entities import ModelVersion
+from services.registry.entities import ModelReference, ModelVersion
 from services.registry.signing import require_signature
 from tests.bundles import write_tiny_bundle
 from tests.fakes.registry import FakeRegistry
@@ -50,16 +52,19 @@ def test_what_was_signed_is_served_and_nothing_else(
     registry, version, public = signed
     other = key(tmp_path, "other")[1]
 
-    def load(trusted: Path, wanted: ModelVersion) -> Bundle:
-        disk = DiskCache(tmp_path / f"cache-{trusted.stem}-{len(wanted.tags)}")
-        cache = BundleCache(disk, registry, lambda path, _: Bundle.load(path), 2, trusted_key=trusted)
-        return cache.start(wanted).result(60.0)
+    def load(trusted: Path) -> Bundle:
+        settings = ApiSettings(
+            model_cache=tmp_path / "cache", pretrained_model=tmp_path / "none", trusted_key=trusted
+        )
+        store = ModelStore(settings, lambda: registry, lambda path, _: Bundle.load(path))
+        return store.get(ModelReference(version.name, version=1)).bundle
 
-    assert load(public, version).digest == version.digest
-    with pytest.raises(BundleIntegrityError, match=r"does not hold.*other\.pub.*Key mismatch"):
-        load(other, version)
-    with pytest.raises(BundleIntegrityError, match=r"not signed.*models sign"):
-        load(public, replace(version, tags={}))
+    assert load(public).digest == version.digest
+    with pytest.raises(ModelNotReadyError, match=r"does not hold.*other\.pub.*Key mismatch"):
+        load(other)
+    registry.remove_tag(version.name, 1, "signature")
+    with pytest.raises(ModelNotReadyError, match=r"not signed.*models sign"):
+        load(public)
 
 
 def test_a_signature_holds_for_no_other_name_version_or_files(
