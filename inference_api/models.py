@@ -6,6 +6,7 @@ leaves the one in service. With no champion at all the shipped model of the same
 """
 
 import logging
+import os
 import re
 import shutil
 import tempfile
@@ -204,7 +205,6 @@ class BundleFolders:
                 place.parent.mkdir(parents=True, exist_ok=True)
                 with tempfile.TemporaryDirectory(prefix=_TEMPORARY, dir=place.parent) as temporary:
                     whole = download(version, Path(temporary) / "bundle")
-                    whole.touch()
                     try:
                         whole.rename(place)
                     except OSError:
@@ -212,8 +212,9 @@ class BundleFolders:
                         if not place.exists():
                             raise
                 self._prune(version, place)
-            # When it was used last.
-            place.touch()
+            # When it was used last; the kernel's own stamps are up to 4 ms old.
+            now_ns = time.time_ns()
+            os.utime(place, ns=(now_ns, now_ns))
         except OSError as error:
             remedy = "free some space, or set CSPACE_MODEL_CACHE to another folder"
             got = error.strerror or type(error).__name__
