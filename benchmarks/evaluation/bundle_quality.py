@@ -12,23 +12,40 @@ from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from benchmarks.command import arguments, spread
 from benchmarks.machine import machine
 from cspace.bundle import Bundle
 from cspace.simulator import Split
 from services.evaluator.evaluation import estimates_of
-from services.evaluator.measure import Row, reconstruct
+from services.evaluator.measure import Row, measure_samples, reconstruct
 from services.evaluator.metrics import Task
 from services.evaluator.scenes import SAMPLES, Scene, Stage, bundle_sampler
 from services.evaluator.tables import markdown
 
 TIMED = (300, 1000)
+FILTERED = "uniform, kept by the head"
 
 
 def measure(folder: Path, split: Split, seed: int, indices: range) -> list[Row]:
     bundle = Bundle.load(folder)
     stage = Stage(bundle.spec.world, split, seed)
-    return [row for index in indices for row in reconstruct(Scene(stage, index), bundle_sampler(bundle))]
+    rows: list[Row] = []
+    for index in indices:
+        scene = Scene(stage, index)
+        rows += reconstruct(scene, bundle_sampler(bundle))
+        if bundle.has_validity:
+            rows += measure_samples(scene, {FILTERED: filtered_uniform(bundle, scene)})
+    return rows
+
+
+def filtered_uniform(bundle: Bundle, scene: Scene) -> NDArray[np.float64]:
+    """Uniform configurations that the validity head keeps, without the generator."""
+    rows = scene.space.to_float32(scene.space.sample_uniform(scene.rng(4), 20 * SAMPLES))
+    kept = bundle.score(bundle.prepare(scene.image), rows) >= (bundle.spec.confidence_threshold or 0.0)
+    return rows[kept][:SAMPLES].astype(np.float64)
 
 
 def main() -> int:
@@ -46,7 +63,7 @@ def main() -> int:
         measured = [row for part in pool.map(one, parts) for row in part]
     found = estimates_of(measured, options.seed)
     rows = [["samples", "precision", "coverage", "EDr", "precision p10", "precision minimum"]]
-    for name in ("sampler", "confident", "uniform", "real"):
+    for name in ("sampler", "confident", FILTERED, "uniform", "real"):
         if (name, "precision") in found:
             measures = ("precision", "coverage", "edr", "precision_p10", "precision_minimum")
             rows.append([name, *(f"{found[name, measure]:.3f}" for measure in measures)])
