@@ -360,7 +360,10 @@ class GeneratorSampler:
 
         def proposed(counts: Sequence[int], turn: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
             proposals = propose(spec, counts, request.seed, turn)
-            rows = proposals.mixed_with(generate(proposals.learned, turn))
+            # Of a few all may be uniform.
+            nothing = np.empty((0, spec.dim), dtype=np.float32)
+            learned = generate(proposals.learned, turn) if any(proposals.learned) else nothing
+            rows = proposals.mixed_with(learned)
             samples, inside = space.to_float32(rows), space.keeps_pose(rows)
             # What lies outside reaches no confidence, and is not scored. The last column tells uniform ones.
             scores = np.full((len(rows), 2 + head.reports_unseen), -1.0, dtype=np.float32)

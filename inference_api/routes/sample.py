@@ -8,7 +8,7 @@ from fastapi.responses import Response
 
 from cspace.bundle.samples import fitted
 from cspace.query import SampleQuery, random_seed
-from cspace_client.wire import SampleAnswer, SampleRequest, TimingMs
+from cspace_client.wire import ProposalCounts, SampleAnswer, SampleRequest, TimingMs
 from inference_api.body import body_of, both_bodies
 from inference_api.limits import ComputePlace
 from inference_api.models import Models, ServedModel
@@ -102,6 +102,7 @@ def sample(
             ways=None if found.ways is None else found.ways.tolist(),
             shortfall=found.shortfall,
             acceptance=found.acceptance,
+            proposals=None if found.proposals is None else ProposalCounts.model_validate(found.proposals),
             seed=query.seed,
             timing_ms=timing,
             **about(served, novelty, warnings),

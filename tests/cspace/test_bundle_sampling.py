@@ -160,6 +160,8 @@ def test_a_filtered_request_is_served_by_the_generator_with_a_quarter_of_uniform
     assert 0 < counts.generator_kept <= counts.generator
     np.testing.assert_array_equal(found.confidence, bundle.score(picture(), found.samples))
     assert bundle.answer(picture(), query).samples.tobytes() == found.samples.tobytes()
+    # Whatever the seed: of a single sample all proposals may be of one kind.
+    assert all(bundle.answer(picture(), SampleQuery(1, seed)).shortfall == 0 for seed in range(30))
     unfiltered = bundle.answer(picture(), replace(query, min_confidence=0.0)).proposals
     assert unfiltered == ProposalCounts(generator=400, generator_kept=400)
 

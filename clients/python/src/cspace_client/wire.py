@@ -540,6 +540,15 @@ class SceneAnswer(Answer):
     model: ModelInfo
 
 
+class ProposalCounts(Answer):
+    """How many configurations were proposed, and how many of them are in the answer, by their kind."""
+
+    generator: int
+    generator_kept: int
+    uniform: int
+    uniform_kept: int
+
+
 class SampleAnswer(SceneAnswer):
     """Samples for a picture."""
 
@@ -549,6 +558,9 @@ class SampleAnswer(SceneAnswer):
     ways: list[int] | None = Field(None, description="Path models that search: the path of each sample.")
     shortfall: int = Field(description="n minus the number of samples.")
     acceptance: float = Field(description="Share of the proposals that reached the confidence.")
+    proposals: ProposalCounts | None = Field(
+        None, exclude_if=_absent, description="The generator's and uniform ones; absent for samples along paths."
+    )
     seed: SeedText = Field(description="That was used, in decimal.")
     timing_ms: TimingMs
 
