@@ -40,8 +40,8 @@ def test_the_answer_has_exactly_the_contracts_members(api: ApiClient, bundles: d
     assert samples_of(answer).shape == (300, 2)
     assert np.all(np.isfinite(samples_of(answer)))
     assert set(body) == {
-        "samples", "confidence", "unseen", "shortfall", "acceptance", "proposals", "scenario", "joint_space", "model",
-        "seed", "timing_ms", "warnings", "ways",
+        "samples", "confidence", "unseen", "shortfall", "acceptance", "proposals", "scenario",
+        "joint_space", "model", "seed", "timing_ms", "warnings", "ways",
     }  # fmt: skip
     assert body["scenario"] == {"novelty": None}
     assert body["joint_space"] == {"kind": "torus", "dim": 2, "unit": "rad"}

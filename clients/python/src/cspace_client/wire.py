@@ -559,7 +559,7 @@ class SampleAnswer(SceneAnswer):
     shortfall: int = Field(description="n minus the number of samples.")
     acceptance: float = Field(description="Share of the proposals that reached the confidence.")
     proposals: ProposalCounts | None = Field(
-        None, exclude_if=_absent, description="The generator's and uniform ones; absent for samples along paths."
+        None, exclude_if=_absent, description="By their kind; absent for samples along paths."
     )
     seed: SeedText = Field(description="That was used, in decimal.")
     timing_ms: TimingMs
