@@ -1,4 +1,4 @@
-"""Requests and answers of the HTTP API as pydantic models: one definition for server and client.
+"""What requests and answers of the HTTP API hold, as pydantic models: one definition for server and client.
 
 Requests refuse unknown fields. Answers ignore them, so that a client reads those of a newer server.
 """
@@ -267,28 +267,6 @@ class ViewFields(KnownFields):
     )
 
 
-class SceneFields(ViewFields):
-    """What shows the scene, and the model that is asked."""
-
-    image: Pictures = Field(
-        description="A square PNG, or 1 to 4 depth pictures: 16-bit PNG of mm, float32 TIFF or `.npy` of m."
-    )
-    model: str | None = Field(
-        None,
-        max_length=300,
-        description="`name` (its champion), `name@alias`, `name/version` or `pretrained`.",
-    )
-    robot: RobotReference | None = Field(
-        None, description="Digest of the robot that is planned for; without `model` also its name."
-    )
-
-    @model_validator(mode="after")
-    def _name_without_model(self) -> Self:
-        if self.robot is not None and self.model is not None and not re.fullmatch(DIGEST, self.robot):
-            raise ValueError("robot is a digest where a model is named")
-        return self
-
-
 class SampleQuery(Request):
     """What is asked of a sampler."""
 
@@ -338,39 +316,6 @@ class Upright(Request):
     axis: Vector
     max_rad: float = Field(ge=1e-3, le=np.pi)
     up: Vector = [0.0, 0.0, 1.0]
-
-
-class SampleRequest(SampleQuery, SceneFields):
-    """A request for samples."""
-
-
-class PlanRequest(PlanQuery, SceneFields):
-    """A request for a path."""
-
-
-_Row = Annotated[list[Number], Field(min_length=1, max_length=MAX_JOINTS, fail_fast=True)]
-_ROWS = {"type": "array", "items": {"type": "array", "items": {"type": "number"}}, "maxItems": MAX_SAMPLES}
-ConfigurationRows = Annotated[
-    bytes | Annotated[list[_Row], Field(min_length=1, max_length=MAX_SAMPLES, fail_fast=True)],
-    WithJsonSchema(_ROWS),
-]
-
-
-class ValidityRequest(SceneFields):
-    """A request for the confidence of configurations."""
-
-    configurations: ConfigurationRows = Field(
-        description="(n, joints) rad: JSON, or in a form a `.npy` file."
-    )
-    explain: bool = Field(default=False, description=f"Say `why`; at most {MAX_EXPLAINED} rows.")
-
-
-class BeliefRequest(SceneFields):
-    """A request for the probability that something is in each cell of space."""
-
-
-class DoctorRequest(SceneFields):
-    """A request for a diagnosis of pictures, cameras and state."""
 
 
 class _Outcome(Request):
@@ -669,45 +614,6 @@ class OutcomesAnswer(Answer):
     """What was done with a batch."""
 
     kept: int = Field(description="Outcomes that were taken: all, or 0 if the disk does not keep up.")
-
-
-class ListedModel(Answer):
-    """A model that a request can name."""
-
-    reference: str = Field(description="What to write into `model`.")
-    name: str
-    version: int
-    aliases: list[str]
-    run_id: str | None
-    digest: str
-    loaded: bool = Field(description="Whether it is in memory.")
-    default: bool = Field(description="Whether it answers requests that name no model.")
-    robot: str | None = Field(description="SHA-256 of the robot; null where it is not known before loading.")
-    world: dict[str, Any] | None = Field(description="Robot and camera; null if too long.")
-    joint_space: JointSpaceInfo | None = Field(description="As in an answer; null as `world` is.")
-
-
-class ModelsAnswer(Answer):
-    """The models that requests can name."""
-
-    default: str
-    registry: Literal["none", "reachable", "unreachable"]
-    models: list[ListedModel]
-
-
-class Live(Answer):
-    """The process answers."""
-
-    status: Literal["live"] = "live"
-
-
-class Ready(Answer):
-    """The default model answers."""
-
-    status: Literal["ready"] = "ready"
-    registry: Literal["none", "reachable", "unreachable"]
-    successor: Literal["none", "pending", "refused"] = Field(description="A champion not served yet.")
-    model: ModelInfo
 
 
 class FieldProblem(Answer):
