@@ -280,27 +280,6 @@ class SampleQuery(Request):
     min_confidence: Share | None = Field(None, description="Absent, the model's threshold; 0 returns all.")
 
 
-class PlanQuery(Request):
-    """What is asked of a planner."""
-
-    start: Configuration = Field(description="Where the path begins, rad.")
-    goal: Configuration | None = Field(None, description="Where it ends; either this or `goal_pose`.")
-    goal_pose: "GoalPose | None" = Field(None, description="Of arms in space: where the tool ends.")
-    limits: Limits | None = Field(None, description="For each joint `[low, high]`, or null for its own.")
-    upright: "Upright | None" = Field(None, description="An axis that stays upright.")
-    unwrapped: bool = Field(default=False, description="Circles go on beyond [-pi, pi).")
-    seed: Seed = _SEED
-    min_confidence: Share | None = Field(None, description="Absent, 0.2 where plans are calibrated.")
-    max_risk: Share | None = Field(None, description="In place of `min_confidence`: of a collision.")
-    time_limit_s: Number = Field(1.0, ge=0.01, le=MAX_TIME_S, description="Of search and refinement.")
-    ways: int = Field(4, ge=1, le=MAX_PATHS, description="Number of paths to search for.")
-    alternatives: bool = Field(default=False, description="Return all paths of sufficient confidence.")
-    explain: bool = Field(default=False, description="Say in `contact` what is in the way.")
-    keep: bool = Field(default=False, description="Let the server keep the plan for training.")
-    next_view: bool = Field(default=False, description="Name a camera that would see more.")
-    view: Views = Field([], description="Cameras to choose it from; absent, those of the training.")
-
-
 class GoalPose(Request):
     """Where the tool's frame shall be in the end, in the robot's base."""
 
@@ -316,6 +295,27 @@ class Upright(Request):
     axis: Vector
     max_rad: float = Field(ge=1e-3, le=np.pi)
     up: Vector = [0.0, 0.0, 1.0]
+
+
+class PlanQuery(Request):
+    """What is asked of a planner."""
+
+    start: Configuration = Field(description="Where the path begins, rad.")
+    goal: Configuration | None = Field(None, description="Where it ends; either this or `goal_pose`.")
+    goal_pose: GoalPose | None = Field(None, description="Of arms in space: where the tool ends.")
+    limits: Limits | None = Field(None, description="For each joint `[low, high]`, or null for its own.")
+    upright: Upright | None = Field(None, description="An axis that stays upright.")
+    unwrapped: bool = Field(default=False, description="Circles go on beyond [-pi, pi).")
+    seed: Seed = _SEED
+    min_confidence: Share | None = Field(None, description="Absent, 0.2 where plans are calibrated.")
+    max_risk: Share | None = Field(None, description="In place of `min_confidence`: of a collision.")
+    time_limit_s: Number = Field(1.0, ge=0.01, le=MAX_TIME_S, description="Of search and refinement.")
+    ways: int = Field(4, ge=1, le=MAX_PATHS, description="Number of paths to search for.")
+    alternatives: bool = Field(default=False, description="Return all paths of sufficient confidence.")
+    explain: bool = Field(default=False, description="Say in `contact` what is in the way.")
+    keep: bool = Field(default=False, description="Let the server keep the plan for training.")
+    next_view: bool = Field(default=False, description="Name a camera that would see more.")
+    view: Views = Field([], description="Cameras to choose it from; absent, those of the training.")
 
 
 class _Outcome(Request):
