@@ -2,18 +2,19 @@
 
 import io
 import json
+import re
 import time
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache, lru_cache
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import numpy as np
 from fastapi import Depends, Request
 from fastapi.responses import Response
 from numpy.typing import NDArray
-from pydantic import BaseModel
+from pydantic import BaseModel, Field, WithJsonSchema, model_validator
 
 from cspace.bundle import Bundle
 from cspace.errors import InputError
@@ -21,12 +22,21 @@ from cspace.query import is_digest
 from cspace.view_file import View, check_ages, unstamped
 from cspace.world import CheckCancelled, Finding
 from cspace_client.wire import (
+    DIGEST,
+    MAX_EXPLAINED,
+    MAX_JOINTS,
+    MAX_SAMPLES,
     JointSpaceInfo,
     KnownFields,
     ModelInfo,
+    Number,
+    Pictures,
     PictureWarning,
+    PlanQuery,
+    RobotReference,
+    SampleQuery,
     ScenarioInfo,
-    SceneFields,
+    ViewFields,
 )
 from inference_api.body import body_of
 from inference_api.models import Models, ModelStore, Prepared, ServedModel
@@ -53,6 +63,61 @@ _MODEL_HEADERS = {
     "X-Novelty": "`scenario.novelty` of the JSON answer, where the model estimates it.",
     "X-Warnings": "`warnings` of the JSON answer, as JSON; of many the last ones have an empty message.",
 }
+
+
+class SceneFields(ViewFields):
+    """What shows the scene, and the model that is asked."""
+
+    image: Pictures = Field(
+        description="A square PNG, or 1 to 4 depth pictures: 16-bit PNG of mm, float32 TIFF or `.npy` of m."
+    )
+    model: str | None = Field(
+        None,
+        max_length=300,
+        description="`name` (its champion), `name@alias`, `name/version` or `pretrained`.",
+    )
+    robot: RobotReference | None = Field(
+        None, description="Digest of the robot that is planned for; without `model` also its name."
+    )
+
+    @model_validator(mode="after")
+    def _name_without_model(self) -> Self:
+        if self.robot is not None and self.model is not None and not re.fullmatch(DIGEST, self.robot):
+            raise ValueError("robot is a digest where a model is named")
+        return self
+
+
+class SampleRequest(SampleQuery, SceneFields):
+    """A request for samples."""
+
+
+class PlanRequest(PlanQuery, SceneFields):
+    """A request for a path."""
+
+
+_Row = Annotated[list[Number], Field(min_length=1, max_length=MAX_JOINTS, fail_fast=True)]
+_ROWS = {"type": "array", "items": {"type": "array", "items": {"type": "number"}}, "maxItems": MAX_SAMPLES}
+ConfigurationRows = Annotated[
+    bytes | Annotated[list[_Row], Field(min_length=1, max_length=MAX_SAMPLES, fail_fast=True)],
+    WithJsonSchema(_ROWS),
+]
+
+
+class ValidityRequest(SceneFields):
+    """A request for the confidence of configurations."""
+
+    configurations: ConfigurationRows = Field(
+        description="(n, joints) rad: JSON, or in a form a `.npy` file."
+    )
+    explain: bool = Field(default=False, description=f"Say `why`; at most {MAX_EXPLAINED} rows.")
+
+
+class BeliefRequest(SceneFields):
+    """A request for the probability that something is in each cell of space."""
+
+
+class DoctorRequest(SceneFields):
+    """A request for a diagnosis of pictures, cameras and state."""
 
 
 @cache

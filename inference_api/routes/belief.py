@@ -9,11 +9,12 @@ from fastapi import APIRouter, Depends
 from fastapi.responses import Response
 
 from cspace.bundle.samples import require_robot
-from cspace_client.wire import BeliefAnswer, BeliefRequest, ScoreTimingMs
+from cspace_client.wire import BeliefAnswer, ScoreTimingMs
 from inference_api.body import body_of, both_bodies
 from inference_api.limits import ComputePlace
 from inference_api.models import Models, ServedModel
 from inference_api.scene import (
+    BeliefRequest,
     about,
     answer_responses,
     json_response,

@@ -8,18 +8,12 @@ from fastapi.responses import Response
 
 from cspace.bundle.samples import require_robot
 from cspace.errors import ImageError
-from cspace_client.wire import (
-    DoctorAnswer,
-    DoctorRequest,
-    DoctorTimingMs,
-    ScenarioInfo,
-    SuggestedPose,
-    Verdict,
-)
+from cspace_client.wire import DoctorAnswer, DoctorTimingMs, ScenarioInfo, SuggestedPose, Verdict
 from inference_api.body import body_of, both_bodies
 from inference_api.limits import ComputePlace
 from inference_api.models import Models, ServedModel
 from inference_api.scene import (
+    DoctorRequest,
     answer_responses,
     json_response,
     model_info,

@@ -16,19 +16,18 @@ from pydantic.json_schema import models_json_schema
 from starlette.exceptions import HTTPException
 from starlette.types import Scope
 
-from cspace_client.wire import (
+from cspace_client.wire import OutcomesRequest, Problem
+from inference_api.body import FORM
+from inference_api.limits import HEALTH
+from inference_api.problems import NOT_FOUND, RequestError
+from inference_api.scene import (
     BeliefRequest,
     DoctorRequest,
-    OutcomesRequest,
     PlanRequest,
-    Problem,
     SampleRequest,
     SceneFields,
     ValidityRequest,
 )
-from inference_api.body import FORM
-from inference_api.limits import HEALTH
-from inference_api.problems import NOT_FOUND, RequestError
 
 PAGE = "/guide"
 _INLINE_SCRIPT = re.compile(rb"<script>(.*?)</script>", re.DOTALL)

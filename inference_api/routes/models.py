@@ -1,17 +1,18 @@
 """``GET /models``, ``/health`` and ``/metrics``: what can be asked, and how the server is."""
 
 from functools import lru_cache
-from typing import Any
+from typing import Any, Literal
 
 from fastapi import APIRouter
 from fastapi.responses import PlainTextResponse, Response
+from pydantic import Field
 
 from cspace.errors import InputError, ScenarioError
 from cspace.query import is_digest
 from cspace.strict_json import parse_json
 from cspace.world import World
 from cspace.worlds import read_world, robot_digest
-from cspace_client.wire import JointSpaceInfo, ListedModel, Live, ModelsAnswer, Ready
+from cspace_client.wire import Answer, JointSpaceInfo, ModelInfo
 from inference_api.models import PRETRAINED_VERSION, Models, ModelStore, ServedModel, Shipped
 from inference_api.problems import (
     GUARD_PROBLEMS,
@@ -28,6 +29,45 @@ from services.names import MAX_WORLD, TAG_ROBOT, TAG_WORLD
 from services.registry.entities import ModelVersion, is_model_name
 
 router = APIRouter()
+
+
+class ListedModel(Answer):
+    """A model that a request can name."""
+
+    reference: str = Field(description="What to write into `model`.")
+    name: str
+    version: int
+    aliases: list[str]
+    run_id: str | None
+    digest: str
+    loaded: bool = Field(description="Whether it is in memory.")
+    default: bool = Field(description="Whether it answers requests that name no model.")
+    robot: str | None = Field(description="SHA-256 of the robot; null where it is not known before loading.")
+    world: dict[str, Any] | None = Field(description="Robot and camera; null if too long.")
+    joint_space: JointSpaceInfo | None = Field(description="As in an answer; null as `world` is.")
+
+
+class ModelsAnswer(Answer):
+    """The models that requests can name."""
+
+    default: str
+    registry: Literal["none", "reachable", "unreachable"]
+    models: list[ListedModel]
+
+
+class Live(Answer):
+    """The process answers."""
+
+    status: Literal["live"] = "live"
+
+
+class Ready(Answer):
+    """The default model answers."""
+
+    status: Literal["ready"] = "ready"
+    registry: Literal["none", "reachable", "unreachable"]
+    successor: Literal["none", "pending", "refused"] = Field(description="A champion not served yet.")
+    model: ModelInfo
 
 
 @router.get(

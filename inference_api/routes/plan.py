@@ -13,21 +13,14 @@ from cspace.errors import InputError
 from cspace.query import Plan, PlanQuery, random_seed
 from cspace.view_file import View
 from cspace.world import ARM_IN_PICTURE, LITTLE_IN_REACH, Finding, World
-from cspace_client.wire import (
-    Alternative,
-    Contact,
-    LeastSure,
-    NextView,
-    PlanAnswer,
-    PlanRequest,
-    PlanTimingMs,
-)
+from cspace_client.wire import Alternative, Contact, LeastSure, NextView, PlanAnswer, PlanTimingMs
 from inference_api.body import body_of, both_bodies
 from inference_api.limits import ComputePlace
 from inference_api.models import Models, Prepared, ServedModel
 from inference_api.problems import NO_PLANNER, SAMPLE_PROBLEMS, STARTING, problem_responses
 from inference_api.routes.outcomes import keep_plan
 from inference_api.scene import (
+    PlanRequest,
     about,
     answer_responses,
     has_known,

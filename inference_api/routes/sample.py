@@ -8,11 +8,12 @@ from fastapi.responses import Response
 
 from cspace.bundle.samples import fitted
 from cspace.query import SampleQuery, random_seed
-from cspace_client.wire import ProposalCounts, SampleAnswer, SampleRequest, TimingMs
+from cspace_client.wire import ProposalCounts, SampleAnswer, TimingMs
 from inference_api.body import body_of, both_bodies
 from inference_api.limits import ComputePlace
 from inference_api.models import Models, ServedModel
 from inference_api.scene import (
+    SampleRequest,
     WantsNpy,
     about,
     has_known,

@@ -13,18 +13,12 @@ from numpy.typing import NDArray
 from cspace.bundle.samples import fitted_configurations, require_robot
 from cspace.errors import InputError
 from cspace.files import read_npy
-from cspace_client.wire import (
-    MAX_EXPLAINED,
-    MAX_SAMPLES,
-    Contact,
-    ScoreTimingMs,
-    ValidityAnswer,
-    ValidityRequest,
-)
+from cspace_client.wire import MAX_EXPLAINED, MAX_SAMPLES, Contact, ScoreTimingMs, ValidityAnswer
 from inference_api.body import body_of, both_bodies
 from inference_api.limits import ComputePlace
 from inference_api.models import Models, ServedModel
 from inference_api.scene import (
+    ValidityRequest,
     WantsNpy,
     about,
     has_known,

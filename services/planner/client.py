@@ -1,13 +1,9 @@
 """The inference API's client behind the project's port of samples, with the project's errors."""
 
-import base64
-import json
 import os
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import fields
-from pathlib import Path
 from typing import Any, Self
 
 from numpy.typing import ArrayLike
@@ -17,7 +13,6 @@ import cspace_client
 from cspace.errors import (
     ConfigError,
     CspaceError,
-    InputError,
     PlanningError,
     SamplerAnswerError,
     SamplerError,
@@ -25,11 +20,9 @@ from cspace.errors import (
     SamplerUnavailableError,
 )
 from cspace.query import PlanQuery, SampleQuery
-from cspace.view_file import check_ages, pack_view, unstamped
 from cspace_client import DEFAULT_TIMEOUT_S, FoundPlan, Predictions
 from cspace_client.models import as_query
-from cspace_client.pictures import shown
-from services.planner.samples import LocalSampler, Picture, SampleBatch, SampleSource
+from services.planner.samples import Picture, SampleBatch, SampleSource
 
 __all__ = [
     "API_URL",
@@ -39,7 +32,6 @@ __all__ = [
     "client_plan_query",
     "client_sample_query",
     "mapped",
-    "open_local",
     "usual_api",
 ]
 
@@ -77,37 +69,6 @@ def mapped() -> Iterator[None]:
         raise SamplerError("no request has such values", got=str(error)) from error
 
 
-class ClientSource:
-    """A source of this project as the client takes one."""
-
-    def __init__(self, source: SampleSource) -> None:
-        self._source = source
-
-    def answer(
-        self,
-        picture: cspace_client.Picture,
-        query: cspace_client.SampleQuery,
-        model: str | None = None,
-        robot: str | None = None,
-    ) -> SampleBatch:
-        """See :class:`cspace_client.models.Source`."""
-        try:
-            own = SampleQuery.checked(**query.model_dump(), robot=robot)
-            return self._source.answer(_file_of(picture), own, model)
-        except (SamplerError, InputError) as error:
-            kinds = (theirs for theirs, ours in _KINDS if isinstance(error, ours))
-            kind = next(kinds, cspace_client.SamplerError)
-            raise kind(error.what, expected=error.expected, got=error.got, remedy=error.remedy) from error
-
-
-def open_local(folder: Path, *, robot: str | None) -> ClientSource:
-    """A bundle's folder; the entry point of :class:`cspace_client.local.LocalClient`."""
-    try:
-        return ClientSource(LocalSampler(folder, robot=robot))
-    except SamplerError as error:
-        raise cspace_client.LocalError(error.what, got=error.got, remedy=error.remedy) from error
-
-
 def client_sample_query(query: SampleQuery) -> cspace_client.SampleQuery:
     """A query of the project as the client's, which has the robot beside it."""
     values = {one.name: getattr(query, one.name) for one in fields(query) if one.name != "robot"}
@@ -123,29 +84,6 @@ def client_plan_query(query: PlanQuery) -> cspace_client.PlanQuery:
         view=values["views"] or None,
         **{name: value for name, value in values.items() if name in known},
     )
-
-
-def _file_of(picture: cspace_client.Picture) -> Picture:
-    """Depth pictures, and what is known beside a picture, as the file of a view; others as they are."""
-    if not isinstance(picture, cspace_client.DepthPictures | cspace_client.PlanarPicture):
-        return picture
-    sent = shown(picture)
-    values = sent.fields.model_dump(mode="json", exclude_unset=True, exclude_none=True)
-    cameras, state, scale = (
-        values.pop("camera", []),
-        values.pop("state", None),
-        values.pop("depth_scale_m", None),
-    )
-    max_age_s = values.pop("max_age_s", None)
-    files = [data for field, (_, data, _) in sent.files if field == "image"]
-    meshes = {name: data for field, (name, data, _) in sent.files if field == "mesh"}
-    if meshes:
-        values["meshes"] = {name: base64.b64encode(data).decode() for name, data in meshes.items()}
-    if not cameras and not values:
-        return files[0]
-    if max_age_s is not None:
-        check_ages(unstamped(cameras)[1], max_age_s, time.time())
-    return pack_view(files, cameras, state, scale, json.dumps(values).encode() if values else None)
 
 
 class SamplingClient(SampleSource):

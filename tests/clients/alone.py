@@ -1,13 +1,12 @@
 """Runs every call of the client once, against answers of its own wire models; for tests/clients/newest.sh."""
 
-import asyncio
 import sys
 
 import httpx
 import numpy as np
 import pydantic
 
-from cspace_client import AsyncSamplingClient, DepthPictures, OutcomeSender, PlanQuery, SamplingClient
+from cspace_client import DepthPictures, OutcomeSender, PlanQuery, SamplingClient
 from cspace_client.wire import (
     JointSpaceInfo,
     ModelInfo,
@@ -47,12 +46,6 @@ def handle(request):
     return httpx.Response(200, content=body, headers=headers)
 
 
-async def awaited():
-    """Samples of the awaited client."""
-    async with AsyncSamplingClient("http://test", transport=httpx.MockTransport(handle)) as client:
-        return await client.sample(b"a picture", 2)
-
-
 pose = {"translation": [0.0, 0.0, 1.0], "quaternion_xyzw": np.array([0.0, 0.0, 0.0, 1.0])}
 camera = {"fx": 50.0, "fy": 50.0, "cx": 31.5, "cy": 23.5, "pose": pose}
 picture = DepthPictures([np.full((48, 64), 1000, np.uint16)], [camera], np.zeros(2))
@@ -61,7 +54,6 @@ with SamplingClient("http://test", transport=httpx.MockTransport(handle)) as cli
     found = client.plan(picture, PlanQuery(start=ROWS[0], goal=ROWS[1], max_risk=0.2))
     predictions = client.validity(picture, ROWS)
 np.testing.assert_array_equal(batch.samples, ROWS)
-np.testing.assert_array_equal(asyncio.run(awaited()).samples, ROWS)
 np.testing.assert_array_equal(found.path, ROWS)
 np.testing.assert_allclose(predictions.confidence, [0.5, 0.9])
 with OutcomeSender("http://test", transport=httpx.MockTransport(handle)) as outcomes:

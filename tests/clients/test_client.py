@@ -6,7 +6,6 @@ import pickle
 import subprocess
 import sys
 
-import anyio
 import httpx
 import numpy as np
 import pytest
@@ -14,10 +13,8 @@ from pydantic import ValidationError
 
 import cspace_client
 from cspace_client import (
-    AsyncSamplingClient,
     ConfigError,
     PlanQuery,
-    SampleBatch,
     SamplerAnswerError,
     SamplerError,
     SamplerModelError,
@@ -29,7 +26,6 @@ from tests.fakes.sample_server import read_form, sample_answer
 
 PNG = b"\x89PNG picture"
 ROWS = [[0.5, -3.0], [3.0, 1.0]]
-BATCH = SampleBatch(np.zeros((1, 2), np.float32), "stand-in", 0, "", 7, 0, 0.0)
 
 
 class Server:
@@ -51,29 +47,10 @@ class Server:
     def forms(self):
         return [read_form(one.headers["content-type"], one.content) for one in self.requests]
 
-    def ask(self, kind, call, **options):
-        """A call of a client, of threads or of an event loop."""
-        options["transport"] = httpx.MockTransport(self)
-        if kind == "sync":
-            with SamplingClient("http://test:1", **options) as client:
-                return call(client)
-
-        async def awaited():
-            async with AsyncSamplingClient("http://test:1", **options) as client:
-                return await call(client)
-
-        return anyio.run(awaited)
-
-
-class StandIn:
-    def __init__(self, error=None):
-        self.error, self.seeds = error, []
-
-    def answer(self, picture, query, model=None, robot=None):
-        self.seeds.append(query.seed)
-        if self.error:
-            raise self.error
-        return BATCH
+    def ask(self, call, **options):
+        """A call of a client."""
+        with SamplingClient("http://test:1", transport=httpx.MockTransport(self), **options) as client:
+            return call(client)
 
 
 def good(**changes):
@@ -88,35 +65,21 @@ def sample(client):
 def pauses(monkeypatch):
     """The pauses between attempts, which take no time."""
     found = []
-
-    async def note(pause_s):
-        found.append(pause_s)
-
     monkeypatch.setattr(module.time, "sleep", found.append)
-    monkeypatch.setattr(module.anyio, "sleep", note)
     return found
 
 
-@pytest.fixture(params=["sync", "async"])
-def kind(request):
-    return request.param
-
-
-def test_an_answer_becomes_a_batch_and_its_warnings_are_logged(kind, caplog):
+def test_an_answer_becomes_a_batch_and_its_warnings_are_logged(caplog):
     warning = {"code": "rolled", "message": "the camera is turned", "pictures": [0], "new": True}
     space = {"kind": "mixed", "dim": 2, "unit": "rad", "lower": [-np.pi, -4.0], "upper": [np.pi, 1.0]}
     space["periodic"] = [True, False]
     server = Server(good(warnings=[warning], joint_space=space, confidence=[0.5, 0.75], added="later"))
     with caplog.at_level(logging.WARNING, "cspace_client"):
-        batch = server.ask(kind, sample)
+        batch = server.ask(sample)
     np.testing.assert_array_equal(batch.samples, np.float32(ROWS))
     np.testing.assert_array_equal(batch.confidence, np.float32([0.5, 0.75]))
-    assert (batch.model_name, batch.model_version, batch.seed, batch.request_id) == (
-        "cspace-sampler",
-        3,
-        7,
-        "r-1",
-    )
+    assert (batch.model_name, batch.model_version) == ("cspace-sampler", 3)
+    assert (batch.seed, batch.request_id) == (7, "r-1")
     assert batch.space == cspace_client.JointSpace((-np.pi, -4.0), (np.pi, 1.0), (True, False))
     assert batch.warnings[0].code == "rolled"
     assert "rolled: the camera is turned" in caplog.text
@@ -126,13 +89,12 @@ def test_fields_are_sent_as_the_contract_has_them_and_the_rest_is_left_to_the_se
     server = Server(good())
     given = {"start": np.array([0.5, 1.0], np.float32), "goal": (-1, 2), "min_confidence": np.float64(0.25)}
     server.ask(
-        "sync",
         lambda client: client.sample(
             PNG, np.int64(2), np.uint64(2**64 - 1), model="m@a", epsilon_sigma=np.array([0.0, 0.25]), **given
         ),
         api_key="s3cret",
     )
-    server.ask("sync", lambda client: client.sample(PNG, 2), robot="ab" * 32)
+    server.ask(lambda client: client.sample(PNG, 2), robot="ab" * 32)
     first, second = server.forms
     assert first == {
         "image": [PNG],
@@ -150,29 +112,13 @@ def test_fields_are_sent_as_the_contract_has_them_and_the_rest_is_left_to_the_se
 
 
 def test_constraints_of_a_plan_are_sent_as_json():
-    server = Server(httpx.Response(422))
-    view = {"fx": 1.0, "fy": 1.0, "cx": 1.0, "cy": 1.0, "width": 2, "height": 2, "pose": np.eye(4)}
-    query = PlanQuery(
-        start=[0.0, 1.0],
-        goal_pose={"pose": np.eye(4)},
-        limits=[(-1, 2.5), None],
-        upright={"axis": (0, 0, 1), "max_rad": np.float64(0.1)},
-        view=[view],
-        max_risk=0.2,
-        keep=True,
-    )
+    server, query = Server(httpx.Response(422)), {"start": [0.0, 1.0], "max_risk": 0.2, "keep": True}
+    given = {"goal_pose": {"pose": np.eye(4)}, "limits": [(-1, 2.5), None]}
     with pytest.raises(SamplerError, match="422"):
-        server.ask("sync", lambda client: client.plan(PNG, query))
+        server.ask(lambda client: client.plan(PNG, PlanQuery(**query, **given)))
     [form] = server.forms
-    assert {name: json.loads(value[0]) for name, value in form.items() if name not in ("image", "seed")} == {
-        "start": [0.0, 1.0],
-        "goal_pose": {"pose": np.eye(4).tolist()},
-        "limits": [[-1.0, 2.5], None],
-        "upright": {"axis": [0.0, 0.0, 1.0], "max_rad": 0.1},
-        "view": view | {"pose": np.eye(4).tolist()},
-        "max_risk": 0.2,
-        "keep": True,
-    }
+    sent = {name: json.loads(value[0]) for name, value in form.items() if name not in ("image", "seed")}
+    assert sent == query | {"goal_pose": {"pose": np.eye(4).tolist()}, "limits": [[-1.0, 2.5], None]}
 
 
 @pytest.mark.parametrize(
@@ -186,7 +132,7 @@ def test_constraints_of_a_plan_are_sent_as_json():
 def test_a_value_that_no_request_has_is_named_before_anything_is_sent(wrong):
     server = Server(good())
     with pytest.raises(ValidationError, match=next(iter(wrong))):
-        server.ask("sync", lambda client: client.sample(PNG, **{"n": 2, **wrong}))
+        server.ask(lambda client: client.sample(PNG, **{"n": 2, **wrong}))
     assert server.requests == []
 
 
@@ -199,9 +145,9 @@ LATER = [
 
 
 @pytest.mark.parametrize("answer", LATER, ids=["refused", "disconnected", "503", "429"])
-def test_what_may_pass_is_tried_again_as_the_same_request_and_then_told(kind, answer, pauses):
+def test_what_may_pass_is_tried_again_as_the_same_request_and_then_told(answer, pauses):
     server = Server(answer, good())
-    assert len(server.ask(kind, lambda client: client.sample(PNG, 2)).samples) == 2
+    assert len(server.ask(lambda client: client.sample(PNG, 2)).samples) == 2
     first, again = server.forms
     assert first == again
     if isinstance(answer, httpx.Response):
@@ -209,7 +155,7 @@ def test_what_may_pass_is_tried_again_as_the_same_request_and_then_told(kind, an
         assert least_s <= pauses[0] <= 1.2 * least_s
     server = Server(answer)
     with pytest.raises(SamplerUnavailableError):
-        server.ask(kind, sample, retries=3)
+        server.ask(sample, retries=3)
     assert len(server.requests) == 4
 
 
@@ -229,64 +175,47 @@ def test_what_may_pass_is_tried_again_as_the_same_request_and_then_told(kind, an
     ],
     ids=["refused", "model", "failed", "plans", "elsewhere", "no answer", "wrong", "late", "too late"],
 )  # fmt: skip
-def test_what_will_come_again_is_told_at_once(kind, answer, error):
+def test_what_will_come_again_is_told_at_once(answer, error):
     server = Server(answer)
     with pytest.raises(SamplerError) as caught:
-        server.ask(kind, sample)
+        server.ask(sample)
     assert type(caught.value) is error
     assert len(server.requests) == 1
 
 
-def test_only_what_httpx_raises_for_a_connection_is_called_unreachable(kind):
+def test_only_what_httpx_raises_for_a_connection_is_called_unreachable():
     for ours in (TypeError("a fault of this program"), httpx.InvalidURL("no")):
         with pytest.raises(type(ours)):
-            Server(ours).ask(kind, sample)
+            Server(ours).ask(sample)
     with pytest.raises(SamplerUnavailableError, match=r"http://test:1 cannot be reached.*refused") as caught:
-        Server(httpx.ConnectError("refused")).ask(kind, sample)
+        Server(httpx.ConnectError("refused")).ask(sample)
     assert isinstance(caught.value.__cause__, httpx.ConnectError)
 
 
-def test_answers_are_bounded_in_size_and_time(kind, monkeypatch):
+def test_answers_are_bounded_in_size_and_time(monkeypatch):
     monkeypatch.setattr(module, "MAX_ANSWER_BYTES", 100)
     with pytest.raises(SamplerAnswerError, match="too long"):
-        Server(good()).ask(kind, sample)
+        Server(good()).ask(sample)
     monkeypatch.undo()
     with pytest.raises(SamplerUnavailableError, match="in time"):
-        Server(good()).ask(kind, sample, deadline_s=1e-9)
-
-
-def test_a_fallback_answers_with_the_same_seed_while_the_server_is_away(kind):
-    source, away = StandIn(), Server(httpx.Response(502))
-    assert away.ask(kind, lambda client: client.sample(PNG, 2), fallback=source).fallback
-    assert [str(source.seeds[0]).encode()] == away.forms[0]["seed"]
-    unused = StandIn()
-    assert not Server(good()).ask(kind, sample, fallback=unused).fallback
-    with pytest.raises(SamplerError, match="422"):
-        Server(httpx.Response(422)).ask(kind, sample, fallback=unused)
-    assert unused.seeds == []
-    with pytest.raises(SamplerUnavailableError, match="502"):
-        away.ask(kind, sample, fallback=StandIn(SamplerError("no bundle")))
-
-
-@pytest.mark.parametrize("url", ["localhost:8000", "ftp://x", "http://", "http://x/?q=1", "http://[::1"])
-def test_an_address_that_is_impossible_is_named_and_the_error_survives_pickling(url):
-    with pytest.raises(ConfigError, match="address") as caught:
-        SamplingClient(url)
-    again = pickle.loads(pickle.dumps(caught.value))  # noqa: S301 - our own
-    assert isinstance(again, ValueError)
-    assert (str(again), again.details) == (str(caught.value), caught.value.details)
+        Server(good()).ask(sample, deadline_s=1e-9)
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"timeout_s": 0.0}, {"deadline_s": float("nan")}, {"retries": -1}], ids=str
-)
-def test_limits_that_are_impossible_are_named(wrong):
-    with pytest.raises(ConfigError, match="time limit"):
-        SamplingClient("http://x", **wrong)
+    "wrong",
+    [*({"url": url} for url in ("localhost:8000", "ftp://x", "http://", "http://x/?q=1", "http://[::1")),
+     {"timeout_s": 0.0}, {"deadline_s": float("nan")}, {"retries": -1}],
+    ids=str,
+)  # fmt: skip
+def test_an_address_or_a_limit_that_is_impossible_is_named_and_the_error_survives_pickling(wrong):
+    with pytest.raises(ConfigError, match="impossible") as caught:
+        SamplingClient(**{"url": "http://x", **wrong})
+    again = pickle.loads(pickle.dumps(caught.value))  # noqa: S301 - our own
+    assert (str(again), again.details) == (str(caught.value), caught.value.details)
 
 
 def test_it_brings_nothing_of_the_project_and_no_framework():
     others = {"cspace", "services", "training", "inference_api", "PIL", "fastapi", "onnxruntime", "ompl"}
-    code = f"import sys, cspace_client, cspace_client.local; print(sorted({others!r} & set(sys.modules)))"
+    code = f"import sys, cspace_client; print(sorted({others!r} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert done.stdout.strip() == "[]"

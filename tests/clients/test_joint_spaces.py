@@ -1,7 +1,6 @@
 """The client's joint space beside the project's."""
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -9,17 +8,9 @@ from hypothesis.extra.numpy import arrays
 from cspace import space
 from cspace_client import models
 from cspace_client.models import JointSpace
-from cspace_client.wire import JointSpaceInfo
 
 OURS = space.JointSpace((-np.pi, -4.0), (np.pi, 1.0), (True, False))
 MIXED = JointSpace(OURS.lower, OURS.upper, OURS.periodic)
-
-
-@pytest.mark.parametrize("ours", [space.circles(3), OURS, space.JointSpace((-9.0,), (9.0,), (False,))])
-def test_a_joint_space_survives_the_way_through_an_answer(ours):
-    info = JointSpaceInfo.model_validate_json(JointSpaceInfo(**ours.to_dict()).model_dump_json())
-    read = JointSpace.of(info)
-    assert (read.lower, read.upper, read.periodic) == (ours.lower, ours.upper, ours.periodic)
 
 
 @given(arrays(np.float64, (4, 2), elements=st.floats(-20.0, 20.0)))

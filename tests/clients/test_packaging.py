@@ -14,8 +14,9 @@ CLIENT = ROOT / "clients" / "python"
 
 def test_the_wheel_is_small_holds_the_package_alone_and_needs_little(tmp_path: Path) -> None:
     # From a copy, for building leaves its traces in the sources.
-    ignored = shutil.ignore_patterns("*.egg-info", "build", "__pycache__")
-    source = shutil.copytree(CLIENT, tmp_path / "source", ignore=ignored)
+    source = shutil.copytree(
+        CLIENT, tmp_path / "source", ignore=shutil.ignore_patterns("*.egg-info", "build")
+    )
     command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation"]
     subprocess.run([*command, "--wheel-dir", str(tmp_path), str(source)], check=True, capture_output=True)
     (wheel,) = tmp_path.glob("*.whl")
@@ -24,14 +25,9 @@ def test_the_wheel_is_small_holds_the_package_alone_and_needs_little(tmp_path: P
         names = archive.namelist()
         (metadata,) = (archive.read(name).decode() for name in names if name.endswith("METADATA"))
     assert {name.partition("/")[0] for name in names} == {"cspace_client", "cspace_client-0.1.0.dist-info"}
-    sources = {str(path.relative_to(CLIENT / "src")) for path in (CLIENT / "src").rglob("*.py")}
-    assert {name for name in names if name.endswith(".py")} == sources
-    assert "cspace_client/py.typed" in names
-    assert any(name.endswith("licenses/LICENSE") for name in names)
-    headers = Parser().parsestr(metadata)
-    plain = [one for one in headers.get_all("Requires-Dist") if "extra ==" not in one]
+    assert {"cspace_client/ompl.py", "cspace_client/py.typed"} < set(names)
+    plain = [one for one in Parser().parsestr(metadata).get_all("Requires-Dist") if "extra ==" not in one]
     assert sorted(one.partition("<")[0].partition(">")[0] for one in plain) == ["httpx", "numpy", "pydantic"]
-    assert headers.get_all("Provides-Extra") == ["ompl", "local"]
 
 
 def test_it_has_the_projects_version() -> None:

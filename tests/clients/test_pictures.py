@@ -19,13 +19,10 @@ CAMERA = {"fx": 46.0, "fy": 46.0, "cx": 31.5, "cy": 23.5, "pose": np.eye(4)}
 DEPTH = np.random.default_rng(0).integers(0, 2**16, (48, 64)).astype(np.uint16)
 
 
-def test_a_picture_in_colour_is_the_same_pixels():
+def test_pixels_arrive_as_they_are():
     image = np.random.default_rng(0).integers(0, 256, (48, 48, 3)).astype(np.uint8)
     for pixels in (image, picture(), np.asfortranarray(image)):
         np.testing.assert_array_equal(decode_png(encode_png(pixels)), pixels)
-
-
-def test_a_depth_picture_is_the_same_numbers():
     for pixels in (DEPTH, DEPTH[::2, ::-1], DEPTH.astype(">u2")):
         data = encode_png(pixels)
         assert canonical_png(data, read_header(data)) == data
@@ -35,29 +32,14 @@ def test_a_depth_picture_is_the_same_numbers():
 def test_depths_in_metres_are_the_same_numbers_in_an_npy_file():
     metres = np.where(DEPTH == 0, np.nan, DEPTH / 1000.0).astype(np.float32)
     for pixels in (metres, metres[::2, ::-1], metres.astype(">f4")):
-        ((_, (name, data, kind)),) = shown(DepthPictures([pixels], [CAMERA])).files
+        ((_, (name, data, kind)),) = shown(DepthPictures([pixels], [CAMERA]))[0]
         assert (name, kind) == ("depth.npy", "application/x-npy")
         np.testing.assert_array_equal(read_depth(data), np.nan_to_num(pixels * 1000.0).round())
 
 
-@pytest.mark.parametrize(
-    "image",
-    [
-        np.zeros((4, 4)),
-        np.zeros((4, 4), np.uint8),
-        np.zeros((4, 4, 4), np.uint8),
-        np.zeros((0, 4, 3), np.uint8),
-    ],
-    ids=["float", "grey of 8 bits", "with alpha", "empty"],
-)
-def test_pixels_that_are_no_picture_are_refused(image):
-    with pytest.raises(SamplerError, match="picture"):
-        shown(image)
-
-
 def form(picture):
     """The fields beside the files, as a form has them, read again."""
-    sent = form_of(shown(picture).fields)
+    sent = form_of(shown(picture)[1])
     return {
         name: [json.loads(one) for one in value] if isinstance(value, list) else json.loads(value)
         for name, value in sent.items()
@@ -65,7 +47,7 @@ def form(picture):
 
 
 def files(picture, field="image"):
-    return [data for name, (_, data, _) in shown(picture).files if name == field]
+    return [data for name, (_, data, _) in shown(picture)[0] if name == field]
 
 
 def test_cameras_go_beside_their_pictures_in_the_same_order():
@@ -98,6 +80,9 @@ def test_what_is_known_goes_beside_a_picture():
 
 
 def test_pictures_that_no_request_has_are_refused():
+    for pixels in (np.zeros((4, 4)), np.zeros((4, 4), np.uint8), np.zeros((0, 4, 3), np.uint8)):
+        with pytest.raises(SamplerError, match="picture"):
+            shown(pixels)
     for pictures, cameras in (([], []), ([DEPTH], []), ([DEPTH] * 5, [CAMERA] * 5)):
         with pytest.raises(SamplerError, match="camera"):
             DepthPictures(pictures, cameras)

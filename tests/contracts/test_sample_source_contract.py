@@ -1,24 +1,21 @@
-"""One contract for what gives planners and metrics samples: fake, HTTP clients, bundle, the real API (e2e).
+"""One contract for what gives planners and metrics samples: fake, HTTP client, bundle, the real API (e2e).
 
 The uniform baseline keeps the part of it that asks for no model and no picture.
 """
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
-from anyio.from_thread import BlockingPortal, start_blocking_portal
 
 from cspace.errors import SamplerError, SamplerUnavailableError
 from cspace.png import encode_png
 from cspace.query import SampleQuery
 from cspace.worlds.planar.arm import TWO_LINK
 from services.planner.client import SamplingClient
-from services.planner.samples import LocalSampler, Picture, SampleBatch, SampleSource
+from services.planner.samples import LocalSampler, SampleSource
 from tests.bundles import picture, write_tiny_bundle
-from tests.fakes.async_client import AsyncSamplingClient
 from tests.fakes.sample_server import sample_server
 from tests.fakes.sample_source import FakeSampleSource
 from tests.fakes.uniform_sampler import UniformSampler
@@ -26,32 +23,8 @@ from tests.inference_api.server import api_server
 
 PNG = encode_png(picture())
 E2E = pytest.mark.e2e
-KINDS = [
-    "fake",
-    "http",
-    "async",
-    "local",
-    pytest.param("api", marks=E2E),
-    pytest.param("async api", marks=E2E),
-]
+KINDS = ["fake", "http", "local", pytest.param("api", marks=E2E)]
 BASELINE_TOO = pytest.mark.parametrize("source", [*KINDS, "uniform"], indirect=True)
-
-
-class Awaited(SampleSource):
-    """The awaited client as a source like the others: every call waits in an event loop's thread."""
-
-    def __init__(self, client: AsyncSamplingClient, portal: BlockingPortal) -> None:
-        self._client, self._portal = client, portal
-
-    def answer(self, picture: Picture, query: SampleQuery, model: str | None = None) -> SampleBatch:
-        return self._portal.call(self._client.answer, picture, query, model)
-
-
-@contextmanager
-def awaited(url: str) -> Iterator[SampleSource]:
-    client = AsyncSamplingClient(url)
-    with start_blocking_portal() as portal, portal.wrap_async_context_manager(client):
-        yield Awaited(client, portal)
 
 
 @pytest.fixture(scope="module")
@@ -65,16 +38,6 @@ def api_url(tmp_path_factory: pytest.TempPathFactory, bundle: Path) -> Iterator[
         yield url
 
 
-@contextmanager
-def connected(kind: str, url: str) -> Iterator[SampleSource]:
-    if "async" in kind:
-        with awaited(url) as source:
-            yield source
-    else:
-        with SamplingClient(url) as client:
-            yield client
-
-
 @pytest.fixture(params=KINDS)
 def source(request: pytest.FixtureRequest, bundle: Path) -> Iterator[SampleSource]:
     if request.param == "fake":
@@ -83,11 +46,11 @@ def source(request: pytest.FixtureRequest, bundle: Path) -> Iterator[SampleSourc
         yield LocalSampler(bundle)
     elif request.param == "uniform":
         yield UniformSampler(TWO_LINK.space)
-    elif "api" in request.param:
-        with connected(request.param, request.getfixturevalue("api_url")) as client:
+    elif request.param == "api":
+        with SamplingClient(request.getfixturevalue("api_url")) as client:
             yield client
     else:
-        with sample_server(FakeSampleSource()) as server, connected(request.param, server.url) as client:
+        with sample_server(FakeSampleSource()) as server, SamplingClient(server.url) as client:
             yield client
 
 
@@ -98,13 +61,13 @@ def empty_source(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Cal
         yield lambda: FakeSampleSource(ready=False)
     elif request.param == "local":
         yield lambda: LocalSampler(tmp_path / "nothing")
-    elif "api" in request.param:
+    elif request.param == "api":
         nothing = {"CSPACE_PRETRAINED_MODEL": str(tmp_path / "nothing")}
-        with api_server(tmp_path, nothing) as url, connected(request.param, url) as client:
+        with api_server(tmp_path, nothing) as url, SamplingClient(url) as client:
             yield lambda: client
     else:
         empty = FakeSampleSource(ready=False)
-        with sample_server(empty) as server, connected(request.param, server.url) as client:
+        with sample_server(empty) as server, SamplingClient(server.url) as client:
             yield lambda: client
 
 
@@ -190,7 +153,7 @@ def test_a_source_without_a_model_is_unavailable(empty_source):
 def test_a_bundle_here_and_behind_the_api_gives_the_same_samples(bundle: Path, api_url: str) -> None:
     options = {"seed": 11, "epsilon_sigma": (0.0, 0.3), "min_confidence": 0.4}
     here = LocalSampler(bundle).sample(PNG, 150, **options)
-    with SamplingClient(api_url) as client, awaited(api_url) as other:
-        for there in (client.sample(PNG, 150, **options), other.sample(PNG, 150, **options)):
-            assert there.samples.tobytes() == here.samples.tobytes()
-            assert (there.digest, there.shortfall) == (here.digest, here.shortfall)
+    with SamplingClient(api_url) as client:
+        there = client.sample(PNG, 150, **options)
+    assert there.samples.tobytes() == here.samples.tobytes()
+    assert (there.digest, there.shortfall) == (here.digest, here.shortfall)

@@ -12,6 +12,5 @@ from tests.docs.blocks import ROOT
 def docs_scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One folder a document."""
     folder = tmp_path_factory.mktemp("docs")
-    for shown in (Path("docs/images"), Path("clients/python/examples")):
-        shutil.copytree(ROOT / shown, folder / shown)
+    shutil.copytree(ROOT / "docs" / "images", folder / "docs" / "images")
     return folder

@@ -1,8 +1,7 @@
-"""Both Python clients against the app."""
+"""The Python client against the app."""
 
 from typing import Any
 
-import anyio
 import numpy as np
 import pytest
 
@@ -12,7 +11,8 @@ from cspace.simulator import Split
 from cspace.worlds import examples, robot_digest, simulator_of
 from cspace_client import PlanQuery, SamplerError, SamplerUnavailableError
 from cspace_client.pictures import form_of
-from cspace_client.wire import PlanRequest, SampleQuery, SampleRequest, ValidityRequest
+from cspace_client.wire import SampleQuery
+from inference_api.scene import PlanRequest, SampleRequest, ValidityRequest
 from tests.bundles import picture
 from tests.inference_api.client_transports import IntoApp
 
@@ -24,23 +24,13 @@ ROWS = np.array([[0.1, 0.2], [3.0, -3.0], [-1.5, 1.0]])
 QUERY = PlanQuery(start=PROBLEM.start, goal=PROBLEM.goal, seed=3, time_limit_s=10.0)
 
 
-@pytest.fixture(params=["sync", "async"])
-def ask(request, api):
-    """One call of either client."""
+@pytest.fixture
+def ask(api):
+    """One call of the client."""
 
     def call(name: str, *values: Any, **options: Any) -> Any:
-        if request.param == "sync":
-            with cspace_client.SamplingClient("http://localhost", 60.0, transport=IntoApp(api)) as client:
-                return getattr(client, name)(*values, **options)
-
-        async def awaited() -> Any:
-            transport = IntoApp(api)
-            async with cspace_client.AsyncSamplingClient(
-                "http://localhost", 60.0, transport=transport
-            ) as client:
-                return await getattr(client, name)(*values, **options)
-
-        return anyio.run(awaited)
+        with cspace_client.SamplingClient("http://localhost", 60.0, transport=IntoApp(api)) as client:
+            return getattr(client, name)(*values, **options)
 
     return call
 

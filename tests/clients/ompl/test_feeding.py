@@ -96,11 +96,6 @@ def test_a_path_leads_to_the_real_goal(kind, planner):
     np.testing.assert_allclose(path[[0, -1]], [[-1.0] * space.dim, [1.0] * space.dim])
 
 
-def wall(values):
-    """Two joints; the first one passes zero only where the second is near one."""
-    return abs(values[0]) > 0.3 or abs(values[1] - 1.5) < 0.3
-
-
 def test_the_set_up_is_what_it_was_whatever_ends_the_block():
     setup = make_setup(SPACES["torus"]())
     setup.getPlanner().setGoalBias(0.2)
@@ -125,39 +120,27 @@ def test_the_goals_threshold_holds_in_the_metric_of_the_state_space():
     assert (draws.learned_drawn, draws.uniform_drawn) == (1, 0)
 
 
-@pytest.mark.parametrize("planner", [None, og.RRTConnect, og.InformedRRTstar, og.PRM])
-def test_other_planners_are_refused(planner):
-    setup = make_setup(SPACES["torus"](), planner)
-    with pytest.raises(PlanningError, match="RRT or RRTstar"), feed_samples(setup, np.zeros((1, 2))):
-        pass
-
-
 @pytest.mark.parametrize(
-    ("samples", "words"),
+    ("words", "options", "given"),
     [
-        (np.zeros((3, 3)), "do not fit"),
-        ([0.0, 0.0], "do not fit"),
-        ([[math.nan, 0.0]], "outside the bounds"),
-        ([[0.0, 2.5], [0.0, 1.0]], "outside the bounds.*1 others"),
+        *(("RRT or RRTstar", {"planner": kind}, {}) for kind in (None, og.RRTConnect, og.InformedRRTstar)),
+        ("do not fit", {}, {"samples": np.zeros((3, 3))}),
+        ("do not fit", {}, {"samples": [0.0, 0.0]}),
+        ("outside the bounds", {}, {"samples": [[math.nan, 0.0]]}),
+        ("outside the bounds.*1 others", {}, {"samples": [[0.0, 2.5], [0.0, 1.0]]}),
+        ("uniform_share", {}, {"uniform_share": 2.0}),
     ],
 )
-def test_samples_that_do_not_fit_are_refused(samples, words):
-    setup = make_setup(box(2))
-    with pytest.raises(PlanningError, match=words), feed_samples(setup, samples):
-        pass
+def test_what_can_not_be_fed_is_named(words, options, given):
+    setup = make_setup(box(2), **options)
+    with pytest.raises((PlanningError, ConfigError), match=words):
+        feed_samples(setup, **({"samples": np.zeros((1, 2))} | given)).__enter__()
 
 
-def test_other_state_spaces_goals_and_shares_are_refused():
-    plane = ob.SE2StateSpace()
-    bounds = ob.RealVectorBounds(2)
-    bounds.setLow(-1)
-    bounds.setHigh(1)
-    plane.setBounds(bounds)
+def test_other_state_spaces_and_a_goal_of_several_states_are_refused():
     with pytest.raises(PlanningError, match="SO2"):
-        read_joint_space(product(plane))
-    setup = make_setup(SPACES["torus"]())
-    with pytest.raises(ConfigError, match="uniform_share"), feed_samples(setup, [], uniform_share=2.0):
-        pass
+        read_joint_space(product(ob.SE2StateSpace()))
+    setup = make_setup(box(2))
     setup.setGoal(ob.GoalStates(setup.getSpaceInformation()))
     with pytest.raises(PlanningError, match="no single state"), feed_samples(setup, []):
         pass

@@ -12,12 +12,6 @@ def mixture(goal_bias=0.05, uniform_share=0.3, samples=SAMPLES, space=TWO_LINK.s
     return SampleMixture(space, GOAL, samples, goal_bias, uniform_share, np.random.default_rng(0))
 
 
-def test_learned_samples_come_in_their_order_and_once_each():
-    draws = mixture(goal_bias=0.0, uniform_share=0.0)
-    assert np.allclose([draws.draw() for _ in range(500)], SAMPLES)
-    assert (draws.goal_drawn, draws.learned_drawn, draws.uniform_drawn) == (0, 500, 0)
-
-
 def test_after_the_last_learned_sample_all_are_uniform():
     draws = mixture(goal_bias=0.0, uniform_share=0.0, samples=SAMPLES[:3])
     drawn = np.array([draws.draw() for _ in range(2003)])[3:]
@@ -34,13 +28,6 @@ def test_shares_are_those_that_were_asked_for():
     assert draws.goal_drawn == pytest.approx(1000, abs=120)
     assert draws.uniform_drawn == pytest.approx(2700, abs=180)
     assert draws.goal_drawn + draws.uniform_drawn + draws.learned_drawn == 10_000
-
-
-def test_a_reached_goal_is_not_drawn_any_more():
-    draws = mixture(goal_bias=1.0)
-    assert draws.draw() == GOAL
-    draws.goal_reached()
-    assert all(draws.draw() != GOAL for _ in range(100))
 
 
 def test_a_sample_is_checked_when_its_turn_comes_and_no_sooner():

@@ -4,12 +4,12 @@ import httpx
 import pytest
 
 from cspace.bundle import samples as judging
-from cspace.errors import SamplerError, SamplerUnavailableError
+from cspace.errors import SamplerError
 from cspace.query import SampleQuery
 from cspace.simulator import Split
 from cspace.worlds import default_world, examples, robot_digest
 from cspace.worlds.planar.problems import Family, draw_problem
-from services.planner.client import ClientSource, SamplingClient
+from services.planner.client import SamplingClient
 from services.planner.planning import SampleRequest, plan
 from services.planner.samples import LocalSampler
 from services.planner.settings import PlannerSettings
@@ -51,14 +51,6 @@ def test_a_bundle_looks_at_a_requests_robot_once(tmp_path, monkeypatch):
     monkeypatch.setattr(judging, "robot_digest", lambda world: looked.append(world) or robot_digest(world))
     local.sample(picture(), 3)
     assert len(looked) == 1
-
-
-def test_a_fallback_of_another_robot_does_not_stand_in(tmp_path):
-    local = ClientSource(LocalSampler(write_tiny_bundle(tmp_path / "bundle")))
-    with SamplingClient("http://127.0.0.1:9", retries=0, fallback=local, robot=THREE) as client:
-        with pytest.raises(SamplerUnavailableError):
-            client.sample(picture(), 3)
-        assert client.sample(picture(), 3, robot=TWO).fallback
 
 
 def test_a_planner_names_the_robot_of_its_problem():

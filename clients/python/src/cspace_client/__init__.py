@@ -1,14 +1,12 @@
 """A client of the inference API of cspace-sampler: samples, confidence and paths for a picture, over HTTP.
 
-``cspace_client.wire`` holds the requests and answers, ``cspace_client.local`` samples from a bundle in this
-process where the project is installed, and ``cspace_client.ompl`` plans with OMPL where that is.
+``cspace_client.wire`` holds the fields of requests and answers. ``cspace_client.ompl`` plans with OMPL.
 """
 
-from cspace_client.client import DEFAULT_TIMEOUT_S, AsyncSamplingClient, SamplingClient
+from cspace_client.client import DEFAULT_TIMEOUT_S, SamplingClient
 from cspace_client.errors import (
     ClientError,
     ConfigError,
-    LocalError,
     PlanningError,
     SamplerAnswerError,
     SamplerError,
@@ -23,7 +21,6 @@ from cspace_client.models import (
     JointSpace,
     Predictions,
     SampleBatch,
-    Source,
     SourceTiming,
 )
 from cspace_client.outcomes import OutcomeSender
@@ -33,7 +30,6 @@ from cspace_client.wire import MAX_SAMPLES, Contact, ModelInfo, PictureWarning, 
 __all__ = [
     "DEFAULT_TIMEOUT_S",
     "MAX_SAMPLES",
-    "AsyncSamplingClient",
     "Belief",
     "ClientError",
     "ConfigError",
@@ -43,7 +39,6 @@ __all__ = [
     "FoundPlan",
     "JointSpace",
     "Known",
-    "LocalError",
     "ModelInfo",
     "OutcomeSender",
     "Picture",
@@ -59,6 +54,5 @@ __all__ = [
     "SamplerModelError",
     "SamplerUnavailableError",
     "SamplingClient",
-    "Source",
     "SourceTiming",
 ]

@@ -6,7 +6,6 @@ ClientError
 │   ├── SamplerModelError               the server has no such model
 │   └── SamplerUnavailableError         the server does not answer
 │       └── SamplerAnswerError          its answer cannot be used
-├── LocalError                          nothing installed here samples from a bundle
 └── PlanningError                       a planner was asked for something impossible
 """
 
@@ -25,14 +24,6 @@ class ClientError(Exception):
     def details(self) -> dict[str, str | None]:
         """All but what is wrong."""
         return {"expected": self.expected, "got": self.got, "remedy": self.remedy}
-
-    def __reduce__(self) -> tuple[object, ...]:
-        # Pickle would replay the joined message alone.
-        return (_rebuild, (type(self), self.what, self.details))
-
-
-def _rebuild(kind: type[ClientError], what: str, details: dict[str, str | None]) -> ClientError:
-    return kind(what, **details)
 
 
 class ConfigError(ClientError, ValueError):
@@ -53,10 +44,6 @@ class SamplerUnavailableError(SamplerError):
 
 class SamplerAnswerError(SamplerUnavailableError):
     """The server's answer cannot be used."""
-
-
-class LocalError(ClientError):
-    """Nothing installed here samples from a bundle, or the bundle cannot be used."""
 
 
 class PlanningError(ClientError):

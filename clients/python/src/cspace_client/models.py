@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel
 
-from cspace_client.pictures import Picture
 from cspace_client.wire import (
     BeliefAnswer,
     DoctorAnswer,
@@ -126,14 +125,13 @@ class SourceTiming:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampleBatch:
-    """Learned samples for one picture, of a server or of a bundle in this process.
+    """Learned samples for one picture.
 
     Args:
         samples: (n, d) float32 rad, circles in [-pi, pi), other joints within their limits.
         model_version: its number in the registry, 0 for a shipped model.
         shortfall: how many fewer samples came than were requested.
         round_trip_s: from the request to the answer, further attempts included.
-        fallback: whether another source answered because the server was away.
         novelty: share of the training pictures that are less unusual; None where it is not known.
         acceptance: share of the proposals that reached the requested confidence.
         robot: digest of the robot, as ``GET /models`` lists it.
@@ -148,7 +146,6 @@ class SampleBatch:
     seed: int
     shortfall: int
     round_trip_s: float
-    fallback: bool = False
     novelty: float | None = None
     timing: SourceTiming | None = None
     acceptance: float | None = None
@@ -183,26 +180,26 @@ class SampleBatch:
         )
 
 
-class _Received(BaseModel):
+class Received(BaseModel):
     """What a client adds to an answer: the time from the request on, and the request's id."""
 
     round_trip_s: float = 0.0
     request_id: str | None = None
 
 
-class FoundPlan(PlanAnswer, _Received):
+class FoundPlan(PlanAnswer, Received):
     """A path, or why there is none; the fields are those of ``POST /plan``."""
 
 
-class Predictions(ValidityAnswer, _Received):
+class Predictions(ValidityAnswer, Received):
     """A model's confidence in configurations; the fields are those of ``POST /validity``."""
 
 
-class Diagnosis(DoctorAnswer, _Received):
+class Diagnosis(DoctorAnswer, Received):
     """What a close look at pictures finds; the fields are those of ``POST /doctor``."""
 
 
-class Belief(BeliefAnswer, _Received):
+class Belief(BeliefAnswer, Received):
     """The probability that something is in each cell of space; the fields are those of ``POST /belief``."""
 
     @property
@@ -214,15 +211,6 @@ class Belief(BeliefAnswer, _Received):
     def centres_m(self, least: float) -> NDArray[np.float64]:
         """(N, 3): middles of the cells whose probability is at least that, m, in the order of the array."""
         return np.asarray(self.low_m + self.cell_m * (np.argwhere(self.cells >= least) + 0.5))
-
-
-class Source(Protocol):
-    """Whatever answers with samples: a client, or what stands in for a server."""
-
-    def answer(
-        self, picture: Picture, query: SampleQuery, model: str | None = None, robot: str | None = None
-    ) -> SampleBatch:
-        """At most ``query.n`` samples, the same for the same picture and seed; raises ``SamplerError``."""
 
 
 def as_query(kind: type[Query], **values: Any) -> Query:

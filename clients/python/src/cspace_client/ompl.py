@@ -17,8 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 from ompl import base as ob
 from ompl import geometric as og
 
+from cspace_client.client import SamplingClient
 from cspace_client.errors import ConfigError, PlanningError
-from cspace_client.models import Joints, JointSpace, SampleBatch, Source, as_query, circles, seeded
+from cspace_client.models import Joints, JointSpace, SampleBatch, as_query, circles, seeded
 from cspace_client.pictures import Picture
 from cspace_client.wire import SampleQuery
 
@@ -418,7 +419,7 @@ class LearnedSampler:
 
 def learned_sampler(
     problem: Problem,
-    client: Source,
+    client: SamplingClient,
     *,
     n: int = DEFAULT_SAMPLES,
     seed: int | None = None,
@@ -429,7 +430,7 @@ def learned_sampler(
 
     Args:
         problem: to solve.
-        client: a :class:`cspace_client.SamplingClient` or :class:`cspace_client.local.LocalClient`.
+        client: of the server.
         n: how many samples.
         seed: of the samples; drawn when None.
         model: ``name``, ``name@alias``, ``name/version`` or ``pretrained``.

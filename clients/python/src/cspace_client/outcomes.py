@@ -21,7 +21,7 @@ class OutcomeSender:
     """Sends outcomes in batches in the background; a context manager.
 
     Neither :meth:`plan` nor :meth:`samples` waits. What cannot be sent is dropped and counted. Answers
-    without a request id, as of a fallback, are ignored. Wrong values are a ``pydantic.ValidationError``.
+    without a request id are ignored. Wrong values are a ``pydantic.ValidationError``.
     """
 
     def __init__(

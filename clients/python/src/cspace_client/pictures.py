@@ -65,27 +65,19 @@ Picture = bytes | NDArray[np.uint8] | PlanarPicture | DepthPictures
 """A picture's file, uint8 (P, P, 3), one of these with known discs, or what depth cameras saw."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Shown:
+def shown(picture: Picture) -> tuple[list[Part], ViewFields]:
     """A picture as a form holds it: the files of ``image`` and ``mesh``, and the other fields."""
-
-    files: list[Part]
-    fields: ViewFields
-
-
-def shown(picture: Picture) -> Shown:
-    """A picture as it is sent; raises ``SamplerError`` or ``pydantic.ValidationError`` for what is none."""
     if not isinstance(picture, DepthPictures | PlanarPicture):
-        return Shown([_file(picture)], ViewFields())
+        return [_file(picture)], ViewFields()
     known = picture.known or Known()
     meshes: list[Part] = [("mesh", (name, data, _STL)) for name, data in known.meshes.items()]
     values: dict[str, Any] = known.fields
     if isinstance(picture, PlanarPicture):
-        return Shown([_file(picture.picture), *meshes], ViewFields(**values))
+        return [_file(picture.picture), *meshes], ViewFields(**values)
     values["camera"] = [dict(camera) for camera in picture.cameras]
     values |= {"state": picture.state} if picture.state is not None else {}
     values |= {"depth_scale_m": picture.depth_scale_m, "max_age_s": picture.max_age_s}
-    return Shown([*map(_file, picture.pictures), *meshes], ViewFields(**values))
+    return [*map(_file, picture.pictures), *meshes], ViewFields(**values)
 
 
 def form_of(*requests: Request) -> dict[str, str | list[str]]:

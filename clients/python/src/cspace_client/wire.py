@@ -1,4 +1,4 @@
-"""Requests and answers of the HTTP API as pydantic models: one definition for server and client.
+"""What requests and answers of the HTTP API hold, as pydantic models: one definition for server and client.
 
 Requests refuse unknown fields. Answers ignore them, so that a client reads those of a newer server.
 """
@@ -267,28 +267,6 @@ class ViewFields(KnownFields):
     )
 
 
-class SceneFields(ViewFields):
-    """What shows the scene, and the model that is asked."""
-
-    image: Pictures = Field(
-        description="A square PNG, or 1 to 4 depth pictures: 16-bit PNG of mm, float32 TIFF or `.npy` of m."
-    )
-    model: str | None = Field(
-        None,
-        max_length=300,
-        description="`name` (its champion), `name@alias`, `name/version` or `pretrained`.",
-    )
-    robot: RobotReference | None = Field(
-        None, description="Digest of the robot that is planned for; without `model` also its name."
-    )
-
-    @model_validator(mode="after")
-    def _name_without_model(self) -> Self:
-        if self.robot is not None and self.model is not None and not re.fullmatch(DIGEST, self.robot):
-            raise ValueError("robot is a digest where a model is named")
-        return self
-
-
 class SampleQuery(Request):
     """What is asked of a sampler."""
 
@@ -300,27 +278,6 @@ class SampleQuery(Request):
     start: Configuration | None = Field(None, description="For path models and only for them, rad.")
     goal: Configuration | None = Field(None, description="As `start`.")
     min_confidence: Share | None = Field(None, description="Absent, the model's threshold; 0 returns all.")
-
-
-class PlanQuery(Request):
-    """What is asked of a planner."""
-
-    start: Configuration = Field(description="Where the path begins, rad.")
-    goal: Configuration | None = Field(None, description="Where it ends; either this or `goal_pose`.")
-    goal_pose: "GoalPose | None" = Field(None, description="Of arms in space: where the tool ends.")
-    limits: Limits | None = Field(None, description="For each joint `[low, high]`, or null for its own.")
-    upright: "Upright | None" = Field(None, description="An axis that stays upright.")
-    unwrapped: bool = Field(default=False, description="Circles go on beyond [-pi, pi).")
-    seed: Seed = _SEED
-    min_confidence: Share | None = Field(None, description="Absent, 0.2 where plans are calibrated.")
-    max_risk: Share | None = Field(None, description="In place of `min_confidence`: of a collision.")
-    time_limit_s: Number = Field(1.0, ge=0.01, le=MAX_TIME_S, description="Of search and refinement.")
-    ways: int = Field(4, ge=1, le=MAX_PATHS, description="Number of paths to search for.")
-    alternatives: bool = Field(default=False, description="Return all paths of sufficient confidence.")
-    explain: bool = Field(default=False, description="Say in `contact` what is in the way.")
-    keep: bool = Field(default=False, description="Let the server keep the plan for training.")
-    next_view: bool = Field(default=False, description="Name a camera that would see more.")
-    view: Views = Field([], description="Cameras to choose it from; absent, those of the training.")
 
 
 class GoalPose(Request):
@@ -340,37 +297,25 @@ class Upright(Request):
     up: Vector = [0.0, 0.0, 1.0]
 
 
-class SampleRequest(SampleQuery, SceneFields):
-    """A request for samples."""
+class PlanQuery(Request):
+    """What is asked of a planner."""
 
-
-class PlanRequest(PlanQuery, SceneFields):
-    """A request for a path."""
-
-
-_Row = Annotated[list[Number], Field(min_length=1, max_length=MAX_JOINTS, fail_fast=True)]
-_ROWS = {"type": "array", "items": {"type": "array", "items": {"type": "number"}}, "maxItems": MAX_SAMPLES}
-ConfigurationRows = Annotated[
-    bytes | Annotated[list[_Row], Field(min_length=1, max_length=MAX_SAMPLES, fail_fast=True)],
-    WithJsonSchema(_ROWS),
-]
-
-
-class ValidityRequest(SceneFields):
-    """A request for the confidence of configurations."""
-
-    configurations: ConfigurationRows = Field(
-        description="(n, joints) rad: JSON, or in a form a `.npy` file."
-    )
-    explain: bool = Field(default=False, description=f"Say `why`; at most {MAX_EXPLAINED} rows.")
-
-
-class BeliefRequest(SceneFields):
-    """A request for the probability that something is in each cell of space."""
-
-
-class DoctorRequest(SceneFields):
-    """A request for a diagnosis of pictures, cameras and state."""
+    start: Configuration = Field(description="Where the path begins, rad.")
+    goal: Configuration | None = Field(None, description="Where it ends; either this or `goal_pose`.")
+    goal_pose: GoalPose | None = Field(None, description="Of arms in space: where the tool ends.")
+    limits: Limits | None = Field(None, description="For each joint `[low, high]`, or null for its own.")
+    upright: Upright | None = Field(None, description="An axis that stays upright.")
+    unwrapped: bool = Field(default=False, description="Circles go on beyond [-pi, pi).")
+    seed: Seed = _SEED
+    min_confidence: Share | None = Field(None, description="Absent, 0.2 where plans are calibrated.")
+    max_risk: Share | None = Field(None, description="In place of `min_confidence`: of a collision.")
+    time_limit_s: Number = Field(1.0, ge=0.01, le=MAX_TIME_S, description="Of search and refinement.")
+    ways: int = Field(4, ge=1, le=MAX_PATHS, description="Number of paths to search for.")
+    alternatives: bool = Field(default=False, description="Return all paths of sufficient confidence.")
+    explain: bool = Field(default=False, description="Say in `contact` what is in the way.")
+    keep: bool = Field(default=False, description="Let the server keep the plan for training.")
+    next_view: bool = Field(default=False, description="Name a camera that would see more.")
+    view: Views = Field([], description="Cameras to choose it from; absent, those of the training.")
 
 
 class _Outcome(Request):
@@ -681,45 +626,6 @@ class OutcomesAnswer(Answer):
     """What was done with a batch."""
 
     kept: int = Field(description="Outcomes that were taken: all, or 0 if the disk does not keep up.")
-
-
-class ListedModel(Answer):
-    """A model that a request can name."""
-
-    reference: str = Field(description="What to write into `model`.")
-    name: str
-    version: int
-    aliases: list[str]
-    run_id: str | None
-    digest: str
-    loaded: bool = Field(description="Whether it is in memory.")
-    default: bool = Field(description="Whether it answers requests that name no model.")
-    robot: str | None = Field(description="SHA-256 of the robot; null where it is not known before loading.")
-    world: dict[str, Any] | None = Field(description="Robot and camera; null if too long.")
-    joint_space: JointSpaceInfo | None = Field(description="As in an answer; null as `world` is.")
-
-
-class ModelsAnswer(Answer):
-    """The models that requests can name."""
-
-    default: str
-    registry: Literal["none", "reachable", "unreachable"]
-    models: list[ListedModel]
-
-
-class Live(Answer):
-    """The process answers."""
-
-    status: Literal["live"] = "live"
-
-
-class Ready(Answer):
-    """The default model answers."""
-
-    status: Literal["ready"] = "ready"
-    registry: Literal["none", "reachable", "unreachable"]
-    successor: Literal["none", "pending", "refused"] = Field(description="A champion not served yet.")
-    model: ModelInfo
 
 
 class FieldProblem(Answer):
