@@ -177,7 +177,7 @@ class GoalOnly:
     """Gives the goal; for planners that draw uniform states themselves."""
 
     def __init__(self, goal: Sequence[float]) -> None:
-        self.goal_drawn = self.learned_drawn = self.uniform_drawn = self.state_checks = 0
+        self.goal_drawn = self.learned_drawn = self.uniform_drawn = 0
         self._goal = goal
 
     def draw(self) -> Sequence[float]:

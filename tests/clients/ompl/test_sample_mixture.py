@@ -28,18 +28,3 @@ def test_shares_are_those_that_were_asked_for():
     assert draws.goal_drawn == pytest.approx(1000, abs=120)
     assert draws.uniform_drawn == pytest.approx(2700, abs=180)
     assert draws.goal_drawn + draws.uniform_drawn + draws.learned_drawn == 10_000
-
-
-def test_a_sample_is_checked_when_its_turn_comes_and_no_sooner():
-    looked_at = []
-
-    def is_free(sample):
-        looked_at.append(sample)
-        return sample[1] == 1.0
-
-    rows = np.array([[0.0, 1.0], [1.0, 0.0], [2.0, 1.0], [3.0, 1.0]])
-    draws = SampleMixture(TWO_LINK.space, GOAL, rows, 0.0, 0.0, np.random.default_rng(0), is_free)
-    assert [draws.draw()[0] for _ in range(2)] == [0.0, 2.0]
-    assert draws.state_checks == len(looked_at) == 3
-    assert [draws.draw()[0] for _ in range(2)] == [3.0, 1.0]
-    assert draws.state_checks == 4

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,8 +29,6 @@ _PLANNERS = (og.RRT, og.RRTstar)
 _UNLIMITED = 2**31 - 1
 _BLOCK = 256
 
-Sample = TypeVar("Sample")
-
 
 class StateDraws(Protocol):
     """A source of states for a planner, which counts what it gave."""
@@ -38,7 +36,6 @@ class StateDraws(Protocol):
     goal_drawn: int
     learned_drawn: int
     uniform_drawn: int
-    state_checks: int
 
     def draw(self) -> Sequence[float]:
         """The next configuration, d values in rad."""
@@ -53,8 +50,7 @@ class SampleMixture:
     """Draws the goal by its bias, else a learned sample or, by their share, a uniform one.
 
     The learned samples come in the order given and once each, as ``BiasSampler[i]`` in algorithm 3 of the
-    MultiWGAN-GP paper; after the last one all further states are uniform. Those that ``is_free`` rejects are
-    put off until all others are drawn.
+    MultiWGAN-GP paper; after the last one all further states are uniform.
     """
 
     def __init__(
@@ -65,14 +61,13 @@ class SampleMixture:
         goal_bias: float,
         uniform_share: float,
         rng: np.random.Generator,
-        is_free: Callable[[Sequence[float]], bool] | None = None,
     ) -> None:
-        self.goal_drawn = self.learned_drawn = self.uniform_drawn = self.state_checks = 0
+        self.goal_drawn = self.learned_drawn = self.uniform_drawn = 0
         self._space, self._rng = space, rng
         self._goal, self._goal_bias = goal, goal_bias
         wrapped: list[list[float]] = space.wrap(samples).tolist()
         self._count = len(wrapped)
-        self._samples = iter(wrapped) if is_free is None else free_first(wrapped, self._counted(is_free))
+        self._samples = iter(wrapped)
         self._uniform_share = uniform_share
         # Drawn in blocks: one call of numpy for each state would cost more than checking its edge.
         self._choices: list[list[float]] = []
@@ -97,27 +92,6 @@ class SampleMixture:
     def goal_reached(self) -> None:
         """No goal is drawn from now on, as in OMPL's own RRT* with a single goal state."""
         self._goal_bias = 0.0
-
-    def _counted(self, is_free: Callable[[Sequence[float]], bool]) -> Callable[[Sequence[float]], bool]:
-        def counted(sample: Sequence[float]) -> bool:
-            self.state_checks += 1
-            return is_free(sample)
-
-        return counted
-
-
-def free_first(samples: Iterable[Sample], is_free: Callable[[Sample], bool]) -> Iterator[Sample]:
-    """Samples with those that collide after all others; each is checked as its turn comes.
-
-    Colliding ones may still lead towards a passage, so none is dropped.
-    """
-    put_off = []
-    for sample in samples:
-        if is_free(sample):
-            yield sample
-        else:
-            put_off.append(sample)
-    yield from put_off
 
 
 def make_state_space(space: Joints) -> Any:
