@@ -42,6 +42,7 @@ COMMANDS = (
     Command("python -m training.plan_confidence", "training.plan_confidence"),
     Command("python training/search.py", "training.search"),
     Command("python -m training.scene_model", "training.scene_model"),
+    Command("python -m training.field", "training.field"),
     Command("python -m training.untrained", "training.untrained"),
     Command("python -m training.data", "training.data.__main__"),
     Command("python -m training.robots", "training.robots.__main__"),

@@ -311,6 +311,8 @@ class Cages:
     spacing_m: _Sizes = (0.08, 0.25)
     front_m: _Sizes = (0.2, 0.45)
     objects: _Counts = (0, 3)
+    # Chance that all faces but the front are drawn anew, most of them solid, and the front has single bars.
+    solid: Annotated[Share, Field(exclude_if=lambda share: share == 0.0)] = 0.0
 
     def draw(self, rng: np.random.Generator) -> Piece:
         """A cage."""
@@ -320,14 +322,21 @@ class Cages:
             rng.uniform(*self.lowest_m),
         )
         shapes: list[Box | Cylinder] = [_wall(half, thick, 2, -1)]
+        # No draw where it is not asked for: scenes of a seed stay what they were.
+        solid = bool(self.solid) and bool(rng.random() < self.solid)
         for axis, side in ((0, 1), (1, -1), (1, 1), (2, 1)):
             kind = int(rng.integers(5))
+            if solid and rng.random() < 0.75:
+                kind = 0
             if kind == 0:
                 shapes.append(_wall(half, thick, axis, side))
             elif kind < 4:
                 shapes += _bars(half, thick, axis, side, rng.uniform(*self.spacing_m), kind)
-        front = int(rng.integers(1, 4))
-        shapes += _bars(half, thick, 0, -1, rng.uniform(*self.front_m), front)
+        if solid:
+            shapes += _single_bars(rng, half, thick, int(rng.integers(0, 4)))
+        else:
+            front = int(rng.integers(1, 4))
+            shapes += _bars(half, thick, 0, -1, rng.uniform(*self.front_m), front)
         inside = tuple(within((-one, one), thick / 2 + _MARGIN_M) for one in half)
         region = GoalRegion(block(*inside), (1.0, 0.0, 0.0))
         floor = -half[2] + thick / 2
@@ -371,6 +380,18 @@ def _bars(
             spans[axis] = (side * half[axis] - thick / 2, side * half[axis] + thick / 2)
             spans[across] = (place - thick / 2, place + thick / 2)
             found.append(block(*spans))
+    return found
+
+
+def _single_bars(rng: np.random.Generator, half: NDArray[np.float64], thick: float, count: int) -> list[Box]:
+    """Bars of the front, each at a place of its own, all level or all upright."""
+    across = int(rng.integers(1, 3))
+    found = []
+    for place in rng.uniform(-half[across], half[across], count):
+        spans = [(-one, one) for one in half]
+        spans[0] = (-half[0] - thick / 2, -half[0] + thick / 2)
+        spans[across] = (place - thick / 2, place + thick / 2)
+        found.append(block(*spans))
     return found
 
 
