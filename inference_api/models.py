@@ -205,6 +205,7 @@ class BundleFolders:
                 place.parent.mkdir(parents=True, exist_ok=True)
                 with tempfile.TemporaryDirectory(prefix=_TEMPORARY, dir=place.parent) as temporary:
                     whole = download(version, Path(temporary) / "bundle")
+                    _stamp(whole)
                     try:
                         whole.rename(place)
                     except OSError:
@@ -212,9 +213,7 @@ class BundleFolders:
                         if not place.exists():
                             raise
                 self._prune(version, place)
-            # When it was used last; the kernel's own stamps are up to 4 ms old.
-            now_ns = time.time_ns()
-            os.utime(place, ns=(now_ns, now_ns))
+            _stamp(place)
         except OSError as error:
             remedy = "free some space, or set CSPACE_MODEL_CACHE to another folder"
             got = error.strerror or type(error).__name__
@@ -253,6 +252,12 @@ class BundleFolders:
             for path in (*versions[self._stored :], *left):
                 if path not in safe and (path not in left or time.time() - used[path] > _LEFT_OVER_S):
                     _delete(path)
+
+
+def _stamp(place: Path) -> None:
+    """Note that a folder is used now; the kernel's own stamps are up to 4 ms old."""
+    now_ns = time.time_ns()
+    os.utime(place, ns=(now_ns, now_ns))
 
 
 def _delete(place: Path) -> None:
