@@ -9,6 +9,7 @@ from contextlib import asynccontextmanager
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from threading import Event, Thread
+from typing import TYPE_CHECKING
 
 from anyio import to_thread
 from fastapi import FastAPI
@@ -25,7 +26,9 @@ from inference_api.settings import MIB, ApiSettings
 from inference_api.telemetry import Metrics, Telemetry, add_tracing
 from inference_api.workbench.routes import add_workbench
 from services.outcomes import Receipts, Spool
-from services.registry.entities import ModelReader
+
+if TYPE_CHECKING:
+    from services.registry.models import ModelRegistry
 
 # For the first look at the registry: long enough for one nearby, short enough for a health check's patience.
 FIRST_LOOK_S = 20.0
@@ -35,7 +38,7 @@ EXPIRY_S = 3600.0
 SWITCH_S = 0.00005
 
 
-def create_app(settings: ApiSettings | None = None, registry: ModelReader | None = None) -> FastAPI:
+def create_app(settings: ApiSettings | None = None, registry: "ModelRegistry | None" = None) -> FastAPI:
     """The API; its state holds ``settings``, ``models``, ``metrics``, ``places``, ``spool`` and ``receipts``.
 
     Args:
@@ -143,7 +146,7 @@ def _version() -> str:
         return "0"
 
 
-def _model_store(settings: ApiSettings, registry: ModelReader | None) -> ModelStore:
+def _model_store(settings: ApiSettings, registry: "ModelRegistry | None") -> ModelStore:
     if registry is not None:
         # One that is given is known to behave: what comes from it is verified in this process.
         return ModelStore(
@@ -153,7 +156,7 @@ def _model_store(settings: ApiSettings, registry: ModelReader | None) -> ModelSt
     return ModelStore(settings, cache(lambda: _mlflow(uri)) if uri else None, verification.verify)
 
 
-def _mlflow(uri: str) -> ModelReader:
+def _mlflow(uri: str) -> "ModelRegistry":
     from services.registry.errors import set_timeouts  # noqa: PLC0415 - MLflow takes seconds
 
     set_timeouts(os.environ)

@@ -16,7 +16,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Event, Lock, Thread
-from typing import Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 from anyio import CapacityLimiter, to_thread
 from cachetools import LRUCache, TTLCache
@@ -51,9 +51,12 @@ from services.names import (
     model_name,
     recorded_name,
 )
-from services.registry.entities import PRETRAINED, ModelReader, ModelReference, ModelVersion, is_model_name
+from services.registry.entities import PRETRAINED, ModelReference, ModelVersion, is_model_name
 from services.registry.errors import anonymous
 from services.registry.signing import require_signature
+
+if TYPE_CHECKING:
+    from services.registry.models import ModelRegistry
 
 _Answer = TypeVar("_Answer")
 # What became of a champion: it was put into service or taken away, or it is refused because its bundle is
@@ -339,7 +342,7 @@ class ModelStore:
     def __init__(
         self,
         settings: ApiSettings,
-        registry: Callable[[], ModelReader] | None,
+        registry: "Callable[[], ModelRegistry] | None",
         verify: Callable[[Path, str], object],
     ) -> None:
         # Told of each champion that was put into service, refused or removed.
@@ -632,7 +635,7 @@ class ModelStore:
         return found
 
     def _look_up(self, reference: ModelReference) -> ModelVersion:
-        found = self._ask(reference.look_up)
+        found = self._ask(lambda registry: registry.look_up(reference))
         # Its name becomes a folder's, and it is what the answer to a request says.
         if found.name != reference.name or reference.version not in (None, found.number):
             raise RegistryError(
@@ -645,7 +648,7 @@ class ModelStore:
             self._known.pop(reference, None)
             self._unknown[reference] = True
 
-    def _ask(self, question: Callable[[ModelReader], _Answer]) -> _Answer:
+    def _ask(self, question: "Callable[[ModelRegistry], _Answer]") -> _Answer:
         """The registry's answer; one that is away is left alone, or requests would queue up behind it."""
         away_until = self._away_until
         if self._registry is None or (away_until is not None and time.monotonic() < away_until):

@@ -46,7 +46,7 @@ def find(text: str, runs: Tracking, registry: ModelRegistry) -> Compared:
         found = [run] if _DIGEST in run.tags else [one for one in runs.children(text) if _DIGEST in one.tags]
         title = run.name
     else:
-        version = ModelReference.parse(text).look_up(registry)
+        version = registry.look_up(ModelReference.parse(text))
         found = [one for one in runs.children(version.run_id) if one.tags.get(_DIGEST) == version.digest]
         title = str(version)
     for one in found:

@@ -127,7 +127,7 @@ def evaluate_version(
 
     The numbers are the same in this process and over a cluster; ``progress`` takes lines for people.
     """
-    version = request.model.look_up(registry)
+    version = registry.look_up(request.model)
     name = f"{version} judged, seed {request.seed}, {ID}"
     tags = {TAG_STAGE: STAGE, TAG_MODEL: str(version), "model_digest": version.digest}
     tags |= {TAG_PRESET: version.tags.get(TAG_PRESET, "")}

@@ -34,7 +34,7 @@ _SAMPLERS = {"sampler": "all samples", "confident": "served samples", "learned":
 
 def make_card(model: ModelReference, registry: ModelRegistry, tracking: Tracking) -> str:
     """The card of a registered version, in Markdown, with the figures of its newest evaluation."""
-    version = model.look_up(registry)
+    version = registry.look_up(model)
     with tempfile.TemporaryDirectory(prefix="cspace-card-") as folder:
         spec = load_verified(registry.download(version, Path(folder) / "bundle"), version.digest).spec
     decisions = [

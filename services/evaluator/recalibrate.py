@@ -108,7 +108,7 @@ def recalibrate(
         tracking: where outcomes were uploaded.
         registry: holds the version, and gets the new one.
     """
-    version = model.look_up(registry)
+    version = registry.look_up(model)
     plans = plans_of(str(version), site, most_per_client, tracking)
     parameters = careful_fit(plans.cost, plans.free, plans.client)
     if parameters is None:

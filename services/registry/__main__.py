@@ -154,7 +154,7 @@ def _import(registry: ModelRegistry, options: argparse.Namespace) -> None:
 
 
 def _version(registry: ModelRegistry, options: argparse.Namespace) -> ModelVersion:
-    return ModelReference.parse(options.version).look_up(registry)
+    return registry.look_up(ModelReference.parse(options.version))
 
 
 def _print_decision(decision: Decision) -> None:

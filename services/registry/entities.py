@@ -5,13 +5,11 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Protocol
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import ConfigDict, Field
 
 from cspace.errors import ConfigError, InputError
-from services.names import ALIAS_CHAMPION
 
 # A version may come from a file or from another process.
 _Text = Annotated[str, Field(max_length=20_000)]
@@ -70,30 +68,6 @@ class Shown:
     data_digest: str
 
 
-class ModelReader(Protocol):
-    """What serving asks: :class:`services.registry.models.ModelRegistry`, here or in a worker process."""
-
-    def version(self, name: str, number: int) -> ModelVersion:
-        """One version by its number."""
-        ...
-
-    def by_alias(self, name: str, alias: str) -> ModelVersion:
-        """The version that an alias points to."""
-        ...
-
-    def versions(self, name: str) -> tuple[ModelVersion, ...]:
-        """All versions, newest first; empty for an unknown model."""
-        ...
-
-    def names(self) -> tuple[str, ...]:
-        """The registered models, in alphabetical order."""
-        ...
-
-    def download(self, version: ModelVersion, folder: Path) -> Path:
-        """Fetch a version's bundle into a new folder; returns the folder."""
-        ...
-
-
 @dataclass(frozen=True, slots=True)
 class ModelReference:
     """A model as users name it: ``name``, ``name@alias``, ``name/version`` or ``pretrained``."""
@@ -125,12 +99,6 @@ class ModelReference:
             if not found.is_bare:
                 return found
         raise ConfigError(what, expected=expected, got=repr(text))
-
-    def look_up(self, registry: ModelReader) -> ModelVersion:
-        """The version that is meant."""
-        if self.version is not None:
-            return registry.version(self.name, self.version)
-        return registry.by_alias(self.name, self.alias or ALIAS_CHAMPION)
 
     @property
     def is_bare(self) -> bool:

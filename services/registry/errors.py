@@ -59,12 +59,7 @@ def anonymous(text: str) -> str:
 
 @contextmanager
 def mapped(action: str, *, lookup: bool = False) -> Iterator[None]:
-    """Raise the project's errors in place of MLflow's and of its transport.
-
-    Args:
-        action: for the message: ``looking up a/1``.
-        lookup: whether "there is none" is an answer, and so a ModelNotFoundError.
-    """
+    """Raise the project's errors in place of MLflow's and of its transport."""
     from google.protobuf.json_format import ParseError  # type: ignore[import-untyped]  # noqa: PLC0415
     from mlflow.exceptions import MlflowException  # noqa: PLC0415
 

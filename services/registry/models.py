@@ -26,8 +26,8 @@ from mlflow.exceptions import MlflowException
 from cspace.bundle import BundleSpec
 from cspace.bundle.files import SPEC_FILE, read_files
 from cspace.errors import BundleIntegrityError, ModelNotFoundError, RegistryError, StorageError
-from services.names import ARTIFACT_STORE, TAG_DIGEST, world_tags
-from services.registry.entities import ModelVersion, Shown
+from services.names import ALIAS_CHAMPION, ARTIFACT_STORE, TAG_DIGEST, world_tags
+from services.registry.entities import ModelReference, ModelVersion, Shown
 from services.registry.errors import check_reachable, mapped, without_user_info
 from services.registry.tracking import MAX_BATCH, MAX_DIGEST, all_pages
 
@@ -42,16 +42,10 @@ _FOLLOW_NOTHING = {"MLFLOW_ALLOW_HTTP_REDIRECTS": "false", "MLFLOW_ENABLE_PROXY_
 
 
 class ModelRegistry:
-    """Where bundles become versions. What names a version that is not there raises ModelNotFoundError.
-
-    Args:
-        uri: of the tracking server, or ``sqlite:///…`` where the whole of mlflow is installed.
-        timeout_s: within which the server has to show that it is there, before each operation.
-        artifact_store: address below which bundles are fetched beside the tracking server's own artifacts;
-            ``CSPACE_ARTIFACT_STORE`` when empty.
-    """
+    """Where bundles become versions. What names a version that is not there raises ModelNotFoundError."""
 
     def __init__(self, uri: str, *, timeout_s: float = 3.0, artifact_store: str = "") -> None:
+        """Bundles are fetched from the tracking server, and from below ``artifact_store`` if that is set."""
         for name, value in _FOLLOW_NOTHING.items():
             os.environ.setdefault(name, value)
         with mapped("opening the registry"):
@@ -138,6 +132,12 @@ class ModelRegistry:
     def _made(self, name: str, run_id: str, digest: str | None) -> list[int]:
         found = self._client.search_model_versions(f"name='{name}' AND run_id='{run_id}'")
         return sorted(int(one.version) for one in found if one.tags.get(TAG_DIGEST) == digest)
+
+    def look_up(self, reference: ModelReference) -> ModelVersion:
+        """The version that is meant."""
+        if reference.version is not None:
+            return self.version(reference.name, reference.version)
+        return self.by_alias(reference.name, reference.alias or ALIAS_CHAMPION)
 
     def version(self, name: str, number: int) -> ModelVersion:
         """One version by its number."""
@@ -243,12 +243,6 @@ def check_source(label: str, source: str, tracking_uri: str, artifact_store: str
 
     The registry names the place, and who may write to the registry names any: a file of this machine, or
     another server.
-
-    Args:
-        label: of the version, for messages.
-        source: the address that the registry names.
-        tracking_uri: of the registry. The artifacts of one that is no server are files of this machine.
-        artifact_store: address of a further store whose artifacts are fetched; none when empty.
     """
     found, server, store = urlsplit(source), urlsplit(tracking_uri), artifact_store.rstrip("/")
     if server.scheme in ("http", "https"):

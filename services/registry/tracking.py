@@ -25,10 +25,18 @@ from mlflow.store.artifact.artifact_repository_registry import get_artifact_repo
 from mlflow.store.entities import PagedList
 
 from cspace.errors import RegistryError
-from services.names import OUTCOMES_EXPERIMENT, TAG_KEY
+from services.names import (
+    MLFLOW_TRAINING,
+    NOTE,
+    OUTCOMES_EXPERIMENT,
+    TAG_JOB,
+    TAG_KEY,
+    TAG_MODEL,
+    TAG_PRESET,
+    TAG_STAGE,
+)
 from services.registry.entities import ID, ID_LENGTH, FoundRun, RunStatus, flatten
 from services.registry.errors import mapped, retry
-from services.registry.views import experiment_page
 
 # Limits of the server: metrics and parameters in one call, and characters of a data set's digest.
 MAX_BATCH, _MAX_PARAMS, MAX_DIGEST = 1000, 100, 36
@@ -39,13 +47,42 @@ Answer = TypeVar("Answer")
 Item = TypeVar("Item")
 
 
-class Tracking:
-    """Where runs are kept.
+# What the UI keeps of a search when somebody presses Share: a tag of the experiment, opened by
+# ``viewStateShareKey`` in the address.
+VIEW = "mlflow.sharedViewState."
+_QUALITY = ("precision", "served_precision", "coverage", "served_coverage", "edr", "planning_success")
+# What each shows, which runs, and the columns.
+VIEWS: dict[str, tuple[str, str, list[str]]] = {
+    "jobs": (
+        "every training job with its settings and the figures of its last evaluation",
+        f"tags.{TAG_STAGE} LIKE '%-train'",
+        [f"tags.`{TAG_MODEL}`", *(f"params.`{name}`" for name in ("seed", "clusters.form", "local.steps"))]
+        + [f"metrics.`validation/{name}`" for name in _QUALITY],
+    ),
+    "trials": (
+        "the local trials of all jobs, with the parameters and last losses of each",
+        f"tags.{TAG_STAGE} = 'local'",
+        [f"tags.`{TAG_JOB}`", f"tags.`{TAG_PRESET}`"]
+        + [f"params.`{name}`" for name in ("cluster", "share_of_data", "steps", "seed", "parameters")]
+        + ["metrics.`critic_loss`", "metrics.`wasserstein_estimate`"]
+        + ["metrics.`generator_loss`", "metrics.`steps_per_s`"],
+    ),
+    "evaluations": (
+        "every evaluation of a registered version, validation and test",
+        f"tags.{TAG_STAGE} = 'evaluation'",
+        [f"tags.`{TAG_MODEL}`", "tags.`promoted`", "params.`seed`", "params.`scenarios`"]
+        + [f"metrics.`{split}/{name}`" for split in ("validation", "test") for name in _QUALITY[:5]],
+    ),
+    "planning": (
+        "the planning benchmarks",
+        f"tags.{TAG_STAGE} = 'planning-benchmark'",
+        ["tags.`protocol`", "params.`setting.seed`"],
+    ),
+}
 
-    Args:
-        uri: of the tracking server, or ``sqlite:///…`` where the whole of mlflow is installed.
-        wait_s: how long calls wait for a server that is away; None raises RegistryUnavailableError at once.
-    """
+
+class Tracking:
+    """Where runs are kept. Calls wait ``wait_s`` for a server that is away; None raises at once."""
 
     def __init__(self, uri: str, *, wait_s: float | None = None) -> None:
         with mapped("opening the tracking server"):
@@ -60,16 +97,7 @@ class Tracking:
         tags: Mapping[str, str] | None = None,
         key: str | None = None,
     ) -> "RunLog":
-        """Start a run, or go on with the one of the same key.
-
-        Args:
-            experiment: created when it is new.
-            name: of the run; ``{id}`` in it becomes the first characters of the run's id.
-            parent_run_id: the run under which it is shown.
-            tags: commit, seeds, preset.
-            key: names the run within its experiment for whoever was interrupted before he could remember its
-                id: letters, digits, ``-``, ``_`` and ``/``. None always starts a new one.
-        """
+        """Start a run, or go on with the one of the same key; ``{id}`` in its name is part of its id."""
         parent = {} if parent_run_id is None else {_PARENT: parent_run_id}
         keyed = {} if key is None else {TAG_KEY: key}
         all_tags = {**(tags or {}), **parent, **keyed}
@@ -179,10 +207,6 @@ class RunLog:
 
     As a context manager it finishes the run, FAILED when an exception ends the block (KILLED when the
     exception is an interrupt). Metrics that could not be sent are sent with the next ones.
-
-    Args:
-        tracking: its server, which is not asked before the first call that needs it.
-        run_id: survives in a checkpoint; :meth:`Tracking.resume` goes on with it.
     """
 
     def __init__(self, tracking: Tracking, run_id: str) -> None:
@@ -342,3 +366,22 @@ def _found(run: Run) -> FoundRun:
     return FoundRun(
         str(info.run_id), str(info.run_name), tags.get(_PARENT), tags, metrics, int(info.start_time)
     )
+
+
+def experiment_page(experiment_id: str) -> Mapping[str, str]:
+    """The experiment's tags: kind, description, views."""
+    place = f"#/experiments/{experiment_id}/runs?{MLFLOW_TRAINING}&viewStateShareKey="
+    lines = [f"- [{name}]({place}{name}): {words}; `{search}`" for name, (words, search, _) in VIEWS.items()]
+    note = (
+        "Learned samplers for motion planning. A training job is a run with a child for each of its trials; "
+        "an evaluation is a child of the job whose version it evaluates, and leaves its headline on the job, "
+        "on the version and on its logged model.\n\nSaved views of the runs:\n\n" + "\n".join(lines) + "\n\n"
+        "Choose runs and press Compare for parameters and metrics side by side; the image grid of the chart "
+        "view sets galleries beside each other, the evaluation view tables. Models compares versions."
+    )
+    tags = {"mlflow.experimentKind": "custom_model_development", NOTE: note}
+    for name, (_, search, columns) in VIEWS.items():
+        shown = ["attributes.`Created`", *columns]
+        order = {"orderByKey": shown[0], "orderByAsc": False}
+        tags[f"{VIEW}{name}"] = json.dumps({"searchFilter": search, **order, "selectedColumns": shown})
+    return tags

@@ -81,7 +81,7 @@ def _maker(start_from: str, environment: Environment) -> str:
     )
     return retry(
         f"looking {start_from} up",
-        lambda: reference.look_up(ModelRegistry(environment.tracking_uri)).run_id,
+        lambda: ModelRegistry(environment.tracking_uri).look_up(reference).run_id,
         environment.patience_s,
     )
 

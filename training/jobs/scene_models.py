@@ -83,7 +83,7 @@ def fetch(reference: str, file: Path, tracking: Tracking, registry: ModelRegistr
         raise InputError(
             "the reference is of no scene model", expected=f"{SCENE_MODEL_NAME}@champion", got=reference
         )
-    version = named.look_up(registry)
+    version = registry.look_up(named)
     with TemporaryDirectory() as folder:
         kept = tracking.file(version.run_id, SCENE_MODEL_FILE, Path(folder))
         if kept is None:

@@ -36,7 +36,7 @@ def source_bundle(source: str, registry: ModelRegistry, folder: Path) -> Bundle:
     reference = ModelReference.parse_version(
         source, "the source of the path models is unknown", "a bundle's folder, name@alias or name/version"
     )
-    return load_verified(registry.download(reference.look_up(registry), folder))
+    return load_verified(registry.download(registry.look_up(reference), folder))
 
 
 def require_source(start: Path | None, source: Bundle) -> None:

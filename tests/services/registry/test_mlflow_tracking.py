@@ -7,8 +7,7 @@ from mlflow import MlflowClient
 from cspace.errors import RegistryError, RegistryUnavailableError
 from services.names import NOTE
 from services.registry import errors
-from services.registry.tracking import MAX_BATCH, RunLog, Tracking
-from services.registry.views import VIEW, VIEWS
+from services.registry.tracking import MAX_BATCH, VIEW, VIEWS, RunLog, Tracking
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
 
 pytestmark = MLFLOW_WARNINGS

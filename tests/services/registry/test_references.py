@@ -46,5 +46,5 @@ def test_a_reference_is_looked_up_by_its_version_its_alias_or_as_the_champion(tm
     digest = Bundle.load(folder).digest
     for number, alias in ((1, "champion"), (2, "challenger")):
         registry.register("m", folder, f"run{number}", digest, {}, alias=alias)
-    found = [str(ModelReference.parse(text).look_up(registry)) for text in ("m", "m@challenger", "m/1")]
+    found = [str(registry.look_up(ModelReference.parse(text))) for text in ("m", "m@challenger", "m/1")]
     assert found == ["m/1", "m/2", "m/1"]
