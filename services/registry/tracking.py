@@ -97,7 +97,7 @@ class Tracking:
         tags: Mapping[str, str] | None = None,
         key: str | None = None,
     ) -> "RunLog":
-        """Start a run, or go on with the one of the same key; ``{id}`` in its name becomes the start of its id."""
+        """Start a run, or go on with that of the same key; ``{id}`` in a name becomes the start of its id."""
         parent = {} if parent_run_id is None else {_PARENT: parent_run_id}
         keyed = {} if key is None else {TAG_KEY: key}
         all_tags = {**(tags or {}), **parent, **keyed}
