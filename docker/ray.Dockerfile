@@ -18,7 +18,7 @@ RUN pip install --no-cache-dir --only-binary :all: -c /tmp/constraints.txt pip \
  && pip install --no-cache-dir --only-binary :all: -c /tmp/constraints.txt -r /tmp/requirements.txt
 
 RUN useradd --uid 1000 --create-home cspace \
- && install -d -o cspace -g cspace /var/lib/cspace
+ && install -d -o cspace -g cspace /var/lib/cspace /var/lib/outcomes
 COPY clients/python/src/cspace_client /app/cspace_client
 COPY cspace /app/cspace
 # The shipped models, which the evaluation compares with.
