@@ -203,6 +203,13 @@ def test_no_body_costs_more_than_a_few_seconds_of_a_processor(api: ApiClient, na
     assert len(answer.content) < 20_000
 
 
+def test_millions_of_arrays_are_refused_before_they_are_made(api: ApiClient) -> None:
+    media_type, body = COSTLY["empty lists"]
+    answer = api.post("/validity", content=body, headers={"content-type": media_type})
+    assert answer.status_code == 400
+    assert "100000 arrays" in answer.text
+
+
 BOUNDS = {
     "fields": lambda more: part(b"1", EPSILON) * (MAX_FIELDS + more),
     "files": lambda more: part(b"1", FILE) * (MAX_FILES + more),
