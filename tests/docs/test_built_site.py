@@ -79,7 +79,7 @@ def test_the_site_is_built_without_a_warning_and_has_every_page(site: Path) -> N
 
 def test_the_search_index_finds_the_pages_that_hold_all_words_of_a_query(index: dict[str, Any]) -> None:
     assert "method" in pages_with(index, "bottleneck")
-    assert "site/configuration" in pages_with(index, "lookups.points_per_link")
+    assert "site/configuration" in pages_with(index, "validity.points_per_link")
     assert pages_with(index, "zyzzyva") == set()
 
 
