@@ -19,7 +19,8 @@ from cspace.bundle.verification import load_verified
 from cspace.errors import CspaceError, InputError
 from services.command_errors import report_error
 from services.names import model_name, recorded_name
-from training.jobs.registration import ALIASES, register_untrained, registry_uri
+from services.registry.connection import tracking_uri
+from training.jobs.registration import ALIASES, register_untrained
 from training.paths.writing import made_or_found
 
 
@@ -27,7 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Parse, make, print."""
     options = parser().parse_args(arguments)
     try:
-        uri = None if options.register is None else registry_uri()
+        uri = None if options.register is None else tracking_uri()
         source = load_verified(options.bundle)
         named = options.robot_name or recorded_name(source.spec.provenance.config)
         model = model_name(source.spec.world, named, path=True)

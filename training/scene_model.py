@@ -38,7 +38,7 @@ from cspace.worlds.spatial.world import SpatialWorld, usual
 from services import progress
 from services.command_errors import report_error
 from services.names import SCENE_MODEL_FILE
-from training.jobs.registration import registry_at, registry_uri
+from services.registry.connection import connect, tracking_uri
 from training.jobs.scene_models import fetch, register
 from training.models.checkpoint import (
     Progress,
@@ -270,16 +270,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     folder = options.folder.absolute()
     try:
         # Before hours of training.
-        uri = registry_uri() if options.register or options.fetch else ""
+        uri = tracking_uri() if options.register or options.fetch else ""
         folder.mkdir(parents=True, exist_ok=True)
         if options.fetch:
-            version = fetch(options.fetch, folder / SCENE_MODEL_FILE, *registry_at(uri))
+            version = fetch(options.fetch, folder / SCENE_MODEL_FILE, *connect(uri))
             _LOG.info("%s: %s", folder / SCENE_MODEL_FILE, version)
             return 0
         figures = trained_and_measured(folder, options)
         if options.register:
             params = {name: getattr(options, name) for name in ("scenes", "steps", "seed")}
-            version = register(folder / SCENE_MODEL_FILE, figures, params, *registry_at(uri))
+            version = register(folder / SCENE_MODEL_FILE, figures, params, *connect(uri))
             _LOG.info("registered as %s, %s", version, ", ".join(version.aliases))
     except CspaceError as error:
         return report_error(error, InputError, ConfigError)

@@ -23,10 +23,11 @@ from cspace.world import World
 from cspace.worlds import robot_digest
 from services.command_errors import report_error
 from services.names import label, model_name
+from services.registry.connection import tracking_uri
 from training.clusters.bundling import FALLBACK_THRESHOLD, head_graphs, with_choices
 from training.config import HeadConfig, TrainConfig
 from training.jobs.environment import provenance
-from training.jobs.registration import ALIASES, register_untrained, registry_uri
+from training.jobs.registration import ALIASES, register_untrained
 from training.models.autoencoders import network_size
 from training.models.export import blind_encoder_graph, uniform_graph
 
@@ -39,7 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     logging.basicConfig(format="%(message)s")
     logging.getLogger("training").setLevel(logging.INFO)
     try:
-        uri = None if options.register is None else registry_uri()
+        uri = None if options.register is None else tracking_uri()
         robot = str(Path(options.robot).absolute()) if Path(options.robot).is_file() else options.robot
         settings = [f"data.robot={robot}", f"validity.plan_problems={options.plan_problems}"]
         if options.scene_model is not None:

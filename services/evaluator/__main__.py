@@ -12,12 +12,13 @@ from pathlib import Path
 
 from cspace.errors import ConfigError, CspaceError, InputError, ModelNotFoundError
 from services.command_errors import report_error
-from services.evaluator import compare, model_card, recalibrate, stores
+from services.evaluator import compare, model_card, recalibrate
 from services.evaluator.benchmark.__main__ import main as planning_benchmark
 from services.evaluator.evaluation import run_metrics
 from services.evaluator.job import Outcome, evaluate_version, executor, make_request
 from services.evaluator.measure import BUDGETS
 from services.evaluator.report import REPORT_FOLDER, scenes_text, terminal_table
+from services.registry.connection import connect, tracking_uri
 from services.results import report_result
 
 SHIPPED_FOLDER = Path(__file__).parents[2] / "inference_api" / "pretrained"
@@ -51,7 +52,7 @@ def _evaluate(options: argparse.Namespace, environment: Mapping[str, str]) -> in
         data=options.data,
         shipped=None if options.without_shipped else shipped,
     )
-    tracking, registry = stores.connect(environment)
+    tracking, registry = connect(tracking_uri(environment))
     outcome = evaluate_version(request, tracking, registry, executor(environment), partial(print, flush=True))
     _print(outcome)
     data = Path(environment.get("CSPACE_DATA_DIR", ""))

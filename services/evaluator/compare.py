@@ -15,10 +15,10 @@ import pandas as pd
 
 from cspace.errors import ConfigError
 from cspace.files import replacing
-from services.evaluator import stores
 from services.evaluator.metrics import Task
 from services.evaluator.report import MEASURES_TABLE
 from services.evaluator.tables import aligned, markdown
+from services.registry.connection import connect, tracking_uri
 from services.registry.entities import FoundRun, ModelReference
 from services.registry.models import ModelRegistry
 from services.registry.tracking import Tracking
@@ -104,7 +104,7 @@ def main(arguments: Sequence[str], environment: Mapping[str, str]) -> int:
     parser.add_argument("--all", action="store_true", help="every estimate (default: the deciding ones)")
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="keep it as text, Markdown and CSV")
     options = parser.parse_args(arguments)
-    found = [find(text, *stores.connect(environment)) for text in options.what]
+    found = [find(text, *connect(tracking_uri(environment))) for text in options.what]
     print(aligned(compare_table(found, everything=options.all)))
     if options.out is not None:
         write_comparison(found, options.out, everything=options.all)

@@ -14,10 +14,11 @@ from cspace.bundle.verification import load_verified
 from cspace.errors import ConfigError
 from cspace.files import replacing
 from cspace.worlds import robot_digest, simulator_of
-from services.evaluator import compare, stores
+from services.evaluator import compare
 from services.evaluator.report import shown
 from services.evaluator.tables import markdown
 from services.names import TAG_PRESET, recorded_name, shown_name
+from services.registry.connection import connect, tracking_uri
 from services.registry.entities import ModelReference, ModelVersion
 from services.registry.models import ModelRegistry
 from services.registry.promotion import decisions_of, utc
@@ -128,7 +129,7 @@ def main(arguments: Sequence[str], environment: Mapping[str, str]) -> int:
     parser.add_argument("model", help="name, name@alias or name/version")
     parser.add_argument("--out", type=Path, metavar="FILE", help="write it to a file instead")
     options = parser.parse_args(arguments)
-    tracking, registry = stores.connect(environment)
+    tracking, registry = connect(tracking_uri(environment))
     card = make_card(ModelReference.parse(options.model), registry, tracking)
     if options.out is None:
         print(card, end="")

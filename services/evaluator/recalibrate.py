@@ -34,6 +34,7 @@ from services.command_errors import report_error
 from services.evaluator.statistics import Interval, log_losses, mean_interval
 from services.names import ALIAS_CHALLENGER, EXPERIMENT, MODEL_NAME, OUTCOMES_FILE, TAG_MODEL, TAG_STAGE
 from services.outcomes import Row, reliability, uploaded
+from services.registry.connection import connect, tracking_uri
 from services.registry.entities import ID, ModelReference, ModelVersion
 from services.registry.models import ModelRegistry
 from services.registry.tracking import Tracking
@@ -277,10 +278,9 @@ def main(arguments: Sequence[str], environment: Mapping[str, str]) -> int:
     )
     options = parser.parse_args(arguments)
     try:
-        uri, model = environment.get("MLFLOW_TRACKING_URI", ""), ModelReference.parse(options.model)
-        if not uri:
-            raise ConfigError("no tracking server is named", remedy="set MLFLOW_TRACKING_URI")
-        found = recalibrate(model, options.site, options.most_per_client, Tracking(uri), ModelRegistry(uri))
+        model = ModelReference.parse(options.model)
+        stores = connect(tracking_uri(environment))
+        found = recalibrate(model, options.site, options.most_per_client, *stores)
     except CspaceError as error:
         return report_error(error, ConfigError, InputError, EvaluationError, ModelNotFoundError)
     (offset, slope), (loss, before, gain) = found.parameters, found.predicted

@@ -1,4 +1,4 @@
-"""The door to the planner: one batch of samples from a source before the search, none during it."""
+"""Planning with a source of samples: one batch of samples from a source before the search, none during it."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path

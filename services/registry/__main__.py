@@ -9,10 +9,11 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from cspace.errors import ConfigError, CspaceError, InputError, ModelNotFoundError
+from cspace.errors import CspaceError, InputError, ModelNotFoundError
 from services.command_errors import confirmed, report_error
 from services.names import ALIAS_CHAMPION, TAG_SIGNATURE
 from services.registry import promotion
+from services.registry.connection import tracking_uri
 from services.registry.entities import ModelReference, ModelVersion
 from services.registry.models import ModelRegistry
 from services.registry.promotion import PREFIX, Decision, decisions_of, utc
@@ -25,13 +26,7 @@ def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] 
     """Parse, do it, print; returns the exit code."""
     options = _parser().parse_args(arguments)
     try:
-        options.uri = environment.get("MLFLOW_TRACKING_URI", "")
-        if not options.uri:
-            raise ConfigError(
-                "MLFLOW_TRACKING_URI is not set",
-                expected="the tracking server's address",
-                remedy='`eval "$(make -s env)"` sets it',
-            )
+        options.uri = tracking_uri(environment)
         options.run(ModelRegistry(options.uri), options)
     except CspaceError as error:
         return report_error(error, InputError, ModelNotFoundError)

@@ -21,6 +21,7 @@ from cspace.errors import ConfigError, CspaceError, DatasetError, ScenarioError,
 from cspace.strict_json import refused
 from cspace.worlds import add_world_options, described_world
 from services.command_errors import report_error
+from services.registry.connection import tracking_uri
 from services.scene_files import given_scenes, read_scene_file
 from training.data.config import USUAL_OF_ARMS, DatasetConfig, PathDatasetConfig
 from training.data.merge import merge
@@ -169,9 +170,7 @@ def _import_outcomes(options: argparse.Namespace) -> Dataset:
     # Imported here so that other commands do not wait for MLflow.
     from services.registry.tracking import Tracking  # noqa: PLC0415
 
-    uri = os.environ.get("MLFLOW_TRACKING_URI", "")
-    if not uri:
-        raise ConfigError("no tracking server is named", remedy="set MLFLOW_TRACKING_URI")
+    uri = tracking_uri()
     world = described_world(options)
     return import_outcomes(options.folder, world=world, tracking=Tracking(uri), site=options.site)
 

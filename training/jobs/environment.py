@@ -12,6 +12,7 @@ from typing import Any
 
 from cspace.bundle import Provenance
 from cspace.errors import ConfigError
+from services.registry.connection import tracking_uri
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,12 +38,9 @@ def job_environment() -> Environment:
     Raises:
         ConfigError: one is missing or no number, or the folder is not absolute.
     """
-    uri, folder = os.environ.get("MLFLOW_TRACKING_URI", ""), os.environ.get("CSPACE_DATA_DIR", "")
+    folder = os.environ.get("CSPACE_DATA_DIR", "")
     remedy = "submit to the Ray head of `make up`, which sets both, or export them"
-    if not uri:
-        raise ConfigError(
-            "MLFLOW_TRACKING_URI is not set", expected="the tracking server's address", remedy=remedy
-        )
+    uri = tracking_uri(remedy=remedy)
     if not Path(folder).is_absolute():
         raise ConfigError(
             "CSPACE_DATA_DIR does not fit", expected="an absolute folder", got=repr(folder), remedy=remedy

@@ -1,39 +1,12 @@
 """Bundles that no job made, as versions of registered models."""
 
-import os
-
 from cspace.bundle import Bundle
-from cspace.errors import ConfigError
 from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, EXPERIMENT, TAG_STAGE, recorded_name
+from services.registry.connection import connect
 from services.registry.entities import ID
-from services.registry.models import ModelRegistry
-from services.registry.tracking import Tracking
 from training.jobs.job import world_tag
 
 ALIASES = (ALIAS_CHALLENGER, ALIAS_CHAMPION)
-
-
-def registry_uri() -> str:
-    """Of the tracking server.
-
-    Raises:
-        ConfigError: ``MLFLOW_TRACKING_URI`` is not set.
-    """
-    uri = os.environ.get("MLFLOW_TRACKING_URI")
-    if not uri:
-        raise ConfigError(
-            "there is no registry", expected="its address in MLFLOW_TRACKING_URI", got="nothing"
-        )
-    return uri
-
-
-def registry_at(uri: str) -> tuple[Tracking, ModelRegistry]:
-    """Runs and models on a tracking server."""
-    # MLflow takes seconds to import.
-    from services.registry.models import ModelRegistry  # noqa: PLC0415
-    from services.registry.tracking import Tracking  # noqa: PLC0415
-
-    return Tracking(uri), ModelRegistry(uri)
 
 
 def register_untrained(bundle: Bundle, uri: str, model: str, alias: str, stage: str) -> str:
@@ -49,7 +22,7 @@ def register_untrained(bundle: Bundle, uri: str, model: str, alias: str, stage: 
     Raises:
         RegistryError: the registry does not answer.
     """
-    tracking, registry = registry_at(uri)
+    tracking, registry = connect(uri)
     provenance = bundle.spec.provenance
     tags = {TAG_STAGE: stage, **world_tag(bundle.spec.world, recorded_name(provenance.config))}
     # The same bundle is registered once, however often it is given.

@@ -29,6 +29,7 @@ from services.evaluator.benchmark.variants import (
     pick,
     table,
 )
+from services.registry.connection import tracking_uri
 from services.registry.tracking import Tracking
 
 WORLDS = examples()
@@ -53,11 +54,7 @@ def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] 
 
 
 def _tracking(environment: Mapping[str, str]) -> Tracking:
-    uri = environment.get("MLFLOW_TRACKING_URI", "")
-    if not uri:
-        raise ConfigError(
-            "no tracking server is named", remedy="set MLFLOW_TRACKING_URI, or give --no-mlflow"
-        )
+    uri = tracking_uri(environment, remedy="set it, or give --no-mlflow")
     # MLflow takes seconds to import.
     from services.registry.tracking import Tracking  # noqa: PLC0415
 

@@ -9,7 +9,7 @@ from cspace.errors import CspaceError, InputError
 from cspace.world import World
 from cspace.worlds import read_world
 from cspace_client import ClientError, SamplingClient
-from services.planner.viewer.doors import Uploads, open_server
+from services.planner.viewer.access import Uploads, open_server
 from services.planner.viewer.plan import PlanPanel
 from services.planner.viewer.scene import ScenePanel, as_text
 from services.planner.viewer.state import SceneState

@@ -12,7 +12,7 @@ from typing import Any
 from cspace.errors import CspaceError, InputError
 from cspace.world import World
 from cspace_client import ClientError
-from services.planner.viewer.doors import UPLOAD_BYTES, UPLOADS
+from services.planner.viewer.access import UPLOAD_BYTES, UPLOADS
 from services.planner.viewer.scene import as_text
 
 RECORDINGS, IMPORT_S = (".mcap", ".db3"), 120

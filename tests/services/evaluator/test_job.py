@@ -10,8 +10,7 @@ from cspace.bundle import Bundle
 from cspace.errors import EvaluationError, ModelNotFoundError
 from cspace.worlds.planar.arm import THREE_LINK
 from services.evaluator import __main__ as command
-from services.evaluator import job
-from services.evaluator import stores as connection
+from services.evaluator import compare, job, model_card
 from services.evaluator.evaluation import MAX_HEADLINE, MAX_METRICS
 from services.evaluator.job import evaluate_version, make_request
 from services.evaluator.measure import Budget
@@ -167,7 +166,8 @@ def test_a_path_model_is_not_judged_without_problems(stores, tmp_path):
 @pytest.fixture
 def commanded(stores, monkeypatch):
     """The command finds these stores where MLflow would be, and asks for little."""
-    monkeypatch.setattr(connection, "connect", lambda environment: stores)
+    for module in (command, compare, model_card):
+        monkeypatch.setattr(module, "connect", lambda uri: stores)
     monkeypatch.setattr(command, "make_request", lambda model, **given: request(model, promote=False))
     return stores
 

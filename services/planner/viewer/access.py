@@ -23,7 +23,7 @@ _MESSAGE_BYTES, _PARTS = 2**20, 1024
 
 
 def open_server(host: str, port: int, **options: Any) -> tuple[viser.ViserServer, str]:
-    """A viser server behind the doors, and the address that opens its page."""
+    """A viser server with these checks, and the address that opens its page."""
     token, hosts = secrets.token_urlsafe(24), frozenset({host, "localhost", "127.0.0.1", "[::1]"})
     with _admitting(lambda request: refusal(request, hosts, token)):
         server = viser.ViserServer(host, port, **options)
