@@ -107,11 +107,9 @@ def call(
                     worker.stdin.flush()
                 answer = results.read()
                 worker.wait()
-            except BaseException:
-                worker.kill()
-                raise
             finally:
                 timer.cancel()
+                worker.kill()
     except OSError as problem:
         raise ServiceError(f"{what} cannot be read: no process starts", got=problem.strerror) from None
     if not answer.startswith(_STARTED):

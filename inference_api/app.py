@@ -17,7 +17,13 @@ from fastapi.middleware.cors import CORSMiddleware
 
 from cspace.bundle import Bundle, verification
 from inference_api.auth import ApiKeys, RequireKey
-from inference_api.limits import HEALTH, WORKBENCH_FILES, ComputePlaces, KnownDoors, LimitRequests
+from inference_api.limits import (
+    HEALTH,
+    WORKBENCH_FILES,
+    ComputePlaces,
+    HostAndOriginMiddleware,
+    LimitRequests,
+)
 from inference_api.models import ModelStore
 from inference_api.problems import add_problem_handlers
 from inference_api.routes import belief, doctor, models, outcomes, plan, sample, validity
@@ -104,7 +110,7 @@ def _add_middleware(app: FastAPI, settings: ApiSettings) -> None:
             allow_headers=["*"],
             expose_headers=["*"],
         )
-    app.add_middleware(KnownDoors, hosts=settings.api_hosts, origins=settings.api_origins)
+    app.add_middleware(HostAndOriginMiddleware, hosts=settings.api_hosts, origins=settings.api_origins)
     app.add_middleware(Telemetry, metrics=app.state.metrics)
 
 

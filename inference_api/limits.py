@@ -67,7 +67,7 @@ def _subscriber(host: str) -> str:
     return str(address)
 
 
-class KnownDoors:
+class HostAndOriginMiddleware:
     """ASGI middleware: 421 for unknown hosts, 403 for pages of other sites; health pages are open to all.
 
     A page of any site makes its visitor's browser ask servers on loopback; one whose name is made to mean

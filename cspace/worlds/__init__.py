@@ -1,4 +1,4 @@
-"""The kinds of worlds, one folder each, and the one door to them."""
+"""The kinds of worlds, one folder each, and how they are found by kind."""
 
 import json
 from argparse import ArgumentParser, Namespace

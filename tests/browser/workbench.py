@@ -52,7 +52,7 @@ def answer_of(endpoint: str) -> Callable[[Response], bool]:
 
 
 def open_bench(page: Page, address: str, fragment: str = "") -> dict[str, Any]:
-    """Open the page anew and return the first answer of /sample once it is drawn."""
+    """Open the page again and return the first answer of /sample once it is drawn."""
     page.goto("about:blank")
     with page.expect_response(answer_of("sample")) as samples:
         page.goto(f"{address}/{fragment}")

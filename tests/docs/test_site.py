@@ -87,9 +87,9 @@ def test_a_link_that_shows_a_files_name_shows_its_title_on_the_site(outside: Mod
 
 def test_the_page_of_commands_has_every_command_of_the_project(command_lines: ModuleType) -> None:
     documented = {command.line for command in command_lines.COMMANDS}
-    doors = [*ROOT.glob("services/*/__main__.py"), *ROOT.glob("training/*/__main__.py"),
+    mains = [*ROOT.glob("services/*/__main__.py"), *ROOT.glob("training/*/__main__.py"),
              ROOT / "inference_api" / "__main__.py"]  # fmt: skip
-    lines = {f"python -m {'.'.join(path.parent.relative_to(ROOT).parts)}" for path in doors}
+    lines = {f"python -m {'.'.join(path.parent.relative_to(ROOT).parts)}" for path in mains}
     assert len(lines) > 6
     assert lines - documented == set()
     jobs = [

@@ -117,7 +117,7 @@ def test_a_path_that_the_planner_believes_in_is_still_checked(disconnected, monk
     assert (result.solved, result.reason, len(result.path)) == (False, Reason.REJECTED, 0)
 
 
-def test_a_rejected_path_is_searched_anew_and_both_searches_count(monkeypatch):
+def test_a_rejected_path_is_searched_again_and_both_searches_count(monkeypatch):
     problem = draw_problem(Family.UNIFORM, Split.DEMO, 31, 0)
     single = solve(problem, SETTINGS)
     verdicts = iter([Reason.REJECTED, Reason.SOLVED])

@@ -1,4 +1,4 @@
-"""Commands that write a bundle anew: the same networks, other numbers, and clear words for bad input."""
+"""Commands that rewrite a bundle: the same networks, other numbers, and clear words for bad input."""
 
 import json
 from dataclasses import replace

@@ -15,7 +15,7 @@ import websockets
 
 from cspace.errors import InputError
 from cspace.worlds import examples
-from services.planner.viewer.doors import UPLOAD_BYTES, Uploads, open_server
+from services.planner.viewer.access import UPLOAD_BYTES, Uploads, open_server
 from services.planner.viewer.scene import as_text
 from services.planner.viewer.uploads import views_of_recording
 from tests.training.data.test_recordings import UP, Recorder, image, info, joints, only_file, transforms
@@ -29,7 +29,7 @@ CAMERA = {
 
 
 class Page:
-    """A viser page with an upload button behind the doors."""
+    """A viser page with an upload button and its checks."""
 
     def __init__(self) -> None:
         self.server, self.address = open_server("127.0.0.1", 0, verbose=False)
