@@ -26,17 +26,7 @@ IGNORE_FILE, IGNORE_ALL = ".gitignore", "*\n"
 def read_bounded(
     path: Path, most_bytes: int, error: type[CspaceError], *, remedy: str | None = None
 ) -> bytes:
-    """What a file, a pipe or a device holds, where it is not too much.
-
-    Args:
-        path: of what somebody else may have written.
-        most_bytes: that are read.
-        error: what is raised.
-        remedy: what helps where it cannot be read.
-
-    Raises:
-        CspaceError: ``error``; it cannot be read, or holds more.
-    """
+    """What a file, a pipe or a device holds, where it is not too much."""
     try:
         with path.open("rb") as file:
             data = file.read(most_bytes + 1)
@@ -55,10 +45,6 @@ def replacing(path: Path, what: str | None = None) -> Iterator[Path]:
 
     Args:
         path: where it is to be; a file there is replaced, a folder that is not empty is not.
-        what: is written, for the message.
-
-    Raises:
-        StorageError: it cannot be written; without ``what`` an OSError is passed on as it is.
     """
     # Processes on several machines may write the same file at the same time.
     beside = path.with_name(f"{HALF_PREFIX}{path.name}-{secrets.token_hex(4)}{HALF_SUFFIX}")
@@ -78,11 +64,7 @@ def replacing(path: Path, what: str | None = None) -> Iterator[Path]:
 
 
 def write_json(path: Path, values: Mapping[str, Any], indent: int | None = None) -> None:
-    """Write plain values as JSON, whole or not at all.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
+    """Write plain values as JSON, whole or not at all."""
     with replacing(path) as beside:
         beside.write_text(json.dumps(values, indent=indent), encoding="utf-8")
 
@@ -92,16 +74,6 @@ def holding(path: Path, busy: CspaceError, wait_s: float = 0.0, look_every_s: fl
     """Hold a lock file, which is made when it is not there and stays; threads exclude each other, too.
 
     The system frees it when the process ends, however it ends.
-
-    Args:
-        path: of the file; its folder must be there.
-        busy: raised where somebody else holds it for longer.
-        wait_s: for whoever holds it.
-        look_every_s: between two looks.
-
-    Raises:
-        CspaceError: ``busy``.
-        OSError: the file cannot be opened.
     """
     until_s = time.monotonic() + wait_s
     with path.open("a", encoding="utf-8") as handle:
@@ -120,9 +92,6 @@ def make_output_folder(folder: Path) -> None:
     """Make a folder for output that ignores itself, with its parents.
 
     A folder that holds something already is left as it is: it may be the user's own.
-
-    Raises:
-        OSError: it cannot be made or written.
     """
     folder.mkdir(parents=True, exist_ok=True)
     if not any(folder.iterdir()):
@@ -130,11 +99,7 @@ def make_output_folder(folder: Path) -> None:
 
 
 def ignore(folder: Path) -> None:
-    """Write a ``.gitignore`` into a folder so that Git and ``ray job submit --working-dir`` leave it out.
-
-    Raises:
-        OSError: it cannot be written.
-    """
+    """Write a ``.gitignore`` into a folder so that Git and ``ray job submit --working-dir`` leave it out."""
     (folder / IGNORE_FILE).write_text(IGNORE_ALL, encoding="utf-8")
 
 
@@ -160,12 +125,7 @@ def read_npy(data: bytes, types: tuple[str, ...], axes: int | tuple[int, ...]) -
     The header is matched: NumPy evaluates it as a Python literal, which takes time and memory of a server.
 
     Args:
-        data: the file; the array shares its memory.
         types: that the array may have, as ``.npy`` writes them: ``<f4``.
-        axes: number of the array's axes, or those that it may have.
-
-    Raises:
-        ValueError: it is no such file.
     """
     start = len(_MAGIC) + 2
     length = int.from_bytes(data[len(_MAGIC) : start], "little")
@@ -184,15 +144,7 @@ def read_npy(data: bytes, types: tuple[str, ...], axes: int | tuple[int, ...]) -
 
 
 def map_npy(path: Path, error: type[CspaceError]) -> NDArray[Any]:
-    """A ``.npy`` file as a read-only array that is mapped, so that no shape is larger than its file.
-
-    Args:
-        path: of the file.
-        error: what is raised.
-
-    Raises:
-        CspaceError: ``error``; it cannot be read, holds objects, or is no ``.npy`` file; an ``.npz`` is none.
-    """
+    """A ``.npy`` file as a read-only array that is mapped, so that no shape is larger than its file."""
     try:
         mapped: NDArray[Any] = np.lib.format.open_memmap(path, mode="r")
     except Exception as problem:

@@ -40,9 +40,6 @@ class PngHeader:
     """What a file's first chunk says.
 
     Args:
-        width: in pixels.
-        height: in pixels.
-        depth: bits a sample.
         colour: type of its pixels: 0 grey, 2 RGB, 3 palette, 4 grey with alpha, 6 RGBA.
     """
 
@@ -58,11 +55,7 @@ class PngHeader:
 
 
 def read_header(data: bytes) -> PngHeader:
-    """The header of a file, of any size.
-
-    Raises:
-        ImageError: the file does not begin as a PNG does, or no picture can be as its header says.
-    """
+    """The header of a file, of any size."""
     if len(data) < _HEADER_BYTES or data[:16] != _SIGNATURE + b"\0\0\0\x0dIHDR":
         raise ImageError(
             "the picture is not a PNG", expected="a PNG file", got=f"{len(data)} bytes of something else"
@@ -78,14 +71,6 @@ def canonical_png(data: bytes, header: PngHeader) -> bytes:
     """The same picture as a file of IHDR, PLTE, tRNS, IDAT and IEND alone; ``data`` itself where it is that.
 
     What comes after IEND is cut off.
-
-    Args:
-        data: the file.
-        header: its header, from :func:`read_header`.
-
-    Raises:
-        ImageError: the file is cut or animated, its chunks are not those of a picture, one that is used does
-            not have its sum, or there are more than :data:`MAX_CHUNKS`.
     """
     view, at = memoryview(data), _HEADER_BYTES
     kept, lengths = [view[:_HEADER_BYTES]], {}
@@ -114,11 +99,7 @@ def canonical_png(data: bytes, header: PngHeader) -> bytes:
 
 @contextmanager
 def opened(content: bytes) -> Iterator[Image.Image]:
-    """A canonical file in Pillow's decoder.
-
-    Raises:
-        ImageError: the decoder fails.
-    """
+    """A canonical file in Pillow's decoder."""
     try:
         with Image.open(io.BytesIO(content), formats=["PNG"]) as picture:
             yield picture

@@ -55,11 +55,7 @@ def parse_json(data: bytes, *, whole: Callable[[str], int] = _whole) -> object:
     """The values of a text in UTF-8 without NaN, infinity, or a key twice in one object.
 
     Args:
-        data: the text; its size is the caller's to bound.
         whole: reads whole numbers; without it they have at most 64 bits.
-
-    Raises:
-        ValueError: it is not that, or nested deeper than 64 levels.
     """
     try:
         values = json.loads(
@@ -78,17 +74,7 @@ def parse_json(data: bytes, *, whole: Callable[[str], int] = _whole) -> object:
 
 
 def json_text(values: object, what: str, open_to: str, error: type[CspaceError]) -> str:
-    """The text of plain values, keys in order.
-
-    Args:
-        values: what :func:`written` gave.
-        what: its name in messages.
-        open_to: the part of it that takes any values.
-        error: the kind of error.
-
-    Raises:
-        error: something in it is not plain, or no finite number.
-    """
+    """The text of plain values, keys in order."""
     try:
         return json.dumps(values, indent=2, sort_keys=True, allow_nan=False) + "\n"
     except (TypeError, ValueError, RecursionError) as problem:
@@ -121,14 +107,7 @@ def first_of(problem: ValidationError) -> ErrorDetails:
 def refused(
     problem: ValidationError, error: type[CspaceError], where: str, remedy: str | None = None
 ) -> CspaceError:
-    """The project's error for the first of pydantic's, or for the project's own that a validator raised.
-
-    Args:
-        problem: pydantic's.
-        error: the kind of error; an own one that is of this kind is returned as it is.
-        where: what was read; the keys that lead to the wrong value are added.
-        remedy: what the reader can do.
-    """
+    """The project's error for the first of pydantic's, or for the project's own that a validator raised."""
     first = first_of(problem)
     context = first.get("ctx", {})
     own = context.get("error")
@@ -190,9 +169,6 @@ def read_object(kind: type[Kind], values: object, where: str, error: type[Cspace
     Nothing is converted but whole numbers where others belong, and lists to tuples. Every key has to be
     there that is always written, for defaults are for code: a file without one is damaged, or another
     release's.
-
-    Raises:
-        error: a key or a value does not fit; ``where`` is the object's name in the message.
     """
     try:
         found: Kind = adapter_of(kind).validate_json(json.dumps(values, default=repr), strict=True)  # type: ignore[arg-type] # every class is hashable

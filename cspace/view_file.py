@@ -38,8 +38,6 @@ class View:
     """Untrusted pictures of one scene, and what was sent beside them.
 
     Args:
-        pictures: files.
-        cameras: plain values of JSON, one for each picture.
         state: likewise, for all pictures or a list with one for each; None where the robot is in no picture.
         depth_scale_m: likewise, metres per unit of the pictures; None for mm.
         known: JSON of a planning scene; None without one.
@@ -86,11 +84,7 @@ def pack_view(
     depth_scale_m: object = None,
     known: bytes | None = None,
 ) -> bytes:
-    """A view file of what a :class:`View` holds.
-
-    Raises:
-        ImageError: the counts do not fit.
-    """
+    """A view file of what a :class:`View` holds."""
     _check_parts(len(pictures), len(cameras), known)
     header = {"pictures": [len(one) for one in pictures], "cameras": list(cameras), "state": state}
     # Readers of files in mm need not know the key.
@@ -105,11 +99,7 @@ def pack_view(
 
 
 def unpack_view(data: bytes) -> View:
-    """What an untrusted view file holds, as :func:`pack_view` takes it.
-
-    Raises:
-        ImageError: it is none, or the counts do not fit.
-    """
+    """What an untrusted view file holds, as :func:`pack_view` takes it."""
     if not is_view(data):
         raise no_view(f"a file that begins with {_MAGIC.decode()!r}", data[:20])
     header, rest = _line_of(data)
@@ -122,11 +112,7 @@ def unpack_view(data: bytes) -> View:
 
 
 def unstamped(cameras: Sequence[object]) -> tuple[list[object], list[float | None]]:
-    """Cameras without ``stamp_s``, and these: seconds since the epoch, None where a camera has none.
-
-    Raises:
-        ImageError: a stamp is no finite number.
-    """
+    """Cameras without ``stamp_s``, and these: seconds since the epoch, None where a camera has none."""
     bare, stamps = list[object](), list[float | None]()
     for camera in cameras:
         if not isinstance(camera, Mapping) or _STAMP not in camera:
@@ -147,12 +133,6 @@ def check_ages(stamps_s: Sequence[float | None], max_age_s: float, now_s: float)
 
     Args:
         stamps_s: when each picture was taken, seconds since the epoch; None where that is not known.
-        max_age_s: the oldest that is taken.
-        now_s: seconds since the epoch.
-
-    Raises:
-        ImageError: a picture is older, or more than 1 s ahead of this clock.
-        InputError: a picture has no stamp.
     """
     for number, stamp in enumerate(stamps_s):
         if stamp is None:
@@ -180,11 +160,7 @@ def check_ages(stamps_s: Sequence[float | None], max_age_s: float, now_s: float)
 
 
 def check_counts(pictures: int, cameras: int) -> None:
-    """Refuse numbers of pictures and cameras that do not fit.
-
-    Raises:
-        ImageError: they do not.
-    """
+    """Refuse numbers of pictures and cameras that do not fit."""
     if not 1 <= pictures <= MAX_PICTURES or pictures != cameras:
         raise ImageError(
             "the depth pictures do not fit",

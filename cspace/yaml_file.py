@@ -50,11 +50,7 @@ class YamlDocument:
     root: yaml.Node | None
 
     def line(self, place: Sequence[Hashable]) -> int:
-        """The line, from 1, of a value, or of the last of its parents that is there.
-
-        Args:
-            place: keys and indices that lead to it.
-        """
+        """The line, from 1, of a value, or of the last of its parents that is there."""
         node, line = self.root, 1 if self.root is None else _line(self.root)
         for step in place:
             if isinstance(node, yaml.MappingNode):
@@ -71,15 +67,7 @@ class YamlDocument:
 
 
 def read_yaml_file(path: Path, error: type[CspaceError]) -> YamlDocument:
-    """Read a file.
-
-    Args:
-        path: of the file.
-        error: what is raised.
-
-    Raises:
-        CspaceError: ``error``, where the file cannot be read, and as :func:`read_yaml`.
-    """
+    """Read a file."""
     return read_yaml(read_bounded(path, MAX_BYTES, error), str(path), error)
 
 
@@ -88,12 +76,6 @@ def read_yaml(text: bytes | str, name: str, error: type[CspaceError]) -> YamlDoc
 
     Args:
         text: YAML or JSON; bytes are UTF-8.
-        name: what it is called in messages, before the line.
-        error: what is raised.
-
-    Raises:
-        CspaceError: ``error``; it is no YAML, longer than 1 MiB, nested deeper than 16 levels, holds more
-            than 100,000 values or a part that holds itself, has a key twice, or a value that JSON has not.
     """
     if len(text) > MAX_BYTES:
         raise error(f"{name} is too large", expected=f"at most {MAX_BYTES} bytes", got=f"{len(text)}")

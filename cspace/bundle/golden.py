@@ -31,12 +31,7 @@ def read_arrays(data: bytes, allowed: Mapping[str, Allowed], name: str) -> dict[
     """The arrays of a ``.npz``.
 
     Args:
-        data: its bytes.
         allowed: name to the types that it may have, as ``.npy`` writes them, and its number of axes.
-        name: of the file, for messages.
-
-    Raises:
-        BundleIntegrityError: not such an archive, other arrays, or more than 32 MiB of them.
     """
     try:
         return _read_archive(data, allowed)
@@ -97,7 +92,6 @@ class GoldenCase:
 
     Args:
         image: uint8 (P, P, 3), or as the world's pictures are.
-        query: what is asked, without a confidence to reach.
         mu: float32 (L,).
         sigma: float32 (L,).
         samples: float32 (n, d) rad.
@@ -123,11 +117,7 @@ class GoldenCase:
 
     @classmethod
     def from_npz(cls, data: bytes) -> "GoldenCase":
-        """The inverse of :meth:`to_npz`; never unpickles.
-
-        Raises:
-            BundleIntegrityError: not a golden case.
-        """
+        """The inverse of :meth:`to_npz`; never unpickles."""
         values = read_arrays(data, _ARRAYS, "golden.npz")
         missing = sorted(set(_ARRAYS) - _OPTIONAL - set(values))
         count = int(values["count"]) if "count" in values else 0
@@ -150,11 +140,7 @@ class GoldenCase:
         return cls(query=query, **values)
 
     def compare_encoding(self, mu: NDArray[np.float32], sigma: NDArray[np.float32]) -> None:
-        """Hold a latent against the expected one.
-
-        Raises:
-            GoldenMismatchError: it differs by more than 1e-4, or in shape.
-        """
+        """Hold a latent against the expected one."""
         _close("mu", self.mu, mu)
         _close("sigma", self.sigma, sigma)
 
@@ -164,11 +150,7 @@ class GoldenCase:
         confidence: NDArray[np.float32] | None,
         space: JointSpace,
     ) -> None:
-        """Hold answers against the expected ones, circles the shorter way round.
-
-        Raises:
-            GoldenMismatchError: one differs by more than 1e-4, or in shape.
-        """
+        """Hold answers against the expected ones, circles the shorter way round."""
         _close("samples", self.samples, samples, space)
         if (self.confidence is None) != (confidence is None):
             raise GoldenMismatchError("the golden case and the bundle disagree on a validity head")

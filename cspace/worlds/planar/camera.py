@@ -30,14 +30,6 @@ def decode_png(
     """An untrusted PNG as (pixels, pixels, 3) uint8.
 
     RGB as it is, RGBA over white, grey and palette as RGB; resized by area averaging.
-
-    Args:
-        data: the file's bytes.
-        pixels: side of the result.
-        check_cancelled: called between the parts of a large picture; what it raises passes through.
-
-    Raises:
-        ImageError: not a PNG, 16-bit, animated, not square, below 16 or above 2048 pixels, or damaged.
     """
     header = read_header(data)
     _check_size(header)
@@ -71,11 +63,7 @@ def _to_rgb(picture: Image.Image) -> NDArray[np.uint8]:
 
 
 def _decoded(content: bytes, width: int) -> Iterator[tuple[slice, NDArray[np.uint8]]]:
-    """A file's columns and their RGB, about so many at a time.
-
-    Raises:
-        ImageError: it is damaged.
-    """
+    """A file's columns and their RGB, about so many at a time."""
     with opened(content) as picture:
         for left, right in _bands(picture.width, width):
             yield slice(left, right), _to_rgb(picture.crop((left, 0, right, picture.height)))

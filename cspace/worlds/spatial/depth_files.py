@@ -41,11 +41,6 @@ def read_depth(
         data: a 16-bit grey PNG; or float32, as a TIFF or a ``.npy`` file of shape (H, W), in which NaN,
             infinity and what is not above 0 are no reading.
         depth_scale_m: metres per unit, of plain values; None for mm in a PNG and metres in a file of floats.
-        check_cancelled: called between the parts of the work; what it raises passes through.
-
-    Raises:
-        ImageError: the file is none of these, damaged, or below 16 or above 2048 pixels on a side, or the
-            scale is no number from 1e-6 to 1.
     """
     if data.startswith(_PNG):
         return in_mm(decode_depth(data, check_cancelled), depth_scale_m)
@@ -66,11 +61,7 @@ def rounded_mm(depth: NDArray[np.float32] | NDArray[np.uint16], depth_scale_m: f
 
 
 def in_mm(units: NDArray[np.uint16], depth_scale_m: object) -> NDArray[np.uint16]:
-    """A depth picture (H, W) in mm; without a scale, a plain value, it is in mm already.
-
-    Raises:
-        ImageError: the scale is none.
-    """
+    """A depth picture (H, W) in mm; without a scale, a plain value, it is in mm already."""
     if depth_scale_m is None:
         return units
     return rounded_mm(units, _read_scale(depth_scale_m))
@@ -83,11 +74,7 @@ def _read_scale(depth_scale_m: object) -> float:
 
 
 def read_number(value: object, name: str) -> float:
-    """A number of plain values.
-
-    Raises:
-        ImageError: it is none; ``name`` is what it is called in the message.
-    """
+    """A number of plain values."""
     if type(value) not in (int, float):
         raise ImageError(f"{name} does not fit", expected="a finite number", got=repr(value)[:200])
     return value  # type: ignore[return-value] # one of the two
