@@ -75,7 +75,10 @@ def read_description(path: Path, packages: Mapping[str, Path], arguments: Mappin
     order = roots[:1]
     for link in order:
         order.extend(child for child, joint in joints.items() if joint.parent == link)
-    if sorted(order) != sorted(link.name for link in read.links) or len(names) != len(read.joints):
+    if (
+        set(order) != set(links)
+        or not len(order) == len(read.links) == len(names) + 1 == len(read.joints) + 1
+    ):
         raise ScenarioError(
             f"{path.name} is no tree of links",
             expected="a name for each link and joint, and one joint before each link but one root",
