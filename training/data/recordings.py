@@ -213,7 +213,7 @@ class _Selection:
         self._states = Series(len(self._names))
 
     def views(self, folder: Path) -> list[RecordedView]:
-        """The complete pictures, as far apart and as many as is asked for, with their view files in a folder."""
+        """The complete pictures, as far apart and as many as asked for; their view files go to a folder."""
         depth = self._depth_topic()
         self._read_small(depth)
         found: list[RecordedView] = []
