@@ -156,6 +156,57 @@ def test_xacro_files_are_expanded_with_arguments_and_packages(tmp_path: Path) ->
     assert found.arm.parts[1].spheres_m == ((0.0, 0.0, 0.0, 0.05),)
 
 
+# In the style of five makers: properties from YAML with their tags, members, dictionaries, blocks, defaults,
+# conditions, lengths, methods of strings, powers, angles in degrees.
+MAKERS = """
+<xacro:arg name="gripper" default="false"/>
+<xacro:property name="config" value="${xacro.load_yaml('$(find maker_arm)/limits.yaml')}"/>
+<xacro:property name="sizes" value="${dict(radius=0.1 / 2, names=['a', 'b', 'c'])}"/>
+<xacro:property name="limits" value="${config['joint_limits']}" lazy_eval="false"/>
+<xacro:macro name="ball-link" params="name prefix:='' sizes:=^ *inside **more">
+  <xacro:unless value="${name in sizes['names']}">${xacro.warning('unknown ' + name)}</xacro:unless>
+  <link name="${prefix + '_' if prefix else ''}${name}">
+    <collision>
+      <xacro:insert_block name="inside"/><geometry><sphere radius="${sizes['radius']}"/></geometry>
+    </collision>
+    <xacro:insert_block name="more"/>
+  </link>
+</xacro:macro>
+<xacro:macro name="turning" params="name parent child xyz:='0 0 1' at=0.5">
+  <xacro:property name="own" value="${limits[name]}"/>
+  <joint name="${name}" type="revolute"><parent link="${parent}"/><child link="${child}"/>
+    <origin xyz="${xyz.split(' ')[0]} 0 ${2 ** 2 * at / 4}" rpy="0 ${radians(90) - pi / 2} ${sin(0)}"/>
+    <axis xyz="${' '.join(['0', '1', '0'])}"/>
+    <limit lower="${own.lower}" upper="${min(own.upper, 2.0)}"/></joint>
+</xacro:macro>
+<xacro:ball-link name="a"><origin xyz="0 0 0.1"/><more/></xacro:ball-link>
+<xacro:ball-link name="b"><origin xyz="0 0 0"/><more/></xacro:ball-link>
+<xacro:turning name="j1" parent="a" child="b"/>
+<xacro:if value="${'$(arg gripper)' == 'true' and len(sizes['names']) == 3 and not 0 > 1}">
+  <xacro:ball-link name="c" prefix="left"><origin/><more/></xacro:ball-link>
+  <xacro:turning name="j2" parent="b" child="left_c" xyz="0.2 0 0" at="$(eval 1 / 2)"/>
+</xacro:if>
+"""
+
+
+def test_what_makers_write_in_xacro_is_expanded(tmp_path: Path) -> None:
+    package = tmp_path / "maker_arm"
+    package.mkdir()
+    (package / "package.xml").touch()
+    limits = (
+        "joint_limits:\n  j1: {lower: !degrees -90, upper: 1.5}\n  j2: {lower: !radians -pi/4, upper: 9.0}\n"
+    )
+    (package / "limits.yaml").write_text(limits, encoding="utf-8")
+    path = described(package, f"{XACRO}{MAKERS}</robot>", "arm.urdf.xacro")
+    arm = import_robot(Request(path, arguments={"gripper": "true"})).arm
+    assert [part.name for part in arm.parts] == ["a", "b", "left_c"]
+    np.testing.assert_allclose(
+        [joint.limits_rad for joint in arm.joints], [(-np.pi / 2, 1.5), (-np.pi / 4, 2.0)]
+    )
+    np.testing.assert_allclose(arm.joints[1].origin.xyz_m, [0.2, 0.0, 0.5])
+    assert arm.parts[0].spheres_m == ((0.0, 0.0, 0.1, 0.05),)
+
+
 GLOBALS = "[c for c in ().__class__.__base__.__subclasses__()][0].__init__.__globals__"
 
 
