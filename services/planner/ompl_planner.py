@@ -32,7 +32,6 @@ from cspace_client.ompl import (
 )
 from services.planner.result import (
     CHECK_FACTOR,
-    CostPoint,
     Counts,
     PlanResult,
     Reason,
@@ -147,7 +146,6 @@ def _once(
     found = None
     if status.getStatus() == ob.PlannerStatus.EXACT_SOLUTION:
         found = run.access.rows(run.definition.getSolutionPath().getStates())
-    rule.note_cost()
     uniform = rule.iterations - draws.goal_drawn
     if learned is not None:
         uniform = draws.uniform_drawn
@@ -169,7 +167,6 @@ def _once(
         rule.reason or Reason.NO_PATH,
         counts,
         tree=copy_tree(run) if keep_tree else None,
-        costs=tuple(rule.costs),
     )
 
 
@@ -281,14 +278,10 @@ class StoppingRule:
     ) -> None:
         self.iterations = 0
         self.reason: Reason | None = None
-        self.costs: list[CostPoint] = []
         self._settings, self._run, self._clock, self._began = settings, run, clock, clock()
-        self._optimising = settings.planner == RRT_STAR
-        self._best = math.inf
 
     def __call__(self) -> bool:
         """Whether the search has to end now."""
-        self.note_cost()
         if self.reason is None:
             if self.iterations >= self._settings.max_iterations:
                 self.reason = Reason.ITERATION_LIMIT
@@ -297,16 +290,6 @@ class StoppingRule:
             else:
                 self.iterations += 1
         return self.reason is not None
-
-    def note_cost(self) -> None:
-        """Notes the best path if it is new; OMPL's binding tells no Python function of a new solution."""
-        if not self._optimising:
-            return
-        cost = float(self._run.planner.bestCost().value())
-        if cost < self._best:
-            self._best = cost
-            elapsed_s = self._clock() - self._began
-            self.costs.append(CostPoint(self.iterations, self._run.edges.checks, elapsed_s, cost))
 
 
 def set_up(problem: Problem, settings: PlannerSettings, draws: StateDraws) -> OmplSearch:

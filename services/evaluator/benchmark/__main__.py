@@ -189,7 +189,6 @@ def _setting(options: argparse.Namespace) -> Setting:
         options.split,
         options.seed,
         options.iterations or int(limits["max_iterations"]),
-        min(options.iterations or int(limits["optimising_iterations"]), int(limits["optimising_iterations"])),
         options.time_limit or limits["time_limit_s"],
         aim=options.aim,
         world=named_world(options.robot),

@@ -1,4 +1,4 @@
-"""The three figures of the benchmark: success, cost of optimising planners, and safety of plans."""
+"""The figures of the benchmark: success, and safety of plans."""
 
 from collections.abc import Iterator
 from itertools import cycle
@@ -28,7 +28,6 @@ def figures(results: Results) -> Iterator[tuple[str, Figure]]:
     with rc_context(_STYLE):
         for name, plot, groups in (
             ("success", _success, {Group.UNIFORM, Group.LEARNED}),
-            ("cost", _cost, {Group.OPTIMISING}),
             ("safety", _safety, {Group.PLANS}),
         ):
             found = {}
@@ -69,34 +68,6 @@ def _success(found: dict[str, Paired], results: Results) -> Figure:
                 axes.step(np.maximum(taken, 1e-3), shares, where="post", **look)
             axes.set(xscale="log", xlabel=label, ylim=(-0.02, 1.02))
         row[0].set_ylabel(f"{family}\nshare solved")
-        row[-1].legend(**_BESIDE)
-    return figure
-
-
-def _cost(found: dict[str, Paired], results: Results) -> Figure:
-    """Median length of the best path so far over the best known, a row for each family."""
-    shown = (("cost_iterations", 1.0, "iterations"), ("cost_s", 1e3, "time of the search (ms)"))
-    figure, grid = _panels(len(found), 2)
-    for row, (family, paired) in zip(grid, found.items(), strict=True):
-        best = np.repeat(paired.shortest(), paired.repeats)
-        for axes, (column, scale, label) in zip(row, shown, strict=True):
-            for name, look in _looks(paired, results).items():
-                own = paired.of(name)
-                places = np.concatenate([scale * np.asarray(one, dtype=float) for one in own[column]])
-                if not len(places):
-                    continue
-                at = np.geomspace(max(places.min(), 1e-3), places.max(), 200)
-                # (runs, places): the last length, infinite before the first solution.
-                held = [
-                    np.concatenate([[np.inf], lengths])[np.searchsorted(scale * np.asarray(one), at, "right")]
-                    / least
-                    for one, lengths, least in zip(own[column], own["cost_length_rad"], best, strict=True)
-                    if np.isfinite(least)
-                ]
-                middle = np.quantile(held, 0.5, axis=0, method="higher")
-                axes.plot(at, np.where(np.isfinite(middle), middle, np.nan), **look)
-            axes.set(xscale="log", xlabel=label, ylim=(0.98, 1.8))
-        row[0].set_ylabel(f"{family}\nlength over the best known")
         row[-1].legend(**_BESIDE)
     return figure
 

@@ -68,7 +68,7 @@ class Request:
     folder: Path | None = None
 
     def units(self) -> Iterator[Unit]:
-        """Everything that is run; problems without a path have no optimising variants."""
+        """Everything that is run."""
         setting = self.setting
         for family, count in self.problems.items():
             if setting.protocol is Protocol.PLANS:
@@ -77,10 +77,8 @@ class Request:
                     todo = [(one, run) for one in own for run in range(self.repeats if one.checked else 1)]
                     yield Unit(family, index, tuple(todo), seen, self.folder)
             else:
-                solvable = family in setting.families.solvable
-                own = [one for one in self.variants if one.stop_at_first or solvable]
                 for index, run in product(range(count), range(self.repeats)):
-                    yield Unit(family, index, tuple((one, run) for one in own))
+                    yield Unit(family, index, tuple((one, run) for one in self.variants))
 
 
 def run_benchmark(

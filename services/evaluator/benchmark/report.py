@@ -17,7 +17,6 @@ from services.evaluator.benchmark.estimates import (
     Estimate,
     Paired,
     against,
-    converge,
     exact,
     safety,
 )
@@ -27,8 +26,7 @@ from services.evaluator.benchmark.variants import Group, Protocol, Setting, Vari
 HARD = "the hard ones"
 # The measures that become metrics of the tracking run; its table of variants holds all of them.
 METRICS = (
-    "solved", "iterations_median", "close_iterations_median", "edge_checks_median",
-    "close_edge_checks_median", "iterations_ratio_median", "close_iterations_ratio_median", "collide", "more",
+    "solved", "iterations_median", "edge_checks_median", "iterations_ratio_median", "collide", "more",
     "calibration_error", "surer_half_collide", "states_ratio_median", "states_ratio_p90",
 )  # fmt: skip
 _FIRST = (Group.UNIFORM, Group.LEARNED)
@@ -45,10 +43,6 @@ TABLES: Mapping[str, tuple[tuple[Group, ...], tuple[str, ...]]] = {
     "Time": (_FIRST, (
         "solved", "request_ms_median", "solve_ms_median", "solve_ms_mean", "total_ms_median", "total_ms_p90",
         "length_rad_mean",
-    )),
-    "Optimising": ((Group.OPTIMISING,), (
-        "close", "close_iterations_median", "close_iterations_ratio_median", "close_edge_checks_median",
-        "close_ms_median", "final_excess",
     )),
     "Plans without exact checks": ((Group.PLANS,), (
         "solved", "refused", "collide", "deep", "meshes", "more", "calibration_error", "request_ms_median",
@@ -112,7 +106,7 @@ class Results:
         unsolvable = self.setting.families.unsolvable
         for number, (group, runs) in enumerate(self.groups.items()):
             rng = np.random.default_rng([self.setting.seed, number])
-            for kinds in (_FIRST, (Group.OPTIMISING,), (Group.PLANS,), (Group.PATHS,)):
+            for kinds in (_FIRST, (Group.PLANS,), (Group.PATHS,)):
                 own = runs[runs["group"].isin(kinds)]
                 if own.empty:
                     continue
@@ -122,8 +116,6 @@ class Results:
                 for one in present:
                     if one.group is Group.PLANS:
                         measures = dict(safety(paired, one, rng))
-                    elif one.group is Group.OPTIMISING:
-                        measures = dict(converge(paired, one, rng))
                     else:
                         measures = dict(exact(paired, one))
                         if group not in unsolvable:
@@ -200,8 +192,7 @@ class Results:
         """The whole report; figures are paths relative to it."""
         setting, used = self.setting, set(self.runs["sampler"].dropna())
         out = self.runs[self.runs["status"] == NO_PROBLEM][["family", "problem"]].drop_duplicates()
-        limit = f"{setting.max_iterations} iterations ({setting.optimising_iterations} if it optimises)"
-        limit = f"{limit} or {setting.time_limit_s:g} s"
+        limit = f"{setting.max_iterations} iterations or {setting.time_limit_s:g} s"
         facts = [
             f"- {setting.split} problems, seed {setting.seed}. A search ends after {limit}.",
             f"- A state check takes {1e6 * self.runs['state_check_s'].median():.2f} us (median).",

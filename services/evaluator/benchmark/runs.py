@@ -19,20 +19,19 @@ from cspace.worlds import checker_of, partly_seen, picture_file_of
 from services.evaluator.benchmark.sources import Model, SourceSpec, opened, plan_query
 from services.evaluator.benchmark.variants import Group, Protocol, Setting, Unit, Variant
 from services.planner.ompl_planner import solve
-from services.planner.result import CostPoint, PlanResult
+from services.planner.result import PlanResult
 from services.planner.rrt_connect import solve_with_paths
 from services.planner.samples import SampleBatch
 
 Row = dict[str, Any]
-# Columns with their pandas types (object: lists); docs/benchmark.md describes them.
+# Columns with their pandas types; docs/benchmark.md describes them.
 COLUMNS = {
     "protocol": "str", "source": "str", "family": "str", "problem": "int64", "pictures": "int64",
     "run": "int64", "seed": "int64", "variant": "str", "group": "str", "planner": "str", "sampler": "str",
     "learned_share": "float64", "samples": "int64", "solved": "bool", "status": "str",
     "iterations": "Int64", "edge_checks": "Int64", "state_checks": "Int64", "learned_drawn": "Int64",
-    "uniform_drawn": "Int64", "length_rad": "float64", "first_length_rad": "float64",
-    "cost_iterations": "object", "cost_edge_checks": "object", "cost_s": "object",
-    "cost_length_rad": "object", "solve_s": "float64", "state_check_s": "float64",
+    "uniform_drawn": "Int64", "length_rad": "float64",
+    "solve_s": "float64", "state_check_s": "float64",
     "request_s": "float64", "server_s": "float64", "total_s": "float64",
     "confidence": "float64", "clearance_m": "float64", "meshes_free": "boolean",
     "search_s": "float64", "score_s": "float64", "as_is": "boolean", "bottleneck_rad": "float64",
@@ -94,10 +93,6 @@ class Worker:
             "sampler": variant.sampler,
             "learned_share": variant.share,
             "samples": variant.samples,
-            "cost_iterations": [],
-            "cost_edge_checks": [],
-            "cost_s": [],
-            "cost_length_rad": [],
             "request_s": 0.0,
             "search_s": 0.0,
             "score_s": 0.0,
@@ -186,17 +181,10 @@ class _Case:
 
 
 def _of_result(result: PlanResult) -> Row:
-    costs = result.costs
-    end = CostPoint(result.iterations, result.edge_checks, result.solve_time_s, float(result.length_rad))
     names = ("solved", "iterations", "edge_checks", "state_checks", "learned_drawn", "uniform_drawn")
     return {name: getattr(result, name) for name in names} | {
         "status": str(result.reason),
-        "length_rad": end.length_rad if result.solved else None,
-        "first_length_rad": [*costs, end][0].length_rad if result.solved else None,
-        "cost_iterations": [point.iterations for point in costs],
-        "cost_edge_checks": [point.edge_checks for point in costs],
-        "cost_s": [point.time_s for point in costs],
-        "cost_length_rad": [point.length_rad for point in costs],
+        "length_rad": float(result.length_rad) if result.solved else None,
         "solve_s": result.solve_time_s,
     }
 

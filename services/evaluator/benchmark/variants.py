@@ -43,22 +43,21 @@ class Group(StrEnum):
 
     UNIFORM = "uniform"
     LEARNED = "learned"
-    OPTIMISING = "optimising"
     PLANS = "plans"
     PATHS = "paths"
 
 
 GROUPS: Mapping[Protocol, tuple[Group, ...]] = {
-    Protocol.FAMILIES: (Group.UNIFORM, Group.LEARNED, Group.OPTIMISING),
-    Protocol.PAPER: (Group.UNIFORM, Group.LEARNED, Group.OPTIMISING),
+    Protocol.FAMILIES: (Group.UNIFORM, Group.LEARNED),
+    Protocol.PAPER: (Group.UNIFORM, Group.LEARNED),
     Protocol.PLANS: (Group.PLANS, Group.PATHS),
 }
 RUNS = {Protocol.FAMILIES: 1, Protocol.PAPER: 100, Protocol.PLANS: 3}
 LIMITS: Mapping[Protocol, Mapping[str, float]] = {
-    Protocol.FAMILIES: {"max_iterations": 20_000, "optimising_iterations": 2000, "time_limit_s": 10.0},
+    Protocol.FAMILIES: {"max_iterations": 20_000, "time_limit_s": 10.0},
     # The paper stops by the clock alone; no planner here makes so many iterations in a second.
-    Protocol.PAPER: {"max_iterations": 200_000, "optimising_iterations": 200_000, "time_limit_s": 1.0},
-    Protocol.PLANS: {"max_iterations": 200_000, "optimising_iterations": 2000, "time_limit_s": 20.0},
+    Protocol.PAPER: {"max_iterations": 200_000, "time_limit_s": 1.0},
+    Protocol.PLANS: {"max_iterations": 200_000, "time_limit_s": 20.0},
 }
 
 
@@ -74,7 +73,6 @@ class Variant:
         sampler: name of the model; None for none.
         share: of learned samples among the drawn ones while there are any, 0 to 1.
         samples: number of learned samples that are requested.
-        stop_at_first: whether the search ends with its first solution.
         unseen: what unseen space counts as where paths are searched for without a model.
     """
 
@@ -85,7 +83,6 @@ class Variant:
     sampler: str | None = None
     share: float = 0.0
     samples: int = 0
-    stop_at_first: bool = True
     unseen: Unseen | None = None
 
     @property
@@ -119,17 +116,11 @@ def _samples(models: Sequence[str], samples: int, shares: Sequence[float]) -> It
 
     for planner in PLANNERS:
         yield Variant(uniform(planner), Group.UNIFORM, planner, uniform(planner))
-    base = f"{uniform(RRT_STAR)}, optimising"
-    yield Variant(base, Group.OPTIMISING, RRT_STAR, base, stop_at_first=False)
     for model in models:
         for share in shares:
             for planner in LEARNED_PLANNERS:
                 name = f"{NAMES[planner]}, {model}, {100.0 * share:g} %"
-                one = Variant(name, Group.LEARNED, planner, uniform(planner), model, share, samples)
-                yield one
-                if planner == RRT_STAR:
-                    name = f"{name}, optimising"
-                    yield replace(one, name=name, group=Group.OPTIMISING, base=base, stop_at_first=False)
+                yield Variant(name, Group.LEARNED, planner, uniform(planner), model, share, samples)
 
 
 def _plans(models: Sequence[str]) -> Iterator[Variant]:
@@ -166,7 +157,6 @@ class Setting:
         split: of the problems.
         seed: of problems, planners and samplers.
         max_iterations: states drawn after which a search ends without a path.
-        optimising_iterations: the same for a search that goes on after its first solution.
         time_limit_s: wall time after which a search ends.
         aim: what cameras look at, ``goal`` or ``scene``.
         plan_limit_s: time in which paths are planned without exact checks.
@@ -178,7 +168,6 @@ class Setting:
     split: Split
     seed: int
     max_iterations: int
-    optimising_iterations: int
     time_limit_s: float
     aim: str = AIMS[0]
     plan_limit_s: float = 2.0
@@ -205,9 +194,8 @@ class Setting:
             range_rad=measures.range_rad,
             resolution_rad=measures.resolution_rad,
             time_limit_s=self.time_limit_s,
-            max_iterations=self.max_iterations if variant.stop_at_first else self.optimising_iterations,
+            max_iterations=self.max_iterations,
             seed=planner_seed(self.seed, index, run),
-            stop_at_first=variant.stop_at_first,
         )
 
 

@@ -96,7 +96,7 @@ def test_paths_do_not_go_round_limited_joints(planner):
     assert np.diff(result.path[:, 0]).sum() == pytest.approx(13.8, abs=1e-5)
 
 
-def test_rrt_star_that_goes_on_minimises_the_torus_length_and_reports_each_shorter_path(make_problem):
+def test_rrt_star_that_goes_on_minimises_the_torus_length(make_problem):
     # Where nothing is in the way, every monotone path has the least sum, and only the straight one is short.
     problem = make_problem(start=(-1.0, -1.0), goal=(1.0, 1.0))
     first, further = (
@@ -104,11 +104,8 @@ def test_rrt_star_that_goes_on_minimises_the_torus_length_and_reports_each_short
         for stop in (True, False)
     )
     assert further.length_rad < 1.01 * np.hypot(2.0, 2.0)
-    lengths = [point.length_rad for point in further.costs]
-    assert lengths == sorted(lengths, reverse=True)
-    assert lengths[0] == first.costs[0].length_rad == pytest.approx(first.length_rad, abs=1e-8)
-    assert lengths[-1] == pytest.approx(further.length_rad, abs=1e-8)
-    assert further.costs[0].iterations == first.costs[0].iterations < further.iterations
+    assert further.length_rad <= first.length_rad + 1e-9
+    assert first.iterations < further.iterations == 3000
 
 
 def test_a_path_that_the_planner_believes_in_is_still_checked(disconnected, monkeypatch):

@@ -35,8 +35,7 @@ for planner in PLANNERS:
             settings = PlannerSettings(planner, seed=5, max_iterations=400, stop_at_first=stop)
             result = solve(problem, settings, batch)
             counts = (result.iterations, result.edge_checks, result.state_checks, result.learned_drawn)
-            lengths = [(point.iterations, point.length_rad.hex()) for point in result.costs]
-            print(planner, counts, lengths, result.path.tobytes().hex())
+            print(planner, counts, result.path.tobytes().hex())
 """
 )
 MEMORY = (
