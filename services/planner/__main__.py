@@ -58,11 +58,7 @@ class Command:
 
 
 def parse_command(arguments: Sequence[str] | None = None) -> Command:
-    """The command of an argument list; leaves the process with 2 where argparse objects.
-
-    Raises:
-        InputError: a value is out of its range, or a scene file does not fit.
-    """
+    """The command of an argument list; leaves the process with 2 where argparse objects."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     # `plan FILE` is how people say it.
     options = make_parser().parse_args(["--scene", *given[1:]] if given[:1] == ["plan"] else given)

@@ -63,23 +63,15 @@ def solve(
 ) -> PlanResult:
     """Solve one problem; the same arguments give the same result, in any process.
 
+    ``samples`` (n, d) rad are drawn in this order and once each, mixed with ``uniform_share`` of uniform ones;
+    without any, OMPL samples uniformly.
+
     Where the independent check rejects the path, because it grazes an obstacle between two checked states,
     the search begins again at the check's own resolution, with what is left of its limits. The result counts
     both searches.
 
     OMPL holds the interpreter's lock while it searches and keeps its random seed in the process: one solve at
     a time in a process, no threads.
-
-    Args:
-        problem: start and goal in a scenario.
-        settings: of the planner.
-        samples: (n, d) learned samples in rad, drawn in this order and once each; None or none of them for
-            OMPL's own uniform sampling.
-        uniform_share: share of uniform samples mixed in while learned ones are left, 0 to 1.
-        keep_tree: whether the result holds the search tree.
-
-    Raises:
-        PlanningError: the samples or the problem do not fit the robot, or the planner takes no samples.
     """
     learned = _fitting(problem, settings, samples)
     checker = checker_of(problem.scenario)
@@ -265,13 +257,7 @@ class OmplSearch:
 
 
 class StoppingRule:
-    """Asked by OMPL before each iteration: counts iterations, ends the search, notes shorter paths of RRT*.
-
-    Args:
-        settings: with the limits.
-        run: the search.
-        clock: the time in s.
-    """
+    """Asked by OMPL before each iteration: counts iterations, ends the search."""
 
     def __init__(
         self, settings: PlannerSettings, run: OmplSearch, clock: Callable[[], float] = time.perf_counter
@@ -293,13 +279,7 @@ class StoppingRule:
 
 
 def set_up(problem: Problem, settings: PlannerSettings, draws: StateDraws) -> OmplSearch:
-    """Everything that a search needs, seeded.
-
-    Args:
-        problem: start and goal in a scenario.
-        settings: of the planner.
-        draws: where the goal takes its states from; a mixture replaces OMPL's uniform sampler altogether.
-    """
+    """Everything that a search needs, seeded."""
     # OMPL calls a second seed in a process an error, yet takes it for all generators made from then on.
     ou.setLogLevel(ou.LOG_NONE)
     ou.RNG.setSeed(_ompl_seed(settings.seed))

@@ -23,13 +23,9 @@ ORDINARY = 0.95
 
 @dataclass(frozen=True, slots=True)
 class SampleRequest:
-    """What is asked of a source of samples for one problem.
+    """What is asked of a source of samples for one problem, whose ends are sent to path models.
 
-    Args:
-        query: without start and goal, which are the problem's.
-        model: ``name``, ``name@alias``, ``name/version`` or ``pretrained``; None for the source's default.
-        with_ends: whether start and goal are sent, as path models require and others refuse.
-        or_uniform: whether uniform samples do where there is no such model.
+    ``or_uniform``: uniform samples do where there is no such model.
     """
 
     query: SampleQuery
@@ -38,11 +34,7 @@ class SampleRequest:
     or_uniform: bool = False
 
     def of_robot(self, world: World, name: str | None = None) -> "SampleRequest":
-        """The request for the model of a robot of one's own where it names no model.
-
-        Raises:
-            ConfigError: the name is another robot's.
-        """
+        """The request for the model of a robot of one's own where it names no model."""
         if self.model is not None or robot_digest(world) == robot_digest(default_world()):
             return self
         own = model_name(world, name or label(world), path=self.with_ends)
@@ -75,20 +67,7 @@ def plan(
     *,
     keep_tree: bool = False,
 ) -> SampledPlan:
-    """Render the picture, ask for one batch, solve; with uniform samples where the source does not answer.
-
-    Args:
-        problem: start and goal in a scenario.
-        source: of samples, usually a :class:`services.planner.client.SamplingClient`.
-        settings: of the planner.
-        request: what is asked of the source; None for 300 samples with the planner's seed.
-        uniform_share: of uniform samples mixed in, raised where the picture is unlike the training's.
-        keep_tree: whether the result holds the search tree.
-
-    Raises:
-        SamplerError: the source refused the request.
-        PlanningError: the planner takes no samples.
-    """
+    """Render the picture, ask for one batch, solve; with uniform samples where the source does not answer."""
     request = request or SampleRequest(SampleQuery(DEFAULT_SAMPLES, settings.seed))
     batch, unavailable, samples = None, None, None
     try:
@@ -107,18 +86,7 @@ def plan(
 def plan_scene(
     path: str | Path, api: str | None = None, settings: PlannerSettings | None = None
 ) -> SampledPlan:
-    """Solve the problem of a scene file with samples of the robot's own model from an API.
-
-    Args:
-        path: of the scene file; see :mod:`services.scene_files`.
-        api: address of the inference API, None for the usual one; uniform samples where it does not answer or
-            has no such model.
-        settings: of the planner.
-
-    Raises:
-        ScenarioError: the file does not fit, or holds no problem.
-        SamplerError: the API refused the request.
-    """
+    """Solve the problem of a scene file with samples of the robot's own model from an API."""
     scene, settings = read_scene_file(Path(path)), settings or PlannerSettings()
     request = SampleRequest(SampleQuery(DEFAULT_SAMPLES, settings.seed)).of_robot(scene.world, scene.name)
     with SamplingClient(api or usual_api()) as client:
@@ -135,12 +103,7 @@ def raised_share(uniform_share: float, novelty: float | None) -> float:
 
 
 def request_samples(problem: Problem, source: SampleSource, request: SampleRequest) -> SampleBatch:
-    """One batch for a problem's picture.
-
-    Raises:
-        SamplerUnavailableError: the source does not answer.
-        SamplerError: it refused the request, or its samples are those of another robot.
-    """
+    """One batch for a problem's picture."""
     query = replace(request.query, robot=robot_digest(problem.scenario.world))
     query = between_ends(query, problem) if request.with_ends else query
     batch = source.answer(picture_file_of(problem.scenario), query, request.model)

@@ -53,11 +53,7 @@ def compare(
     request: SampleRequest | None = None,
     uniform_share: float = DEFAULT_UNIFORM_SHARE,
 ) -> Comparison:
-    """Solves the problem in all three ways and keeps the trees.
-
-    Raises:
-        SamplerError: the source refused the request.
-    """
+    """Solves the problem in all three ways and keeps the trees."""
     learned = plan(problem, source, settings, request, uniform_share, keep_tree=True)
     uniform = solve(problem, settings, keep_tree=True)
     connect = solve(problem, replace(settings, planner=RRT_CONNECT), keep_tree=True)
@@ -153,13 +149,7 @@ def warning_lines(warnings: Iterable[PictureWarning]) -> list[str]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WholePlan:
-    """The API's plan for a problem, checked against the true scene.
-
-    Args:
-        problem: that was asked about.
-        found: the API's answer.
-        clearance_m: least of all states along the path, in the true scene; NaN without a path.
-    """
+    """The API's plan for a problem, checked against the true scene."""
 
     problem: Problem
     found: FoundPlan
@@ -196,11 +186,7 @@ class WholePlan:
 def ask_for_plan(
     problem: Problem, client: SamplingClient, query: PlanQuery, model: str | None = None
 ) -> WholePlan:
-    """Requests a plan and checks its path against the true scene.
-
-    Raises:
-        SamplerError: as the client has it.
-    """
+    """Requests a plan and checks its path against the true scene."""
     found = client.plan(picture_file_of(problem.scenario), query, model)
     clearance_m = math.nan
     if len(found.path):

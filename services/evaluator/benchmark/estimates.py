@@ -71,9 +71,6 @@ class Paired:
     """Runs of a group of problems, with every variant on the same problems equally often.
 
     Problems that a variant has not run are left out, as are those with fewer runs than others.
-
-    Raises:
-        EvaluationError: no problem was run by all variants.
     """
 
     def __init__(self, runs: pd.DataFrame) -> None:
@@ -134,11 +131,8 @@ def ratios(name: str, values: Floats, base: Floats, rng: np.random.Generator) ->
 def break_even_us(spent: Floats) -> Floats:
     """The cost of a check, in us, from which on the first of some variants takes less time than each other.
 
-    Args:
-        spent: (..., K, 2) time without checks, in s, and number of checks of each variant.
-
-    Returns:
-        (...) 0 where it always takes less time, infinity where it never does for all costs above some cost.
+    ``spent`` (..., K, 2) is time without checks, in s, and number of checks of each variant. Returns (...), 0
+    where it always takes less time, infinity where it never does for all costs above some cost.
     """
     dearer_s = spent[..., :1, 0] - spent[..., 1:, 0]
     fewer = spent[..., 1:, 1] - spent[..., :1, 1]

@@ -45,17 +45,9 @@ _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 @dataclass(frozen=True)
 class Request:
-    """What a benchmark runs.
+    """What a benchmark runs: ``problems`` of each family, ``repeats`` of each where checks are exact.
 
-    Args:
-        out: folder of runs and report.
-        setting: of all runs.
-        problems: number of each family.
-        repeats: runs of each problem; without exact checks there is one.
-        variants: that are compared.
-        specs: their models.
-        pictures: by which each problem is seen; (0,) where depth pictures do not matter.
-        folder: of problems that do not ship.
+    ``pictures`` is (0,) where depth pictures do not matter; ``folder`` holds problems that do not ship.
     """
 
     out: Path
@@ -84,13 +76,7 @@ class Request:
 def run_benchmark(
     request: Request, execute: Execute, show: Show, tracking: Tracking | None = None
 ) -> Results:
-    """Run what is missing, report on the whole request, and log it where there is a tracking server.
-
-    Raises:
-        ConfigError: the folder holds runs of another setting.
-        EvaluationError: no problem was run by all variants.
-        CspaceError: a run failed; those before it are kept.
-    """
+    """Run what is missing, report on the whole request, and log it where there is a tracking server."""
     store = RunStore(request)
     units = list(request.units())
     done = {_key(row) for row in store.rows()}
@@ -143,12 +129,7 @@ def _key(row: Mapping[str, Any]) -> Key:
 
 
 class RunStore:
-    """Runs as a line of JSON each beside a manifest; a stopped benchmark goes on, further variants may join.
-
-    Raises:
-        ConfigError: the folder holds runs of another setting, or other variants or models of the same names.
-        StorageError: the folder can not be used.
-    """
+    """Runs as a line of JSON each beside a manifest; one that was stopped goes on."""
 
     def __init__(self, request: Request) -> None:
         self._path, manifest = request.out / RUNS, request.out / MANIFEST
@@ -208,11 +189,7 @@ _worker_of = lru_cache(maxsize=1)(Worker)
 
 
 def run_unit(unit: Unit, shared: Shared) -> list[Row]:
-    """One unit in this process, whose models stay open between units.
-
-    Raises:
-        SamplerError: a model does not answer.
-    """
+    """One unit in this process, whose models stay open between units."""
     return _worker_of(*shared).run(unit)
 
 

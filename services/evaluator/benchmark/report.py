@@ -97,11 +97,7 @@ class Results:
 
     @cached_property
     def estimates(self) -> dict[str, dict[str, dict[str, Estimate]]]:
-        """Estimates by group, variant and measure.
-
-        Raises:
-            EvaluationError: no problem was run by all variants.
-        """
+        """Estimates by group, variant and measure."""
         found: dict[str, dict[str, dict[str, Estimate]]] = {}
         unsolvable = self.setting.families.unsolvable
         for number, (group, runs) in enumerate(self.groups.items()):

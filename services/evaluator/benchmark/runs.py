@@ -44,11 +44,7 @@ _STATES, _REPEATS = 5000, 5
 
 
 class Worker:
-    """Runs units in one process; the models stay open as long as it exists.
-
-    Raises:
-        SamplerError: a model does not answer.
-    """
+    """Runs units in one process; the models stay open as long as it exists."""
 
     def __init__(self, setting: Setting, specs: Sequence[SourceSpec]) -> None:
         self._setting, self._open = setting, ExitStack()
@@ -56,11 +52,7 @@ class Worker:
         self._models = opened(specs, setting.world, self._open, plans=plans)
 
     def run(self, unit: Unit) -> list[Row]:
-        """The rows of a unit; nothing in them depends on another unit.
-
-        Raises:
-            SamplerError: a model does not answer: a run without its samples would measure another variant.
-        """
+        """The rows of a unit; nothing in them depends on another unit."""
         setting, problem = self._setting, self._setting.problem(unit)
         if problem is None:
             nothing = {"status": NO_PROBLEM, "solved": False}

@@ -63,17 +63,10 @@ LIMITS: Mapping[Protocol, Mapping[str, float]] = {
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """One way to solve a problem.
+    """One way to solve a problem; ``base`` names the variant that it is compared with.
 
-    Args:
-        name: unique.
-        group: its purpose.
-        planner: with exact checks, by its name in ``services.planner.settings``; None plans without.
-        base: name of the variant that it is compared with.
-        sampler: name of the model; None for none.
-        share: of learned samples among the drawn ones while there are any, 0 to 1.
-        samples: number of learned samples that are requested.
-        unseen: what unseen space counts as where paths are searched for without a model.
+    Without a ``planner`` it plans without exact checks. ``share`` is that of learned samples among the drawn
+    ones while there are any. ``unseen`` is what unseen space counts as where no model plans.
     """
 
     name: str
@@ -134,11 +127,7 @@ def _plans(models: Sequence[str]) -> Iterator[Variant]:
 
 
 def pick(variants: Sequence[Variant], wanted: Sequence[str]) -> tuple[Variant, ...]:
-    """The variants of some names or groups, and their bases.
-
-    Raises:
-        ConfigError: a name is unknown.
-    """
+    """The variants of some names or groups, and their bases."""
     if unknown := set(wanted) - {variant.name for variant in variants} - set(Group):
         raise ConfigError(
             "there is no such variant or group", expected=", ".join(Group), got=", ".join(unknown)
@@ -150,18 +139,9 @@ def pick(variants: Sequence[Variant], wanted: Sequence[str]) -> tuple[Variant, .
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """What all runs of a folder have in common.
+    """What all runs of a folder have in common; ``plan_limit_s`` is for plans without exact checks.
 
-    Args:
-        protocol: what is run.
-        split: of the problems.
-        seed: of problems, planners and samplers.
-        max_iterations: states drawn after which a search ends without a path.
-        time_limit_s: wall time after which a search ends.
-        aim: what cameras look at, ``goal`` or ``scene``.
-        plan_limit_s: time in which paths are planned without exact checks.
-        world: robot and sensor.
-        held: whether the robot holds what goals grasp, and planners know this and the table.
+    ``aim`` is what cameras look at. With ``held`` the robot holds what goals grasp, and planners know it.
     """
 
     protocol: Protocol
@@ -211,15 +191,7 @@ Key = tuple[str, int, int, int, str]
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """One problem with the runs that one process does at a time.
-
-    Args:
-        family: of the problem.
-        index: of the problem within its family.
-        todo: variants and the numbers of their runs.
-        pictures: by which the scene is seen; 0 where the runs do not depend on depth pictures.
-        folder: of problems that do not ship.
-    """
+    """One problem with the runs that one process does at a time; ``pictures`` is 0 where none matter."""
 
     family: str
     index: int
