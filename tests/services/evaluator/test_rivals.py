@@ -12,7 +12,7 @@ from cspace.worlds import robot_digest
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
 from cspace.worlds.planar.world import PlanarWorld
 from inference_api.settings import PRETRAINED_FOLDER
-from services.evaluator.rivals import find_rivals
+from services.evaluator.job import find_rivals
 from services.names import MODEL_NAME
 from services.registry.promotion import Decision, promote, record_decision, roll_back
 from tests.bundles import write_tiny_bundle
