@@ -7,6 +7,7 @@ from functools import cached_property
 import pandas as pd
 
 from cspace.simulator import UNIFORM
+from cspace.world import World
 from cspace.worlds import simulator_of
 from services.evaluator.measure import EVALUATED_SPLITS, Row, Setting, UnitResult
 from services.evaluator.metrics import Metric, Task, metrics_of
@@ -84,7 +85,7 @@ def _estimates(rows: pd.DataFrame, split: str, task: Task, setting: Setting) -> 
         groups.insert(0, ("", rows[rows["metric"] == "success"]))
     for family, mine in groups:
         for sampler, one, measure, main, interval in _intervals(mine, task, setting.seed, split, family):
-            name = log_name(one, split, family, sampler, measure) if main else ""
+            name = log_name(one, setting.world, split, family, sampler, measure) if main else ""
             limits = (interval.estimate, interval.low, interval.high, interval.count)
             yield (str(task), split, family, sampler, measure, *limits, name, main)
 
@@ -108,9 +109,11 @@ def _intervals(
                     yield sampler, one, measure, place == 0, interval
 
 
-def log_name(one: Metric, split: str, family: str, sampler: str, measure: str) -> str:
+def log_name(one: Metric, world: World, split: str, family: str, sampler: str, measure: str) -> str:
     """The name of an estimate in MLflow, grouped by the part before ``/``; empty where it is not logged."""
-    if sampler not in one.logged:
+    # Arms have many families, of which the decisive one's costs alone are logged.
+    elsewhere = family not in ("", simulator_of(world).families.decisive)
+    if sampler not in one.logged or (one.task is Task.PLANNING and elsewhere and one.name != "success"):
         return ""
     name = f"{_PREFIXES[sampler]}{measure}".replace("_ratio", "_saved")
     match one.task:

@@ -9,7 +9,7 @@ import pytest
 from cspace.bundle import Bundle, write_bundle
 from cspace.errors import BundleIntegrityError, EvaluationError
 from cspace.simulator import Problem, Split
-from cspace.worlds import simulator_of
+from cspace.worlds import examples, simulator_of
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.checks import CollisionChecker
@@ -26,17 +26,20 @@ from services.evaluator.evaluation import (
 )
 from services.evaluator.gate import Bar, decide, gated_metrics
 from services.evaluator.measure import (
+    EVALUATED_SPLITS,
     QUICK,
     Budget,
+    Row,
     Setting,
     Unit,
+    UnitResult,
     plan_problem,
     planner_of,
     reconstruct,
     run_unit,
     units,
 )
-from services.evaluator.metrics import Task
+from services.evaluator.metrics import Task, metrics_of
 from services.evaluator.report import to_markdown
 from services.evaluator.scenes import PackedBundle, Scene, Stage, bundle_sampler, unfiltered
 from services.planner.result import PlanResult
@@ -117,6 +120,32 @@ def test_a_run_has_few_metrics_by_group_and_a_headline_fewer(results):
     } <= logged.keys()
     assert np.isfinite([*logged.values()]).all()
     assert set(gated_metrics(found)) == set(simulator_of(PlanarWorld()).measures.margins)
+
+
+def test_an_evaluation_of_an_arm_has_no_more_metrics():
+    world, parts = (
+        examples()["panda"],
+        {"near": 2, "calibration": 45, "precision": 1, "coverage": 1, "energy": 1},
+    )
+    given = {
+        Task.RECONSTRUCTION: (["uniform"], ["sampler", "confident", "uniform", "real"]),
+        Task.HEAD: (["uniform"], [""]),
+        Task.PLANNING: (simulator_of(world).families.names, ["learned", "uniform"]),
+        Task.TOPOLOGY: (["uniform"], [""]),
+    }
+    rows = [
+        Row(task, family, number, 0, sampler, one.name, part, 1.0)
+        for task, (families, samplers) in given.items()
+        for family in families
+        for sampler in samplers
+        for one in metrics_of(task)
+        for number in range(2)
+        for part in range(parts.get(one.name, 1 if one.name == "success" else 2))
+    ]
+    results = [UnitResult(Unit(Task.PLANNING, split, 0, 1), rows, 1.0) for split in EVALUATED_SPLITS]
+    logged = run_metrics(evaluation_of(results, Setting(world, 0, TINY)))
+    assert {"validation/shelf/edge_checks_saved", "test/clutter/success", "test/precision"} <= logged.keys()
+    assert len(logged) <= MAX_METRICS
 
 
 def test_the_report_has_the_decision_and_every_table(results):
