@@ -24,7 +24,19 @@ from cspace.errors import (
 from cspace.world import World
 from cspace.worlds import robot_digest, simulator_of
 from services.evaluator.cluster import on_cluster, spread
-from services.evaluator.evaluation import Evaluation, table_of
+from services.evaluator.evaluation import (
+    BUDGETS,
+    MAX_SEED,
+    Budget,
+    Evaluation,
+    Setting,
+    Unit,
+    UnitResult,
+    deciding,
+    run_unit,
+    table_of,
+    units,
+)
 from services.evaluator.gate import (
     SMALLER_IS_BETTER,
     Bar,
@@ -35,17 +47,6 @@ from services.evaluator.gate import (
     compare,
     decide,
     gated_metrics,
-)
-from services.evaluator.measure import (
-    BUDGETS,
-    MAX_SEED,
-    Budget,
-    Setting,
-    Unit,
-    UnitResult,
-    deciding,
-    run_unit,
-    units,
 )
 from services.evaluator.recalibrate import predicted_reports
 from services.evaluator.report import comparison_note, log_evaluation, scenes_text, shown_of

@@ -8,7 +8,7 @@ checks and goal test stay OMPL's.
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -63,8 +63,8 @@ def solve(
 ) -> PlanResult:
     """Solve one problem; the same arguments give the same result, in any process.
 
-    ``samples`` (n, d) rad are drawn in this order and once each, mixed with ``uniform_share`` of uniform ones;
-    without any, OMPL samples uniformly.
+    ``samples`` (n, d) rad are drawn in this order and once each, mixed with a share of uniform ones; without
+    any, OMPL samples uniformly.
 
     Where the independent check rejects the path, because it grazes an obstacle between two checked states,
     the search begins again at the check's own resolution, with what is left of its limits. The result counts
@@ -96,9 +96,6 @@ def _fitting(
     problem: Problem, settings: PlannerSettings, samples: ArrayLike | None
 ) -> NDArray[np.float64] | None:
     dim = problem.space.dim
-    for name, end in (("start", problem.start), ("goal", problem.goal)):
-        if np.shape(end) != (dim,) or not np.all(np.isfinite(end)):
-            raise PlanningError(f"the {name} does not fit the robot", expected=f"{dim} angles", got=str(end))
     if samples is None or np.size(samples) == 0:
         return None
     if settings.planner not in LEARNED_PLANNERS:
@@ -131,7 +128,7 @@ def _once(
         rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(1,)))
         draws = SampleMixture(space, goal, learned, settings.goal_bias, uniform_share, rng)
     run = set_up(problem, settings, draws)
-    rule = StoppingRule(settings, run)
+    rule = StoppingRule(settings)
     began = time.perf_counter()
     status = run.planner.solve(ob.PlannerTerminationCondition(rule))
     solve_time_s = time.perf_counter() - began
@@ -259,19 +256,17 @@ class OmplSearch:
 class StoppingRule:
     """Asked by OMPL before each iteration: counts iterations, ends the search."""
 
-    def __init__(
-        self, settings: PlannerSettings, run: OmplSearch, clock: Callable[[], float] = time.perf_counter
-    ) -> None:
+    def __init__(self, settings: PlannerSettings) -> None:
         self.iterations = 0
         self.reason: Reason | None = None
-        self._settings, self._run, self._clock, self._began = settings, run, clock, clock()
+        self._settings, self._began = settings, time.perf_counter()
 
     def __call__(self) -> bool:
         """Whether the search has to end now."""
         if self.reason is None:
             if self.iterations >= self._settings.max_iterations:
                 self.reason = Reason.ITERATION_LIMIT
-            elif self._clock() - self._began >= self._settings.time_limit_s:
+            elif time.perf_counter() - self._began >= self._settings.time_limit_s:
                 self.reason = Reason.TIME_LIMIT
             else:
                 self.iterations += 1

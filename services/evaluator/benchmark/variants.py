@@ -5,14 +5,13 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
 
-import numpy as np
-
 from cspace.errors import ConfigError
 from cspace.query import SampleQuery
 from cspace.simulator import Families, Problem, ProblemRequest, Split
 from cspace.simulator import Taken as Unseen
 from cspace.world import World
 from cspace.worlds import default_world, partly_seen, simulator_of
+from services.evaluator.evaluation import planner_seed
 from services.planner.settings import (
     LEARNED_PLANNERS,
     PLANNERS,
@@ -27,6 +26,8 @@ SAMPLES = 300
 SHARES = (0.7, 1.0)
 PICTURES = (1, 2, 3)
 AIMS = ("goal", "scene")
+# Status of a problem whose start or goal collides; it is left out.
+NO_PROBLEM = "start or goal collides"
 NAMES = {RRT: "RRT", RRT_STAR: "RRT*", RRT_CONNECT: "RRT-Connect", SAMPLED_CONNECT: "own RRT-Connect"}
 
 
@@ -177,12 +178,6 @@ class Setting:
             max_iterations=self.max_iterations,
             seed=planner_seed(self.seed, index, run),
         )
-
-
-def planner_seed(seed: int, index: int, run: int) -> int:
-    """The seed of one run, in 1...2^31 - 1; OMPL takes no zero."""
-    state = np.random.SeedSequence(entropy=seed, spawn_key=(98, index, run)).generate_state(1)
-    return 1 + int(state[0]) % (2**31 - 1)
 
 
 # Family, problem, pictures, run and variant.

@@ -11,9 +11,8 @@ from cspace.errors import EvaluationError, ModelNotFoundError
 from cspace.worlds.planar.arm import THREE_LINK
 from services.evaluator import __main__ as command
 from services.evaluator import compare, job
-from services.evaluator.evaluation import MAX_HEADLINE, MAX_METRICS
+from services.evaluator.evaluation import MAX_HEADLINE, MAX_METRICS, Budget
 from services.evaluator.job import evaluate_version, make_request
-from services.evaluator.measure import Budget
 from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, MODEL_NAME
 from services.registry.promotion import decisions
 from tests.bundles import write_tiny_bundle

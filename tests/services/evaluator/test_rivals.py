@@ -117,13 +117,6 @@ def test_a_version_that_was_rolled_back_is_no_bar_any_more(registry, register, r
     assert names(rivals_of(4)[0]) == ["version 3, the present champion", "version 2, the best before it"]
 
 
-def test_champions_of_other_robots_are_no_rivals(register, rivals_of):
-    register(1, 0.9, THREE_LINK)
-    register(2)
-    rivals, bar = rivals_of(2)
-    assert (rivals, bar.recorded, bar.against) == ((), (), None)
-
-
 @pytest.mark.parametrize(
     ("how", "expected"), [({}, ["the shipped model"]), ({"robot": THREE_LINK}, []), ({"kind": "path"}, [])]
 )

@@ -39,7 +39,7 @@ def test_the_same_command_gives_the_same_outcome_as_json(api, capsys):
         for run in outcome["runs"].values():
             assert run.pop("solve_time_s") > 0.0
             assert run["state_checks"] > run["edge_checks"] > 0
-            assert (run["resolution_rad"], run["costs"]) == (0.0314, [])
+            assert run["resolution_rad"] == 0.0314
         assert outcome["samples"].pop("round_trip_s") > 0.0
         runs.append(outcome)
     assert runs[0] == runs[1]

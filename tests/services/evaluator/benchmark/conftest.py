@@ -9,8 +9,8 @@ from cspace.bundle import Bundle
 from cspace.simulator import Split
 from cspace.worlds import examples
 from inference_api.settings import PRETRAINED_FOLDER
+from services.evaluator.benchmark.job import COLUMNS
 from services.evaluator.benchmark.report import Results
-from services.evaluator.benchmark.runs import COLUMNS
 from services.evaluator.benchmark.variants import Protocol, Setting, table
 from training.paths.writing import make_path_bundle
 

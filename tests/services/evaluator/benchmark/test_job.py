@@ -10,8 +10,7 @@ from cspace.errors import SamplerError
 from cspace.worlds.planar.problems import Family
 from services.evaluator import __main__ as evaluator
 from services.evaluator.benchmark import __main__ as command
-from services.evaluator.benchmark.job import RUNS, Request, processes, run_benchmark
-from services.evaluator.benchmark.runs import Worker
+from services.evaluator.benchmark.job import RUNS, Request, Worker, processes, run_benchmark
 from services.evaluator.benchmark.sources import bundled
 from services.evaluator.benchmark.variants import Protocol, Unit, pick, table
 from tests.fakes.benchmark import run_here
@@ -70,7 +69,7 @@ def test_a_benchmark_leaves_table_report_figures_and_a_run(tmp_path, setting, ma
     names = {"manifest.json", "report.md", "runs.parquet", "figures/success.png"}
     assert files - {".gitignore", RUNS} == names
     report = (tmp_path / "report.md").read_text()
-    assert report.startswith("Cost of an edge check")
+    assert report.startswith("# Planning benchmark")
     for words in ("![figures/success.png]", "transport none", "## Work: disconnected"):
         assert words in report
     frame = pd.read_parquet(tmp_path / "runs.parquet")
