@@ -10,13 +10,9 @@ from cspace.errors import SamplerError, SamplerUnavailableError
 from cspace.png import encode_png
 from cspace.worlds import default_world
 from cspace.worlds.planar.camera import decode_png
-from cspace.worlds.planar.problems import Family
 from services.evaluator.benchmark import __main__ as command
-from services.evaluator.benchmark.job import Request, run_on_ray
-from services.evaluator.benchmark.sources import bundled, fresh_picture, served
-from services.evaluator.benchmark.variants import Protocol, pick, table
+from services.evaluator.benchmark.sources import fresh_picture, served
 from tests.bundles import picture, write_tiny_bundle
-from tests.fakes.benchmark import run_here
 from tests.inference_api.server import api_server
 
 ROOT = Path(__file__).resolve().parents[4]
@@ -60,31 +56,3 @@ def test_a_model_of_configurations_is_found_out_by_its_answers(tmp_path):
             served("tiny", "no-such-model@champion", url, default_world())
     with pytest.raises(SamplerUnavailableError):
         served("tiny", "pretrained", url, default_world())
-
-
-@pytest.mark.e2e
-@pytest.mark.slow
-def test_a_cluster_gives_the_same_runs_as_this_process(path_folder, setting, monkeypatch, tmp_path):
-    import ray
-
-    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
-    monkeypatch.setenv("RAY_AUTH_MODE", "disabled")
-    monkeypatch.delenv("RAY_ADDRESS", raising=False)
-    environment = {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-    ray.init(
-        num_cpus=2, include_dashboard=False, _node_ip_address="127.0.0.1", log_to_driver=False,
-        runtime_env={"env_vars": environment},
-    )  # fmt: skip
-    specs = (bundled("way", path_folder),)
-    variants = pick(table(Protocol.FAMILIES, ["way"]), NAMES)
-    work = list(Request(tmp_path, setting, {Family.UNIFORM: 3}, 1, variants, specs).units())
-    try:
-        there = [run for found in run_on_ray(work, setting, specs) for run in found]
-    finally:
-        ray.shutdown()
-    here = [run for found in run_here(work, setting, specs) for run in found]
-
-    def numbers(runs):
-        return sorted(tuple(run[name] for name in NUMBERS) for run in runs)
-
-    assert numbers(there) == numbers(here)
