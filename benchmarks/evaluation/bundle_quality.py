@@ -19,8 +19,7 @@ from benchmarks.command import arguments, spread
 from benchmarks.machine import machine
 from cspace.bundle import Bundle
 from cspace.simulator import Split
-from services.evaluator.evaluation import estimates_of
-from services.evaluator.measure import Row, measure_samples, reconstruct
+from services.evaluator.evaluation import Row, estimates_of, measure_samples, reconstruct
 from services.evaluator.metrics import Task
 from services.evaluator.scenes import SAMPLES, Scene, Stage, bundle_sampler
 from services.evaluator.tables import markdown

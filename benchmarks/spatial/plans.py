@@ -21,7 +21,7 @@ from benchmarks.machine import machine
 from cspace.planning.cost import calibration_error
 from cspace.worlds import named_world, partly_seen
 from services.evaluator.benchmark.__main__ import main as planning
-from services.evaluator.benchmark.runs import NO_PROBLEM
+from services.evaluator.benchmark.job import NO_PROBLEM
 
 MODEL, FREE = "model", "unseen is free"
 SOURCE = "MotionBenchMaker"

@@ -12,11 +12,10 @@ from pathlib import Path
 
 from cspace.errors import ConfigError, CspaceError, InputError, ModelNotFoundError
 from services.command_errors import report_error
-from services.evaluator import compare, model_card, recalibrate
+from services.evaluator import compare, recalibrate
 from services.evaluator.benchmark.__main__ import main as planning_benchmark
-from services.evaluator.evaluation import run_metrics
+from services.evaluator.evaluation import BUDGETS, run_metrics
 from services.evaluator.job import Outcome, evaluate_version, executor, make_request
-from services.evaluator.measure import BUDGETS
 from services.evaluator.report import REPORT_FOLDER, scenes_text, terminal_table
 from services.registry.connection import connect, tracking_uri
 from services.results import report_result
@@ -26,7 +25,7 @@ COMMANDS: Mapping[str, Callable[[Sequence[str], Mapping[str, str]], int]] = {
     "planning": planning_benchmark,
     "compare": compare.main,
     "recalibrate": recalibrate.main,
-    "card": model_card.main,
+    "card": compare.print_card,
 }
 
 

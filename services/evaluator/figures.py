@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cspace.simulator import UNIFORM, Split
 from cspace.worlds import picture_of, simulator_of
-from services.evaluator.measure import UNIFORM_SHARE, Setting, learned_samples, planner_of, planner_seed
+from services.evaluator.evaluation import UNIFORM_SHARE, Setting, learned_samples, planner_of, planner_seed
 from services.evaluator.metrics.coverage import covered
 from services.evaluator.scenes import Scene, unfiltered
 from services.planner.ompl_planner import solve

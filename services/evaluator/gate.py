@@ -67,13 +67,9 @@ class Champion:
 
 @dataclass(frozen=True)
 class Bar:
-    """The rivals of a candidate.
+    """The rivals of a candidate, measured on the same scenes or ``recorded`` when they were promoted.
 
-    Args:
-        comparisons: with rivals that were measured on the same scenes.
-        recorded: earlier champions that were not measured again.
-        notes: who is left out, and why.
-        against: the number of the present champion, None without one.
+    ``notes`` says who is left out and why; ``against`` is the number of the present champion.
     """
 
     comparisons: tuple[Comparison, ...] = ()

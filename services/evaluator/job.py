@@ -2,7 +2,8 @@
 
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -13,31 +14,58 @@ import pandas as pd
 from cspace.bundle import Bundle
 from cspace.bundle.verification import load_verified
 from cspace.dataset import open_dataset
-from cspace.errors import ConfigError, RegistryError, RegistryUnavailableError
-from cspace.worlds import robot_digest
+from cspace.errors import (
+    BundleError,
+    ConfigError,
+    ModelNotFoundError,
+    RegistryError,
+    RegistryUnavailableError,
+)
+from cspace.world import World
+from cspace.worlds import robot_digest, simulator_of
 from services.evaluator.cluster import on_cluster, spread
-from services.evaluator.evaluation import Evaluation, table_of
-from services.evaluator.gate import Comparison, Gain, Verdict, compare, decide, gated_metrics
-from services.evaluator.measure import (
+from services.evaluator.evaluation import (
     BUDGETS,
     MAX_SEED,
     Budget,
+    Evaluation,
     Setting,
     Unit,
     UnitResult,
     deciding,
     run_unit,
+    table_of,
     units,
+)
+from services.evaluator.gate import (
+    SMALLER_IS_BETTER,
+    Bar,
+    Champion,
+    Comparison,
+    Gain,
+    Verdict,
+    compare,
+    decide,
+    gated_metrics,
 )
 from services.evaluator.recalibrate import predicted_reports
 from services.evaluator.report import comparison_note, log_evaluation, scenes_text, shown_of
-from services.evaluator.rivals import Rival, find_rivals
 from services.evaluator.scenes import PackedBundle, bundle_sampler
-from services.names import EXPERIMENT, TAG_MODEL, TAG_PRESET, TAG_STAGE, TAG_WORLD, recorded_name, shown_name
+from services.names import (
+    ALIAS_CHAMPION,
+    EXPERIMENT,
+    TAG_MODEL,
+    TAG_PRESET,
+    TAG_ROLLED_BACK,
+    TAG_STAGE,
+    TAG_WORLD,
+    recorded_name,
+    shown_name,
+)
 from services.planner.samples import SampleSource
-from services.registry.entities import ID, ModelReference, ModelVersion
+from services.registry.entities import ID, SHIPPED, ModelReference, ModelVersion
 from services.registry.models import ModelRegistry
-from services.registry.promotion import Decision, record_decision
+from services.registry.promotion import Decision, champions, record_decision
 from services.registry.tracking import Tracking
 
 STAGE = "evaluation"
@@ -116,6 +144,118 @@ def _sampler(packed: PackedBundle) -> SampleSource:
     return bundle_sampler(packed.load())
 
 
+@dataclass(frozen=True)
+class Rival:
+    """A model to be measured on the same scenes, whose world may have another camera.
+
+    ``version`` is its number, None for the shipped model.
+    """
+
+    name: str
+    world: World
+    packed: PackedBundle
+    version: int | None = None
+
+
+def find_rivals(
+    registry: ModelRegistry, version: ModelVersion, bundle: Bundle, shipped: Path | None, folder: Path
+) -> tuple[tuple[Rival, ...], Bar]:
+    """The rivals of a candidate's robot and kind to be measured, and the bar that lacks their comparisons.
+
+    ``folder`` is for downloads; without ``shipped``, the folder of the shipped model, that one is left out.
+    """
+    found, name = _Found(bundle, registry, folder), version.name
+    earlier = {
+        decision.version: Champion(decision.version, decision.metrics)
+        for decision in champions(registry, name)
+        if decision.version != version.number and decision.robot == robot_digest(bundle.spec.world)
+    }
+    for one in reversed(registry.versions(name)):
+        is_left = TAG_ROLLED_BACK in one.tags and ALIAS_CHAMPION not in one.aliases
+        if is_left and earlier.pop(one.number, None) is not None:
+            day = one.tags[TAG_ROLLED_BACK][:10]
+            found.notes.append(f"not compared with version {one.number}, which was rolled back on {day}")
+    against = None
+    with suppress(ModelNotFoundError):
+        present = registry.by_alias(name, ALIAS_CHAMPION)
+        if present.number != version.number:
+            measured = found.fetch(name, present.number, "the present champion")
+            against = present.number if measured or present.number in earlier else None
+            if measured:
+                earlier.pop(present.number, None)
+    for champion in _best_first(earlier.values(), bundle):
+        if champion.version != against and found.fetch(name, champion.version, "the best before it"):
+            del earlier[champion.version]
+            break
+    found.add_shipped(shipped)
+    return tuple(found.rivals), Bar((), tuple(earlier.values()), tuple(found.notes), against)
+
+
+def _best_first(champions: Iterable[Champion], bundle: Bundle) -> list[Champion]:
+    """By their recorded metrics, each counted in the world's margins; those that lack some come last."""
+    measures = simulator_of(bundle.spec.world).measures
+    margins = measures.path_margins if bundle.spec.endpoints else measures.margins
+
+    def rank(champion: Champion) -> tuple[int, float]:
+        there = {name: value for name, value in champion.metrics.items() if name in margins}
+        signs = {name: -1.0 if name in SMALLER_IS_BETTER else 1.0 for name in there}
+        return len(there), sum(signs[name] * value / margins[name] for name, value in there.items())
+
+    return sorted(champions, key=rank, reverse=True)
+
+
+class _Found:
+    """Rivals of a candidate, no bundle twice."""
+
+    def __init__(self, candidate: Bundle, registry: ModelRegistry, folder: Path) -> None:
+        self.rivals: list[Rival] = []
+        self.notes: list[str] = []
+        self._candidate, self._registry, self._folder = candidate, registry, folder
+        self._seen = {candidate.digest}
+
+    def fetch(self, name: str, number: int, words: str) -> bool:
+        """Whether a version is a rival now, or has the bundle of the candidate or of another rival."""
+        try:
+            version = self._registry.version(name, number)
+            bundle = load_verified(self._registry.download(version, self._folder / str(number)))
+        except RegistryUnavailableError:
+            raise
+        except (RegistryError, BundleError) as error:
+            why = f"can not be measured again ({error.what}): recorded metrics count"
+            self.notes.append(f"version {number}, {words}, {why}")
+            return False
+        return self._add(f"version {number}, {words}", bundle, number)
+
+    def add_shipped(self, folder: Path | None) -> None:
+        """The shipped model where it is of this robot and kind."""
+        if folder is None:
+            self.notes.append("not compared with the shipped model, as requested")
+            return
+        if not folder.is_dir():
+            raise ConfigError(
+                "the shipped model is not here",
+                expected="its bundle",
+                got=str(folder),
+                remedy="set CSPACE_PRETRAINED_MODEL, or do without the comparison: --without-shipped",
+            )
+        # Those of other robots lie beside it.
+        beside = (folder.with_name(name) for name in SHIPPED.values())
+        folders = dict.fromkeys([folder, *(one for one in beside if one.is_dir())])
+        if not any(self._add("the shipped model", Bundle.load(one)) for one in folders):
+            self.notes.append("no model of this robot and kind is shipped")
+
+    def _add(self, name: str, bundle: Bundle, number: int | None = None) -> bool:
+        spec, ours = bundle.spec, self._candidate.spec
+        if spec.kind != ours.kind or robot_digest(spec.world) != robot_digest(ours.world):
+            return False
+        if bundle.digest == self._candidate.digest:
+            self.notes.append(f"{name}, is this very bundle")
+        elif bundle.digest not in self._seen:
+            self._seen.add(bundle.digest)
+            self.rivals.append(Rival(name, spec.world, PackedBundle.pack(bundle), number))
+        return True
+
+
 def evaluate_version(
     request: Request,
     tracking: Tracking,
@@ -146,18 +286,7 @@ def evaluate_version(
             progress(f"evaluating {version}, digest {bundle.digest[:12]}")
             progress(scenes_text(setting))
             rivals, bar = find_rivals(registry, version, bundle, request.shipped, Path(folder) / "rivals")
-            work = units(setting)
-            results = _measure(execute, work, setting, PackedBundle.pack(bundle), progress)
-            tables = [table_of(results, str(version))]
-            for rival in rivals:
-                progress(f"measuring {rival.name}, on the same scenes")
-                # The candidate's scenes, seen by the rival's camera.
-                seen = replace(cast("Any", world), sensor=rival.world.sensor)
-                theirs = replace(setting, world=seen, budget=replace(setting.budget, narrow_scenarios=0))
-                rows = _measure(execute, deciding(work), theirs, rival.packed, progress)
-                tables.append(table_of(rows, rival.name))
-            cpu_s = sum(one.seconds for one in results)
-            evaluation = Evaluation(setting, str(version), pd.concat(tables, ignore_index=True), cpu_s)
+            evaluation = _measure(execute, setting, version, bundle, rivals, progress)
             compared = tuple(
                 _with_reports(compare(evaluation, rival.name), bundle, rival, tracking)
                 if rival.version == bar.against
@@ -167,8 +296,7 @@ def evaluate_version(
             verdict = decide(evaluation, replace(bar, comparisons=compared))
             figures = log_evaluation(run, evaluation, verdict, bundle_sampler(bundle))
         if request.promote:
-            _record(registry, version, evaluation, verdict)
-            _show(registry, version, evaluation, verdict, progress)
+            _record(registry, version, evaluation, verdict, progress)
     return Outcome(version, evaluation, verdict, request.promote, run.run_id, figures)
 
 
@@ -182,43 +310,51 @@ def _with_reports(comparison: Comparison, bundle: Bundle, champion: Rival, track
 
 
 def _measure(
-    execute: Execute, work: Sequence[Unit], setting: Setting, packed: PackedBundle, progress: Progress
-) -> list[UnitResult]:
-    results: list[UnitResult] = []
-    for result in execute(work, setting, packed):
-        results.append(result)
-        unit = result.unit
-        what = f"{unit.task} {unit.family}, {unit.split}"
-        progress(f"{len(results):3d}/{len(work)}  {what}, {unit.count} in {result.seconds:.1f} s")
-    return results
+    execute: Execute,
+    setting: Setting,
+    version: ModelVersion,
+    bundle: Bundle,
+    rivals: Iterable[Rival],
+    progress: Progress,
+) -> Evaluation:
+    """The version on all scenes, its rivals on those that decide."""
+
+    def run(work: Sequence[Unit], setting: Setting, packed: PackedBundle) -> Iterator[UnitResult]:
+        for number, result in enumerate(execute(work, setting, packed), start=1):
+            unit = result.unit
+            what = f"{unit.task} {unit.family}, {unit.split}"
+            progress(f"{number:3d}/{len(work)}  {what}, {unit.count} in {result.seconds:.1f} s")
+            yield result
+
+    work = units(setting)
+    results = list(run(work, setting, PackedBundle.pack(bundle)))
+    tables = [table_of(results, str(version))]
+    for rival in rivals:
+        progress(f"measuring {rival.name}, on the same scenes")
+        # The candidate's scenes, seen by the rival's camera.
+        seen = replace(cast("Any", setting.world), sensor=rival.world.sensor)
+        theirs = replace(setting, world=seen, budget=replace(setting.budget, narrow_scenarios=0))
+        tables.append(table_of(list(run(deciding(work), theirs, rival.packed)), rival.name))
+    cpu_s = sum(one.seconds for one in results)
+    return Evaluation(setting, str(version), pd.concat(tables, ignore_index=True), cpu_s)
 
 
-def _record(registry: ModelRegistry, version: ModelVersion, evaluation: Evaluation, verdict: Verdict) -> None:
-    """Append the decision to the version's log and move the alias if it is a promotion."""
-    decision = Decision(
-        version.name,
-        version.number,
-        verdict.promoted,
-        verdict.reasons,
-        gated_metrics(evaluation),
-        verdict.bar.against,
-        time.time_ns() // 1_000_000,
-        robot_digest(evaluation.setting.world),
-    )
-    record_decision(registry, decision)
-
-
-def _show(
+def _record(
     registry: ModelRegistry,
     version: ModelVersion,
     evaluation: Evaluation,
     verdict: Verdict,
     progress: Progress,
 ) -> None:
-    """Figures and note on the version's page; the decision stands without them."""
+    """Append the decision to the version's log, move the alias if it is a promotion, show the figures."""
+    metrics, digest = gated_metrics(evaluation), robot_digest(evaluation.setting.world)
+    moment_ms = time.time_ns() // 1_000_000
+    decided = (verdict.promoted, verdict.reasons, metrics, verdict.bar.against, moment_ms, digest)
+    record_decision(registry, Decision(version.name, version.number, *decided))
     try:
         registry.show(version, shown_of(evaluation, comparison_note(evaluation, verdict)))
     except RegistryUnavailableError:
         raise
     except RegistryError as error:
+        # The decision stands without figures and note on the version's page.
         progress(f"the figures are not shown with {version}: {error.what}")

@@ -13,15 +13,18 @@ from cspace.simulator import UNIFORM
 from cspace.worlds import robot_digest, simulator_of
 from services.evaluator.evaluation import (
     ESTIMATE_COLUMNS,
+    EVALUATED_SPLITS,
     TEST,
     VALIDATION,
     Evaluation,
+    Setting,
     headline,
+    planned,
+    planner_of,
     run_metrics,
 )
 from services.evaluator.figures import gallery, plan_figure
 from services.evaluator.gate import Comparison, Verdict
-from services.evaluator.measure import EVALUATED_SPLITS, Setting, planned, planner_of
 from services.evaluator.metrics import Task
 from services.evaluator.metrics.head import reliability_diagram
 from services.evaluator.scenes import Scene, Stage

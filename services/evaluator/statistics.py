@@ -4,8 +4,7 @@ Resampling uses the generator that is passed in.
 """
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
 from zlib import crc32
 
 import numpy as np
@@ -26,13 +25,12 @@ _BATCH = 500
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """An estimate between its confidence limits, from ``count`` independent units; NaN limits are unknown."""
+    """An estimate between its 95 % limits, from ``count`` independent units; NaN limits are unknown."""
 
     estimate: float
     low: float
     high: float
     count: int
-    confidence: float = CONFIDENCE
 
     def __format__(self, spec: str) -> str:
         """``f"{interval:.3f}"`` reads ``0.857 [0.841, 0.872]``."""
@@ -43,10 +41,6 @@ class Interval:
     def scaled(self, factor: float) -> "Interval":
         """The interval of the estimate times a positive factor."""
         return replace(self, estimate=factor * self.estimate, low=factor * self.low, high=factor * self.high)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return asdict(self)
 
 
 def point(value: float, count: int) -> Interval:

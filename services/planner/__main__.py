@@ -8,7 +8,6 @@ request.
 """
 
 import argparse
-import json
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -26,18 +25,17 @@ from cspace_client import OutcomeSender
 from services.command_errors import finite, report_error
 from services.planner.client import DEFAULT_TIMEOUT_S, SamplingClient, usual_api
 from services.planner.ompl_planner import DEFAULT_UNIFORM_SHARE
-from services.planner.planning import DEFAULT_SAMPLES, SampleRequest
-from services.planner.plotting import check_figure_path, plot_plan, save_figure
-from services.planner.report import (
+from services.planner.planning import (
+    DEFAULT_SAMPLES,
+    SampleRequest,
     ask_for_plan,
     compare,
-    comparison_json,
     comparison_text,
-    plan_json,
     plan_text,
     problem_line,
     report_samples,
 )
+from services.planner.plotting import check_figure_path, plot_plan, save_figure
 from services.planner.settings import LEARNED_PLANNERS, RRT, PlannerSettings
 from services.scene_files import SceneFile, read_scene_file
 
@@ -58,11 +56,7 @@ class Command:
 
 
 def parse_command(arguments: Sequence[str] | None = None) -> Command:
-    """The command of an argument list; leaves the process with 2 where argparse objects.
-
-    Raises:
-        InputError: a value is out of its range, or a scene file does not fit.
-    """
+    """The command of an argument list; leaves the process with 2 where argparse objects."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     # `plan FILE` is how people say it.
     options = make_parser().parse_args(["--scene", *given[1:]] if given[:1] == ["plan"] else given)
@@ -154,7 +148,6 @@ def make_parser() -> argparse.ArgumentParser:
         "--outcomes", action="store_true", help="tell the API what the exact checks found (POST /outcomes)"
     )
     output.add_argument("--plot", type=Path, metavar="FILE", help="draw the outcome (.png, .pdf or .svg)")
-    output.add_argument("--json", action="store_true", help="print the outcome as JSON")
     return parser
 
 
@@ -216,7 +209,7 @@ def _plan_whole(command: Command, problem: Problem) -> int:
     with SamplingClient(options.api, options.timeout + limit_s) as client:
         whole = ask_for_plan(problem, client, query, request.model)
     _report(command, whole.report)
-    print(json.dumps(plan_json(whole), allow_nan=False) if options.json else plan_text(whole))
+    print(plan_text(whole))
     if options.plot is not None:
         title = f"{problem_line(problem)}: {whole.found.status}"
         save_figure(plot_plan(problem, whole.result, None, title), options.plot)
@@ -228,14 +221,12 @@ def _compare(command: Command, problem: Problem) -> int:
     with SamplingClient(options.api, options.timeout) as client:
         comparison = compare(problem, client, command.settings, command.request, options.uniform_share)
     _report(command, partial(report_samples, comparison))
-    text = comparison_text(comparison)
-    print(json.dumps(comparison_json(comparison), allow_nan=False) if options.json else text)
+    print(comparison_text(comparison))
     learned = comparison.learned
     if options.plot is not None:
         samples = None if learned.batch is None else learned.batch.samples
         save_figure(plot_plan(problem, learned.result, samples), options.plot)
-        if not options.json:
-            print(f"\nfigure   {options.plot}")
+        print(f"\nfigure   {options.plot}")
     return 0 if learned.result.solved else 1
 
 

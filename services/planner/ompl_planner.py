@@ -8,7 +8,7 @@ checks and goal test stay OMPL's.
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -32,7 +32,6 @@ from cspace_client.ompl import (
 )
 from services.planner.result import (
     CHECK_FACTOR,
-    CostPoint,
     Counts,
     PlanResult,
     Reason,
@@ -64,23 +63,15 @@ def solve(
 ) -> PlanResult:
     """Solve one problem; the same arguments give the same result, in any process.
 
+    ``samples`` (n, d) rad are drawn in this order and once each, mixed with a share of uniform ones; without
+    any, OMPL samples uniformly.
+
     Where the independent check rejects the path, because it grazes an obstacle between two checked states,
     the search begins again at the check's own resolution, with what is left of its limits. The result counts
     both searches.
 
     OMPL holds the interpreter's lock while it searches and keeps its random seed in the process: one solve at
     a time in a process, no threads.
-
-    Args:
-        problem: start and goal in a scenario.
-        settings: of the planner.
-        samples: (n, d) learned samples in rad, drawn in this order and once each; None or none of them for
-            OMPL's own uniform sampling.
-        uniform_share: share of uniform samples mixed in while learned ones are left, 0 to 1.
-        keep_tree: whether the result holds the search tree.
-
-    Raises:
-        PlanningError: the samples or the problem do not fit the robot, or the planner takes no samples.
     """
     learned = _fitting(problem, settings, samples)
     checker = checker_of(problem.scenario)
@@ -105,9 +96,6 @@ def _fitting(
     problem: Problem, settings: PlannerSettings, samples: ArrayLike | None
 ) -> NDArray[np.float64] | None:
     dim = problem.space.dim
-    for name, end in (("start", problem.start), ("goal", problem.goal)):
-        if np.shape(end) != (dim,) or not np.all(np.isfinite(end)):
-            raise PlanningError(f"the {name} does not fit the robot", expected=f"{dim} angles", got=str(end))
     if samples is None or np.size(samples) == 0:
         return None
     if settings.planner not in LEARNED_PLANNERS:
@@ -140,14 +128,13 @@ def _once(
         rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(1,)))
         draws = SampleMixture(space, goal, learned, settings.goal_bias, uniform_share, rng)
     run = set_up(problem, settings, draws)
-    rule = StoppingRule(settings, run)
+    rule = StoppingRule(settings)
     began = time.perf_counter()
     status = run.planner.solve(ob.PlannerTerminationCondition(rule))
     solve_time_s = time.perf_counter() - began
     found = None
     if status.getStatus() == ob.PlannerStatus.EXACT_SOLUTION:
         found = run.access.rows(run.definition.getSolutionPath().getStates())
-    rule.note_cost()
     uniform = rule.iterations - draws.goal_drawn
     if learned is not None:
         uniform = draws.uniform_drawn
@@ -169,7 +156,6 @@ def _once(
         rule.reason or Reason.NO_PATH,
         counts,
         tree=copy_tree(run) if keep_tree else None,
-        costs=tuple(rule.costs),
     )
 
 
@@ -268,55 +254,27 @@ class OmplSearch:
 
 
 class StoppingRule:
-    """Asked by OMPL before each iteration: counts iterations, ends the search, notes shorter paths of RRT*.
+    """Asked by OMPL before each iteration: counts iterations, ends the search."""
 
-    Args:
-        settings: with the limits.
-        run: the search.
-        clock: the time in s.
-    """
-
-    def __init__(
-        self, settings: PlannerSettings, run: OmplSearch, clock: Callable[[], float] = time.perf_counter
-    ) -> None:
+    def __init__(self, settings: PlannerSettings) -> None:
         self.iterations = 0
         self.reason: Reason | None = None
-        self.costs: list[CostPoint] = []
-        self._settings, self._run, self._clock, self._began = settings, run, clock, clock()
-        self._optimising = settings.planner == RRT_STAR
-        self._best = math.inf
+        self._settings, self._began = settings, time.perf_counter()
 
     def __call__(self) -> bool:
         """Whether the search has to end now."""
-        self.note_cost()
         if self.reason is None:
             if self.iterations >= self._settings.max_iterations:
                 self.reason = Reason.ITERATION_LIMIT
-            elif self._clock() - self._began >= self._settings.time_limit_s:
+            elif time.perf_counter() - self._began >= self._settings.time_limit_s:
                 self.reason = Reason.TIME_LIMIT
             else:
                 self.iterations += 1
         return self.reason is not None
 
-    def note_cost(self) -> None:
-        """Notes the best path if it is new; OMPL's binding tells no Python function of a new solution."""
-        if not self._optimising:
-            return
-        cost = float(self._run.planner.bestCost().value())
-        if cost < self._best:
-            self._best = cost
-            elapsed_s = self._clock() - self._began
-            self.costs.append(CostPoint(self.iterations, self._run.edges.checks, elapsed_s, cost))
-
 
 def set_up(problem: Problem, settings: PlannerSettings, draws: StateDraws) -> OmplSearch:
-    """Everything that a search needs, seeded.
-
-    Args:
-        problem: start and goal in a scenario.
-        settings: of the planner.
-        draws: where the goal takes its states from; a mixture replaces OMPL's uniform sampler altogether.
-    """
+    """Everything that a search needs, seeded."""
     # OMPL calls a second seed in a process an error, yet takes it for all generators made from then on.
     ou.setLogLevel(ou.LOG_NONE)
     ou.RNG.setSeed(_ompl_seed(settings.seed))

@@ -1,19 +1,26 @@
-"""Planning with a source of samples: one batch of samples from a source before the search, none during it."""
+"""Planning with one batch of samples, drawn before the search; comparisons and plans of the API in words."""
 
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+from tabulate import tabulate
+
 from cspace.errors import SamplerError, SamplerModelError, SamplerUnavailableError
-from cspace.query import SampleQuery
-from cspace.simulator import Problem
+from cspace.planning.paths import spaced
+from cspace.query import PlanQuery, SampleQuery
+from cspace.simulator import OWN, Problem
 from cspace.world import World
-from cspace.worlds import default_world, picture_file_of, robot_digest
+from cspace.worlds import checker_of, default_world, picture_file_of, robot_digest, simulator_of
+from cspace_client import OutcomeSender, PictureWarning
 from services.names import label, model_name
-from services.planner.client import SamplingClient, usual_api
+from services.planner.client import FoundPlan, SamplingClient, usual_api
 from services.planner.ompl_planner import DEFAULT_UNIFORM_SHARE, solve
-from services.planner.result import PlanResult
+from services.planner.result import CHECK_FACTOR, PlanResult, Reason
 from services.planner.samples import SampleBatch, SampleSource
-from services.planner.settings import PlannerSettings
+from services.planner.settings import RRT_CONNECT, PlannerSettings
 from services.scene_files import read_scene_file
 
 DEFAULT_SAMPLES = 300
@@ -23,13 +30,9 @@ ORDINARY = 0.95
 
 @dataclass(frozen=True, slots=True)
 class SampleRequest:
-    """What is asked of a source of samples for one problem.
+    """What is asked of a source of samples for one problem, whose ends are sent to path models.
 
-    Args:
-        query: without start and goal, which are the problem's.
-        model: ``name``, ``name@alias``, ``name/version`` or ``pretrained``; None for the source's default.
-        with_ends: whether start and goal are sent, as path models require and others refuse.
-        or_uniform: whether uniform samples do where there is no such model.
+    ``or_uniform``: uniform samples do where there is no such model.
     """
 
     query: SampleQuery
@@ -38,11 +41,7 @@ class SampleRequest:
     or_uniform: bool = False
 
     def of_robot(self, world: World, name: str | None = None) -> "SampleRequest":
-        """The request for the model of a robot of one's own where it names no model.
-
-        Raises:
-            ConfigError: the name is another robot's.
-        """
+        """The request for the model of a robot of one's own where it names no model."""
         if self.model is not None or robot_digest(world) == robot_digest(default_world()):
             return self
         own = model_name(world, name or label(world), path=self.with_ends)
@@ -75,20 +74,7 @@ def plan(
     *,
     keep_tree: bool = False,
 ) -> SampledPlan:
-    """Render the picture, ask for one batch, solve; with uniform samples where the source does not answer.
-
-    Args:
-        problem: start and goal in a scenario.
-        source: of samples, usually a :class:`services.planner.client.SamplingClient`.
-        settings: of the planner.
-        request: what is asked of the source; None for 300 samples with the planner's seed.
-        uniform_share: of uniform samples mixed in, raised where the picture is unlike the training's.
-        keep_tree: whether the result holds the search tree.
-
-    Raises:
-        SamplerError: the source refused the request.
-        PlanningError: the planner takes no samples.
-    """
+    """Render the picture, ask for one batch, solve; with uniform samples where the source does not answer."""
     request = request or SampleRequest(SampleQuery(DEFAULT_SAMPLES, settings.seed))
     batch, unavailable, samples = None, None, None
     try:
@@ -107,18 +93,7 @@ def plan(
 def plan_scene(
     path: str | Path, api: str | None = None, settings: PlannerSettings | None = None
 ) -> SampledPlan:
-    """Solve the problem of a scene file with samples of the robot's own model from an API.
-
-    Args:
-        path: of the scene file; see :mod:`services.scene_files`.
-        api: address of the inference API, None for the usual one; uniform samples where it does not answer or
-            has no such model.
-        settings: of the planner.
-
-    Raises:
-        ScenarioError: the file does not fit, or holds no problem.
-        SamplerError: the API refused the request.
-    """
+    """Solve the problem of a scene file with samples of the robot's own model from an API."""
     scene, settings = read_scene_file(Path(path)), settings or PlannerSettings()
     request = SampleRequest(SampleQuery(DEFAULT_SAMPLES, settings.seed)).of_robot(scene.world, scene.name)
     with SamplingClient(api or usual_api()) as client:
@@ -135,12 +110,7 @@ def raised_share(uniform_share: float, novelty: float | None) -> float:
 
 
 def request_samples(problem: Problem, source: SampleSource, request: SampleRequest) -> SampleBatch:
-    """One batch for a problem's picture.
-
-    Raises:
-        SamplerUnavailableError: the source does not answer.
-        SamplerError: it refused the request, or its samples are those of another robot.
-    """
+    """One batch for a problem's picture."""
     query = replace(request.query, robot=robot_digest(problem.scenario.world))
     query = between_ends(query, problem) if request.with_ends else query
     batch = source.answer(picture_file_of(problem.scenario), query, request.model)
@@ -158,3 +128,163 @@ def request_samples(problem: Problem, source: SampleSource, request: SampleReque
 def between_ends(query: SampleQuery, problem: Problem) -> SampleQuery:
     """The query with the start and the goal of a problem, as path models are asked."""
     return replace(query, start=tuple(problem.start.tolist()), goal=tuple(problem.goal.tolist()))
+
+
+_HEADINGS = (
+    "planner", "outcome", "iterations", "edges", "states", "learned", "uniform", "length rad", "time ms",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """One problem solved under one seed with learned samples, with uniform ones, and by OMPL's RRTConnect."""
+
+    problem: Problem
+    planner: str
+    learned: SampledPlan
+    uniform: PlanResult
+    connect: PlanResult
+
+    @property
+    def results(self) -> dict[str, PlanResult]:
+        """The runs by name, the one with the source's samples first."""
+        first = "learned" if self.learned.batch is not None else "no samples"
+        return {
+            f"{self.planner}, {first}": self.learned.result,
+            f"{self.planner}, uniform": self.uniform,
+            "RRTConnect, uniform": self.connect,
+        }
+
+
+def compare(
+    problem: Problem,
+    source: SampleSource,
+    settings: PlannerSettings,
+    request: SampleRequest | None = None,
+    uniform_share: float = DEFAULT_UNIFORM_SHARE,
+) -> Comparison:
+    """Solves the problem in all three ways and keeps the trees."""
+    learned = plan(problem, source, settings, request, uniform_share, keep_tree=True)
+    uniform = solve(problem, settings, keep_tree=True)
+    connect = solve(problem, replace(settings, planner=RRT_CONNECT), keep_tree=True)
+    return Comparison(problem, settings.planner, learned, uniform, connect)
+
+
+def comparison_text(comparison: Comparison) -> str:
+    """Problem, samples and one line for each run."""
+    batch = comparison.learned.batch
+    samples = f"none, going on with uniform samples: {comparison.learned.unavailable}"
+    if batch is not None:
+        dropped = f" ({batch.shortfall} too few)" if batch.shortfall else ""
+        new = "" if batch.novelty is None else f", novelty {batch.novelty:.2f}"
+        samples = (
+            f"{len(batch.samples)}{dropped} from {batch.model_name}/{batch.model_version} "
+            f"(digest {batch.digest[:12]}, seed {batch.seed}) in {1e3 * batch.round_trip_s:.1f} ms{new}"
+        )
+    rows = [
+        (
+            name, str(result.reason), result.iterations, result.edge_checks, result.state_checks,
+            result.learned_drawn, result.uniform_drawn,
+            f"{result.length_rad:.2f}" if result.solved else "-", f"{1e3 * result.solve_time_s:.2f}",
+        )
+        for name, result in comparison.results.items()
+    ]  # fmt: skip
+    align = ("left", "left", *["right"] * 7)
+    table = tabulate(rows, _HEADINGS, tablefmt="plain", disable_numparse=True, colalign=align)
+    head = [f"problem  {problem_line(comparison.problem)}", f"samples  {samples}"]
+    return "\n".join([*head, *warning_lines(() if batch is None else batch.warnings), "", table])
+
+
+def report_samples(comparison: Comparison, sender: OutcomeSender) -> None:
+    """Checks all samples of the API and reports how many are free."""
+    batch = comparison.learned.batch
+    if batch is not None and len(batch.samples):
+        free = np.count_nonzero(checker_of(comparison.problem.scenario).valid_batch(batch.samples))
+        sender.samples(batch, checked=len(batch.samples), free=int(free))
+
+
+def problem_line(problem: Problem) -> str:
+    """A problem in a few words."""
+    if problem.family == OWN:
+        return f"your own, {problem.space.dim} joints"
+    words = (problem.family, f"seed {problem.seed}", f"{problem.space.dim} joints", problem.passage)
+    return ", ".join(filter(None, words))
+
+
+def warning_lines(warnings: Iterable[PictureWarning]) -> list[str]:
+    """What is wrong, or may be, with a problem's pictures, a line each."""
+    return [f"warning  {one.code}: {one.message}" for one in warnings]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WholePlan:
+    """The API's plan for a problem, checked against the true scene."""
+
+    problem: Problem
+    found: FoundPlan
+    clearance_m: float
+
+    @property
+    def free(self) -> bool:
+        """Whether there is a path that touches nothing."""
+        return self.clearance_m > 0.0
+
+    def report(self, sender: OutcomeSender) -> None:
+        """Reports whether the path is free; nothing moved along it."""
+        sender.plan(
+            self.found,
+            success=self.free,
+            executed=False,
+            collided=not self.free if len(self.found.path) else None,
+            time_s=self.found.round_trip_s,
+        )
+
+    @property
+    def result(self) -> PlanResult:
+        """As planners return it, for plots."""
+        plan = self.found
+        return PlanResult(
+            solved=len(plan.path) > 0,
+            path=plan.path,
+            length_rad=plan.length_rad if len(plan.path) else math.nan,
+            solve_time_s=1e-3 * (plan.timing_ms.search + plan.timing_ms.score),
+            reason=Reason.SOLVED if len(plan.path) else Reason.NO_PATH,
+        )
+
+
+def ask_for_plan(
+    problem: Problem, client: SamplingClient, query: PlanQuery, model: str | None = None
+) -> WholePlan:
+    """Requests a plan and checks its path against the true scene."""
+    found = client.plan(picture_file_of(problem.scenario), query, model)
+    clearance_m = math.nan
+    if len(found.path):
+        step_rad = simulator_of(problem.scenario.world).measures.resolution_rad / CHECK_FACTOR
+        states = spaced(found.path, problem.space, step_rad)
+        clearance_m = float(np.min(checker_of(problem.scenario).clearance(states)))
+    return WholePlan(problem, found, clearance_m)
+
+
+def plan_text(whole: WholePlan) -> str:
+    """The outcome in words; the last line is the ground truth."""
+    plan, model = whole.found, whole.found.model
+    parts = f"search {plan.timing_ms.search:.0f}, scoring {plan.timing_ms.score:.0f}"
+    times = f"{1e3 * plan.round_trip_s:.0f} ms: {parts}"
+    lines = [
+        f"problem  {problem_line(whole.problem)}",
+        f"plan     {plan.status} by {model.name}/{model.version} in {times}",
+    ]
+    if plan.reason is not None:
+        lines.append(f"reason   {plan.reason}")
+    lines.extend(warning_lines(plan.warnings))
+    if len(plan.path):
+        unseen = (
+            "" if plan.unseen is None else f", up to {plan.unseen.max():.0%} of the robot in unknown space"
+        )
+        lines.append(
+            f"path     {plan.length_rad:.2f} rad over {len(plan.edges)} edges, the best of {plan.ways}: "
+            f"confidence {plan.confidence:.3f}, lowest {plan.edges.min():.3f}{unseen}"
+        )
+        outcome = "collision-free" if whole.free else "collides"
+        lines.append(f"truth    {outcome}, minimum clearance {1e3 * whole.clearance_m:.0f} mm")
+    return "\n".join(lines)

@@ -38,16 +38,6 @@ class SearchTree:
     edges: NDArray[np.intp]
 
 
-@dataclass(frozen=True, slots=True)
-class CostPoint:
-    """A path of RRT* that was shorter than all before; its torus length (L2) and what it took until then."""
-
-    iterations: int
-    edge_checks: int
-    time_s: float
-    length_rad: float
-
-
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Counts:
     """What a search took.
@@ -81,7 +71,6 @@ class PlanResult(Counts):
         reason: why the search ended.
         tree: the search tree, where it was asked for.
         resolution_rad: largest distance between checked states of a motion in any joint.
-        costs: how the length fell, from the first solution on; of RRT* only.
     """
 
     solved: bool
@@ -90,7 +79,6 @@ class PlanResult(Counts):
     reason: str
     tree: SearchTree | None = None
     resolution_rad: float = math.nan
-    costs: tuple[CostPoint, ...] = ()
 
 
 def check_path(problem: Problem, path: NDArray[np.float64], resolution_rad: float) -> Reason:
@@ -117,7 +105,6 @@ def outcome(
     counts: Counts,
     *,
     tree: SearchTree | None = None,
-    costs: tuple[CostPoint, ...] = (),
 ) -> PlanResult:
     """The result of a search: ``found`` is the planner's path, ``reason`` holds where it is None."""
     path = np.empty((0, problem.space.dim))
@@ -133,21 +120,11 @@ def outcome(
         reason=reason,
         tree=tree,
         resolution_rad=settings.resolution_rad,
-        costs=costs if solved else (),
         **asdict(counts),
     )
 
 
 def after(first: PlanResult, second: PlanResult) -> PlanResult:
     """The second search's result, with what both searches took."""
-    costs = tuple(
-        CostPoint(
-            point.iterations + first.iterations,
-            point.edge_checks + first.edge_checks,
-            point.time_s + first.solve_time_s,
-            point.length_rad,
-        )
-        for point in second.costs
-    )
     counts = {one.name: getattr(first, one.name) + getattr(second, one.name) for one in fields(Counts)}
-    return replace(second, **counts, costs=costs)
+    return replace(second, **counts)

@@ -56,11 +56,6 @@ def solve_with_paths(
 ) -> PlanResult:
     """Solves a problem by one of the paths, or by RRT-Connect with configurations around them.
 
-    Args:
-        problem: start and goal, both free.
-        settings: of the search; it is RRT-Connect whatever ``planner`` says.
-        paths: from the problem's start to its goal, the most confident first.
-
     Returns:
         The result, with the checks of the paths among its counts.
     """

@@ -31,12 +31,7 @@ class SampleSource(Protocol):
         return False
 
     def answer(self, picture: Picture, query: SampleQuery, model: str | None = None) -> SampleBatch:
-        """One batch of at most ``query.n`` samples; the model is a reference, None for the default.
-
-        Raises:
-            SamplerUnavailableError: the source does not answer or has no model ready.
-            SamplerError: it refused the request, or its answer can not be used.
-        """
+        """One batch of at most ``query.n`` samples; the model is a reference, None for the default."""
         ...
 
     def sample(
@@ -48,11 +43,7 @@ class SampleSource(Protocol):
         model: str | None = None,
         **options: Unpack[QueryOptions],
     ) -> SampleBatch:
-        """:meth:`answer` to the query of these arguments; None draws a seed.
-
-        Raises:
-            SamplerError: as :meth:`answer` has it, or a value is out of its range.
-        """
+        """:meth:`answer` to the query of these arguments; None draws a seed."""
         try:
             query = SampleQuery.checked(n, random_seed(seed), **options)
         except InputError as error:
@@ -122,11 +113,7 @@ class BundleSampler(SampleSource):
 
 
 class LocalSampler(BundleSampler):
-    """Answers from a bundle's folder, which a worker process verifies first.
-
-    Raises:
-        SamplerUnavailableError: the bundle can not be used.
-    """
+    """Answers from a bundle's folder, which a worker process verifies first."""
 
     def __init__(
         self, bundle_folder: Path, *, name: str = PRETRAINED, version: int = 0, robot: str | None = None

@@ -10,7 +10,7 @@ import pytest
 
 from cspace_client import OutcomeSender
 from services.planner import __main__ as command
-from services.planner import report
+from services.planner import planning
 from services.planner.client import SamplingClient
 from tests.inference_api.client_transports import IntoApp
 
@@ -40,14 +40,6 @@ def test_a_way_is_told_judged_in_the_scene_and_drawn(plan, tmp_path):
     assert figure.stat().st_size > 10_000
 
 
-def test_a_way_as_json_says_whether_it_is_free(plan):
-    code, out, _ = plan(*CAREFUL, "--json", "--ways", "3")
-    report = json.loads(out)
-    assert (report["status"], report["ways"]) == ("solved", 3)
-    assert len(report["path"]) == len(report["edges"]) + 1
-    assert report["in_truth"]["free"] == (report["in_truth"]["clearance_m"] > 0.0) == (code == 0)
-
-
 @pytest.mark.parametrize("clearance_m", [0.01, -0.01])
 def test_the_api_is_told_whether_the_path_collides(plan, monkeypatch, clearance_m):
     told = []
@@ -57,7 +49,7 @@ def test_the_api_is_told_whether_the_path_collides(plan, monkeypatch, clearance_
         return httpx.Response(202)
 
     checker = SimpleNamespace(clearance=lambda states: np.full(len(states), clearance_m))
-    monkeypatch.setattr(report, "checker_of", lambda _: checker)
+    monkeypatch.setattr(planning, "checker_of", lambda _: checker)
     monkeypatch.setattr(command, "OutcomeSender", partial(OutcomeSender, transport=httpx.MockTransport(take)))
     code, _, _ = plan(*CAREFUL, "--outcomes")
     [one] = told

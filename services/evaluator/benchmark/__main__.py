@@ -147,14 +147,7 @@ def _variants(options: argparse.Namespace) -> tuple[Variant, ...]:
 
 
 def make_request(options: argparse.Namespace) -> Request:
-    """What the options ask for; models are asked once, bundles loaded.
-
-    Raises:
-        ConfigError: a value is out of range, or the robot's pictures hide nothing.
-        SamplerError: the API refuses a model, or does not answer.
-        BundleError: a bundle is damaged, or another robot's.
-        DatasetError: the problems that do not ship are not in their folder.
-    """
+    """What the options ask for; models are asked once, bundles loaded."""
     for name, holds, expected in (
         ("seed", 0 <= options.seed <= MAX_SEED, f"0 to {MAX_SEED}"),
         ("samples", options.samples <= MAX_SAMPLES, f"1 to {MAX_SAMPLES}"),
@@ -189,7 +182,6 @@ def _setting(options: argparse.Namespace) -> Setting:
         options.split,
         options.seed,
         options.iterations or int(limits["max_iterations"]),
-        min(options.iterations or int(limits["optimising_iterations"]), int(limits["optimising_iterations"])),
         options.time_limit or limits["time_limit_s"],
         aim=options.aim,
         world=named_world(options.robot),

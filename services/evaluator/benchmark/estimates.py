@@ -22,8 +22,6 @@ from services.evaluator.benchmark.variants import UNIFORM_CONNECT, Group, Varian
 Floats = NDArray[np.float64]
 RESAMPLES = 2000
 WITHIN = 1000
-# A path is as good as the best one where it is at most this much longer.
-CLOSE = 1.05
 DEEP_M = 0.01
 QUANTILES = {"median": 0.5, "p90": 0.9}
 
@@ -73,9 +71,6 @@ class Paired:
     """Runs of a group of problems, with every variant on the same problems equally often.
 
     Problems that a variant has not run are left out, as are those with fewer runs than others.
-
-    Raises:
-        EvaluationError: no problem was run by all variants.
     """
 
     def __init__(self, runs: pd.DataFrame) -> None:
@@ -112,11 +107,6 @@ class Paired:
         values = np.where(self.solved(variant), self.values(variant, column), np.inf)
         return np.asarray(np.quantile(values, 0.5, axis=1, method="higher"))
 
-    def shortest(self) -> Floats:
-        """(P,) length of the shortest path of all variants and runs, rad; infinite where there is none."""
-        found = np.concatenate([self.values(name, "length_rad") for name in self._by_variant], axis=1)
-        return np.asarray(np.where(np.isnan(found), np.inf, found).min(axis=1))
-
 
 def quantiles(name: str, values: Floats) -> Measures:
     """Median and 90th percentile of (P,) values, infinite where they fall among the failures."""
@@ -141,11 +131,8 @@ def ratios(name: str, values: Floats, base: Floats, rng: np.random.Generator) ->
 def break_even_us(spent: Floats) -> Floats:
     """The cost of a check, in us, from which on the first of some variants takes less time than each other.
 
-    Args:
-        spent: (..., K, 2) time without checks, in s, and number of checks of each variant.
-
-    Returns:
-        (...) 0 where it always takes less time, infinity where it never does for all costs above some cost.
+    ``spent`` (..., K, 2) is time without checks, in s, and number of checks of each variant. Returns (...), 0
+    where it always takes less time, infinity where it never does for all costs above some cost.
     """
     dearer_s = spent[..., :1, 0] - spent[..., 1:, 0]
     fewer = spent[..., 1:, 1] - spent[..., :1, 1]
@@ -194,7 +181,7 @@ def against(paired: Paired, variant: Variant, uniform: Sequence[str], rng: np.ra
     columns = {"iterations": "iterations", "edge_checks": "edge_checks", "states": "state_checks"}
     for what, column in columns.items():
         yield from ratios(f"{what}_ratio", paired.typical(name, column), paired.typical(base, column), rng)
-    lengths = [paired.typical(one, "first_length_rad") for one in (name, base)]
+    lengths = [paired.typical(one, "length_rad") for one in (name, base)]
     both = np.isfinite(lengths).all(axis=0)
     if both.any():
         pairs = [one[both] for one in lengths]
@@ -204,32 +191,6 @@ def against(paired: Paired, variant: Variant, uniform: Sequence[str], rng: np.ra
             spent = np.stack([_spent(paired, one, checks) for one in (name, *others)], axis=1)
             found = bootstrap(lambda rows: break_even_us(rows.sum(axis=1)), [spent], rng)
             yield f"break_even_{checks}_{what}_from_us", found
-
-
-def converge(paired: Paired, variant: Variant, rng: np.random.Generator) -> Measures:
-    """How soon an optimising variant comes within 5 % of the best known lengths."""
-    best, name, base = paired.shortest(), variant.name, variant.base
-    yield "close", share(np.isfinite(_until_close(paired, name, "cost_s", best)))
-    found = {}
-    for column, measure in (("iterations", "iterations"), ("edge_checks", "edge_checks"), ("s", "ms")):
-        reached = _until_close(paired, name, f"cost_{column}", best)
-        found[measure] = np.median(reached, axis=1) * (1e3 if measure == "ms" else 1.0)
-        yield from quantiles(f"close_{measure}", found[measure])
-    if base is not None and base != name:
-        theirs = np.median(_until_close(paired, base, "cost_iterations", best), axis=1)
-        yield from ratios("close_iterations_ratio", found["iterations"], theirs, rng)
-    last = np.nan_to_num(paired.values(name, "length_rad"), nan=np.inf) / best[:, None]
-    yield "final_excess", Estimate(float(np.median(last)))
-
-
-def _until_close(paired: Paired, variant: str, column: str, best: Floats) -> Floats:
-    """(P, R) effort until a path was within 5 % of the best known; infinite where none was."""
-    own, limits = paired.of(variant), CLOSE * np.repeat(best, paired.repeats)
-    reached = [
-        next((cost for cost, length in zip(costs, lengths, strict=True) if length <= limit), np.inf)
-        for costs, lengths, limit in zip(own[column], own["cost_length_rad"], limits, strict=True)
-    ]
-    return np.array(reached).reshape(len(best), -1)
 
 
 def safety(paired: Paired, variant: Variant, rng: np.random.Generator) -> Measures:

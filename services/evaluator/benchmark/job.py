@@ -1,36 +1,219 @@
 """The job of a benchmark: run what is missing, write table, report and figures, log them."""
 
 import json
+import math
 import multiprocessing
 import os
 import platform
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from functools import lru_cache
+from functools import cache, lru_cache
 from importlib.metadata import version
 from itertools import product
 from pathlib import Path
 from threading import Thread
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from cspace.errors import ConfigError, JobError, StorageError
+from cspace.errors import ConfigError, StorageError
 from cspace.files import make_output_folder, write_json
-from services.evaluator.benchmark.figures import figures
-from services.evaluator.benchmark.report import Results
-from services.evaluator.benchmark.runs import COLUMNS, Row, Worker
-from services.evaluator.benchmark.sources import SourceSpec
-from services.evaluator.benchmark.variants import Key, Protocol, Setting, Unit, Variant
+from cspace.plan import load_kernels
+from cspace.planning.paths import length_rad, spaced
+from cspace.planning.search import find_paths
+from cspace.query import DEFAULT_PATHS, AlternativePath, SampleQuery
+from cspace.simulator import Problem
+from cspace.simulator import Taken as Unseen
+from cspace.worlds import checker_of, partly_seen, picture_file_of
+from services.evaluator.benchmark.report import Results, figures
+from services.evaluator.benchmark.sources import Model, SourceSpec, opened, plan_query
+from services.evaluator.benchmark.variants import NO_PROBLEM, Group, Key, Protocol, Setting, Unit, Variant
 from services.evaluator.cluster import on_cluster, spread
 from services.names import EXPERIMENT, NOTE, TAG_STAGE
+from services.planner.ompl_planner import solve
+from services.planner.result import PlanResult
+from services.planner.rrt_connect import solve_with_paths
+from services.planner.samples import SampleBatch
 from services.progress import Progress
 from services.registry.entities import ID
 from services.registry.tracking import Tracking
+
+Row = dict[str, Any]
+# Columns with their pandas types; docs/benchmark.md describes them.
+COLUMNS = {
+    "protocol": "str", "source": "str", "family": "str", "problem": "int64", "pictures": "int64",
+    "run": "int64", "seed": "int64", "variant": "str", "group": "str", "planner": "str", "sampler": "str",
+    "learned_share": "float64", "samples": "int64", "solved": "bool", "status": "str",
+    "iterations": "Int64", "edge_checks": "Int64", "state_checks": "Int64", "learned_drawn": "Int64",
+    "uniform_drawn": "Int64", "length_rad": "float64",
+    "solve_s": "float64", "state_check_s": "float64",
+    "request_s": "float64", "server_s": "float64", "total_s": "float64",
+    "confidence": "float64", "clearance_m": "float64", "meshes_free": "boolean",
+    "search_s": "float64", "score_s": "float64", "as_is": "boolean", "bottleneck_rad": "float64",
+}  # fmt: skip
+# Spacing of the states at which a path is checked.
+LOOK_RAD = 0.01
+_STATES, _REPEATS = 5000, 5
+
+
+class Worker:
+    """Runs units in one process; the models stay open as long as it exists."""
+
+    def __init__(self, setting: Setting, specs: Sequence[SourceSpec]) -> None:
+        self._setting, self._open = setting, ExitStack()
+        plans = setting.protocol is Protocol.PLANS
+        self._models = opened(specs, setting.world, self._open, plans=plans)
+
+    def run(self, unit: Unit) -> list[Row]:
+        """The rows of a unit; nothing in them depends on another unit."""
+        setting, problem = self._setting, self._setting.problem(unit)
+        if problem is None:
+            nothing = {"status": NO_PROBLEM, "solved": False}
+            return [self._row(unit, variant, run) | nothing for variant, run in unit.todo]
+        case = _Case(problem, unit, setting, self._models)
+        rows = []
+        # Each unit has its own order, so that no variant is always the one that finds the caches warm.
+        first = setting.planner(unit.todo[0][0], unit.index, unit.todo[0][1]).seed
+        for position in np.random.default_rng([first, 1]).permutation(len(unit.todo)):
+            variant, run = unit.todo[position]
+            rows.append(self._row(unit, variant, run) | case.solve(variant, run))
+        return rows
+
+    def _row(self, unit: Unit, variant: Variant, run: int) -> Row:
+        setting, source = self._setting, ""
+        if setting.protocol is Protocol.PLANS:
+            sources = partly_seen(setting.world).sources
+            source = next((name for name, families in sources.items() if unit.family in families), "")
+        return dict.fromkeys(COLUMNS) | {
+            "protocol": setting.protocol.value,
+            "source": source,
+            "family": unit.family,
+            "problem": unit.index,
+            "pictures": unit.pictures,
+            "run": run,
+            "seed": setting.planner(variant, unit.index, run).seed,
+            "variant": variant.name,
+            "group": variant.group.value,
+            "planner": variant.planner,
+            "sampler": variant.sampler,
+            "learned_share": variant.share,
+            "samples": variant.samples,
+            "request_s": 0.0,
+            "search_s": 0.0,
+            "score_s": 0.0,
+        }
+
+
+class _Case:
+    """A unit's problem, and what its variants share: batches of samples, paths, and prices of a check."""
+
+    def __init__(self, problem: Problem, unit: Unit, setting: Setting, models: dict[str, Model]) -> None:
+        self.problem, self.unit, self.setting, self.models = problem, unit, setting, models
+        self.truth = checker_of(problem.scenario)
+        self.seen = self.meshes = None
+        if setting.protocol is Protocol.PLANS:
+            self.seen = partly_seen(setting.world)
+            self.meshes = self.seen.mesh_checker(problem, unit.folder)
+            self.image = problem.scenario.world.read_picture(picture_file_of(problem.scenario))
+        self.batch = cache(self._batch)
+        self.paths = cache(self._paths)
+
+    def solve(self, variant: Variant, run: int) -> Row:
+        """The measured columns of one run."""
+        bottleneck_rad = self.problem.bottleneck_rad
+        row: Row = {"bottleneck_rad": bottleneck_rad if math.isfinite(bottleneck_rad) else None}
+        if variant.group is Group.PLANS:
+            paths, times = self.paths(variant.sampler, variant.unseen)
+            return row | times | self._evaluated(paths)
+        settings = self.setting.planner(variant, self.unit.index, run)
+        row["state_check_s"] = _state_check_s(self.problem)
+        if variant.sampler is None and variant.unseen is None:
+            result = solve(self.problem, settings)
+        elif variant.group is Group.PATHS:
+            paths, times = self.paths(variant.sampler, variant.unseen)
+            result = solve_with_paths(self.problem, settings, paths)
+            row |= times | {"as_is": result.solved and result.iterations == 0}
+        else:
+            batch = self.batch(variant.sampler, variant.query(settings.seed))
+            result = solve(self.problem, settings, batch.samples, 1.0 - variant.share)
+            row["request_s"] = batch.round_trip_s
+            row["server_s"] = None if batch.timing is None else batch.timing.total_s
+        total_s = row.get("request_s", 0.0) + result.solve_time_s
+        return row | _of_result(result) | {"total_s": total_s}
+
+    def _batch(self, sampler: str, query: SampleQuery) -> SampleBatch:
+        return self.models[sampler].sample(self.problem, query)
+
+    def _paths(self, sampler: str | None, unseen: Unseen | None) -> tuple[tuple[AlternativePath, ...], Row]:
+        """The paths of a model, or of a search by a fixed rule, the best first; and their columns."""
+        limit_s = self.setting.plan_limit_s
+        if sampler is not None:
+            query = plan_query(self.problem, self.setting.seed, limit_s)
+            plan, request_s = self.models[sampler].plan(self.problem, query)
+            solved = plan.status == "solved"
+            return plan.alternatives, {
+                "status": plan.status,
+                "confidence": plan.confidence if solved else None,
+                "search_s": 1e-3 * plan.search_ms,
+                "score_s": 1e-3 * plan.score_ms,
+                "request_s": request_s,
+            }
+        assert self.seen is not None and unseen is not None  # noqa: S101, PT018 - of the protocol plans only
+        problem, checkers = self.problem, self.seen.checkers(self.problem, self.image, unseen)
+        load_kernels(checkers[0], problem.start, LOOK_RAD)
+        began, until_s = time.perf_counter(), time.thread_time() + limit_s
+        found = find_paths(checkers, problem.start, problem.goal, DEFAULT_PATHS, self.setting.seed, until_s)
+        spent_s = time.perf_counter() - began
+        shortest = sorted(found.paths, key=lambda path: length_rad(path, problem.space))
+        paths = tuple(AlternativePath(path, 1.0, np.ones(len(path) - 1, np.float32)) for path in shortest)
+        status = "solved" if paths else "timeout" if found.late else "refused"
+        return paths, {"status": status, "search_s": spent_s, "request_s": spent_s}
+
+    def _evaluated(self, paths: Sequence[AlternativePath]) -> Row:
+        """The first path in the true scene."""
+        if not paths:
+            return {"solved": False}
+        path, space = paths[0].path, self.problem.space
+        states = spaced(path, space, LOOK_RAD)
+        row: Row = {
+            "solved": True,
+            "clearance_m": float(self.truth.clearance(states).min()),
+            "length_rad": length_rad(path, space),
+        }
+        if self.meshes is not None:
+            row["meshes_free"] = bool(self.meshes.valid_batch(states).all())
+        return row
+
+
+def _of_result(result: PlanResult) -> Row:
+    names = ("solved", "iterations", "edge_checks", "state_checks", "learned_drawn", "uniform_drawn")
+    return {name: getattr(result, name) for name in names} | {
+        "status": str(result.reason),
+        "length_rad": float(result.length_rad) if result.solved else None,
+        "solve_s": result.solve_time_s,
+    }
+
+
+@lru_cache(maxsize=4)
+def _state_check_s(problem: Problem) -> float:
+    """Seconds for one state check, the fastest of some compiled loops over uniform states.
+
+    The step from OMPL to Python does not count: it is the planner's.
+    """
+    checker, taken = checker_of(problem.scenario), []
+    states = problem.space.sample_uniform(np.random.default_rng(0), _STATES)
+    for _ in range(_REPEATS):
+        began = time.perf_counter()
+        checker.valid_batch(states)
+        taken.append(time.perf_counter() - began)
+    return min(taken) / _STATES
+
 
 Show = Callable[[str], None]
 Execute = Callable[[Sequence[Unit], Setting, Sequence[SourceSpec]], Iterator[list[Row]]]
@@ -39,23 +222,14 @@ PARQUET, REPORT, RUNS, MANIFEST, FIGURES = (
     "runs.parquet", "report.md", "runs.jsonl", "manifest.json", "figures",
 )  # fmt: skip
 STAGE = "planning-benchmark"
-# Each process computes on one core; the thread pools of numeric libraries would compete for the others.
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @dataclass(frozen=True)
 class Request:
-    """What a benchmark runs.
+    """What a benchmark runs: ``problems`` of each family, ``repeats`` of each where checks are exact.
 
-    Args:
-        out: folder of runs and report.
-        setting: of all runs.
-        problems: number of each family.
-        repeats: runs of each problem; without exact checks there is one.
-        variants: that are compared.
-        specs: their models.
-        pictures: by which each problem is seen; (0,) where depth pictures do not matter.
-        folder: of problems that do not ship.
+    ``pictures`` is (0,) where depth pictures do not matter; ``folder`` holds problems that do not ship.
     """
 
     out: Path
@@ -68,7 +242,7 @@ class Request:
     folder: Path | None = None
 
     def units(self) -> Iterator[Unit]:
-        """Everything that is run; problems without a path have no optimising variants."""
+        """Everything that is run."""
         setting = self.setting
         for family, count in self.problems.items():
             if setting.protocol is Protocol.PLANS:
@@ -77,22 +251,14 @@ class Request:
                     todo = [(one, run) for one in own for run in range(self.repeats if one.checked else 1)]
                     yield Unit(family, index, tuple(todo), seen, self.folder)
             else:
-                solvable = family in setting.families.solvable
-                own = [one for one in self.variants if one.stop_at_first or solvable]
                 for index, run in product(range(count), range(self.repeats)):
-                    yield Unit(family, index, tuple((one, run) for one in own))
+                    yield Unit(family, index, tuple((one, run) for one in self.variants))
 
 
 def run_benchmark(
     request: Request, execute: Execute, show: Show, tracking: Tracking | None = None
 ) -> Results:
-    """Run what is missing, report on the whole request, and log it where there is a tracking server.
-
-    Raises:
-        ConfigError: the folder holds runs of another setting.
-        EvaluationError: no problem was run by all variants.
-        CspaceError: a run failed; those before it are kept.
-    """
+    """Run what is missing, report on the whole request, and log it where there is a tracking server."""
     store = RunStore(request)
     units = list(request.units())
     done = {_key(row) for row in store.rows()}
@@ -145,12 +311,7 @@ def _key(row: Mapping[str, Any]) -> Key:
 
 
 class RunStore:
-    """Runs as a line of JSON each beside a manifest; a stopped benchmark goes on, further variants may join.
-
-    Raises:
-        ConfigError: the folder holds runs of another setting, or other variants or models of the same names.
-        StorageError: the folder can not be used.
-    """
+    """Runs as a line of JSON each beside a manifest; one that was stopped goes on."""
 
     def __init__(self, request: Request) -> None:
         self._path, manifest = request.out / RUNS, request.out / MANIFEST
@@ -210,11 +371,7 @@ _worker_of = lru_cache(maxsize=1)(Worker)
 
 
 def run_unit(unit: Unit, shared: Shared) -> list[Row]:
-    """One unit in this process, whose models stay open between units.
-
-    Raises:
-        SamplerError: a model does not answer.
-    """
+    """One unit in this process, whose models stay open between units."""
     return _worker_of(*shared).run(unit)
 
 
@@ -229,49 +386,29 @@ def run_on_ray(work: Sequence[Unit], setting: Setting, specs: Sequence[SourceSpe
 
 
 def processes(count: int) -> Execute:
-    """Units over so many spawned processes of this machine."""
+    """Units over so many spawned processes of this machine, each of which computes on one core."""
 
     def run(work: Sequence[Unit], setting: Setting, specs: Sequence[SourceSpec]) -> Iterator[list[Row]]:
         for name in _ONE_THREAD:
             os.environ.setdefault(name, "1")
-        shared = (setting, tuple(specs))
-        context = multiprocessing.get_context("spawn")
-        pool = ProcessPoolExecutor(count, context, _begin, (shared,))
+        pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), end_with_parent)
         try:
-            for done in as_completed([pool.submit(_run, unit) for unit in work]):
+            shared = (setting, tuple(specs))
+            for done in as_completed([pool.submit(run_unit, unit, shared) for unit in work]):
                 yield done.result()
-        except BrokenProcessPool as error:
-            raise JobError(
-                "a process of the benchmark ended",
-                got=str(error),
-                remedy="give the command again: it goes on from the runs that it has",
-            ) from error
         finally:
             pool.shutdown(cancel_futures=True)
 
     return run
 
 
-_shared: list[Shared] = []
-
-
-def _begin(shared: Shared) -> None:
-    end_with_parent()
-    _shared[:] = [shared]
-
-
-def _run(unit: Unit) -> list[Row]:
-    return run_unit(unit, _shared[0])
-
-
 def end_with_parent() -> None:
     """In a process of a pool: ends when the process that made it has ended, in whatever way."""
     parent = multiprocessing.parent_process()
-    if parent is None:
-        return
 
     def follow() -> None:
-        parent.join()
-        os._exit(1)
+        if parent is not None:
+            parent.join()
+            os._exit(1)
 
-    Thread(target=follow, name="parent", daemon=True).start()
+    Thread(target=follow, daemon=True).start()

@@ -4,10 +4,13 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import cycle
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from matplotlib import rc_context
+from matplotlib.figure import Figure
 
 from cspace.errors import EvaluationError
 from cspace.simulator import Taken as Unseen
@@ -17,18 +20,17 @@ from services.evaluator.benchmark.estimates import (
     Estimate,
     Paired,
     against,
-    converge,
+    confidence_curve,
     exact,
     safety,
 )
-from services.evaluator.benchmark.runs import NO_PROBLEM
-from services.evaluator.benchmark.variants import Group, Protocol, Setting, Variant
+from services.evaluator.benchmark.variants import NO_PROBLEM, Group, Protocol, Setting, Variant
+from services.planner.plotting import INK
 
 HARD = "the hard ones"
 # The measures that become metrics of the tracking run; its table of variants holds all of them.
 METRICS = (
-    "solved", "iterations_median", "close_iterations_median", "edge_checks_median",
-    "close_edge_checks_median", "iterations_ratio_median", "close_iterations_ratio_median", "collide", "more",
+    "solved", "iterations_median", "edge_checks_median", "iterations_ratio_median", "collide", "more",
     "calibration_error", "surer_half_collide", "states_ratio_median", "states_ratio_p90",
 )  # fmt: skip
 _FIRST = (Group.UNIFORM, Group.LEARNED)
@@ -45,10 +47,6 @@ TABLES: Mapping[str, tuple[tuple[Group, ...], tuple[str, ...]]] = {
     "Time": (_FIRST, (
         "solved", "request_ms_median", "solve_ms_median", "solve_ms_mean", "total_ms_median", "total_ms_p90",
         "length_rad_mean",
-    )),
-    "Optimising": ((Group.OPTIMISING,), (
-        "close", "close_iterations_median", "close_iterations_ratio_median", "close_edge_checks_median",
-        "close_ms_median", "final_excess",
     )),
     "Plans without exact checks": ((Group.PLANS,), (
         "solved", "refused", "collide", "deep", "meshes", "more", "calibration_error", "request_ms_median",
@@ -103,16 +101,12 @@ class Results:
 
     @cached_property
     def estimates(self) -> dict[str, dict[str, dict[str, Estimate]]]:
-        """Estimates by group, variant and measure.
-
-        Raises:
-            EvaluationError: no problem was run by all variants.
-        """
+        """Estimates by group, variant and measure."""
         found: dict[str, dict[str, dict[str, Estimate]]] = {}
         unsolvable = self.setting.families.unsolvable
         for number, (group, runs) in enumerate(self.groups.items()):
             rng = np.random.default_rng([self.setting.seed, number])
-            for kinds in (_FIRST, (Group.OPTIMISING,), (Group.PLANS,), (Group.PATHS,)):
+            for kinds in (_FIRST, (Group.PLANS,), (Group.PATHS,)):
                 own = runs[runs["group"].isin(kinds)]
                 if own.empty:
                     continue
@@ -122,8 +116,6 @@ class Results:
                 for one in present:
                     if one.group is Group.PLANS:
                         measures = dict(safety(paired, one, rng))
-                    elif one.group is Group.OPTIMISING:
-                        measures = dict(converge(paired, one, rng))
                     else:
                         measures = dict(exact(paired, one))
                         if group not in unsolvable:
@@ -172,36 +164,20 @@ class Results:
                     found[f"{heading}: {group}"] = table.rename_axis("variant").reset_index()
         return found
 
-    def headline(self) -> str:
-        """From which cost of an edge check on learned samples pay, or how often plans collide."""
-        what, measure = "Share of the paths planned without exact checks that collide", "collide"
-        if self.setting.protocol is not Protocol.PLANS:
-            what = "Cost of an edge check, in us, from which on learned samples save wall time"
-            measure = "break_even_edge_base_from_us"
-        shown = [
-            one.name
-            for one in self.variants
-            if one.group is Group.LEARNED or (one.group is Group.PLANS and one.unseen in (None, Unseen.FREE))
-        ]
-        clauses = [
-            f"{group}, {name}: {variants[name][measure]}"
-            for group, variants in self.estimates.items()
-            for name in shown
-            if measure in variants.get(name, {})
-        ]
-        return f"{what}: {'; '.join(clauses) or 'nothing was measured'}."
-
     def note(self) -> str:
-        """The headline and the main tables, for a terminal and the run's page."""
-        main = {name: one for name, one in self.tables.items() if name.startswith(("Work", "Plans without"))}
-        return "\n\n".join([self.headline(), *_sections(main)]) + "\n"
+        """The main tables, for a terminal and the run's page."""
+        main = {
+            name: one
+            for name, one in self.tables.items()
+            if name.startswith(("Break-even", "Work", "Plans without"))
+        }
+        return "\n\n".join(_sections(main)) + "\n"
 
     def markdown(self, figures: Sequence[str]) -> str:
         """The whole report; figures are paths relative to it."""
         setting, used = self.setting, set(self.runs["sampler"].dropna())
         out = self.runs[self.runs["status"] == NO_PROBLEM][["family", "problem"]].drop_duplicates()
-        limit = f"{setting.max_iterations} iterations ({setting.optimising_iterations} if it optimises)"
-        limit = f"{limit} or {setting.time_limit_s:g} s"
+        limit = f"{setting.max_iterations} iterations or {setting.time_limit_s:g} s"
         facts = [
             f"- {setting.split} problems, seed {setting.seed}. A search ends after {limit}.",
             f"- A state check takes {1e6 * self.runs['state_check_s'].median():.2f} us (median).",
@@ -213,7 +189,7 @@ class Results:
                 facts.append(f"- {name}: {what}, digest {one['digest'][:12]}, transport {one['transport']}.")
         title = f"# Planning benchmark, protocol `{setting.protocol}`"
         shown = [f"![{path}]({path})" for path in figures]
-        parts = [self.headline(), title, "\n".join(facts), READING, *_sections(self.tables), *shown]
+        parts = [title, "\n".join(facts), READING, *_sections(self.tables), *shown]
         return "\n\n".join(parts) + "\n"
 
 
@@ -221,3 +197,85 @@ def _sections(tables: Mapping[str, pd.DataFrame]) -> Iterator[str]:
     for heading, table in tables.items():
         shown = table.astype(object).where(table.notna(), "").map(str)
         yield f"## {heading}\n\n{shown.to_markdown(index=False, disable_numparse=True)}"
+
+
+# Told apart by most eyes, and in print by their lightness (after Okabe and Ito).
+_COLOURS = ("#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+_STYLE: dict[Any, Any] = {"font.size": 9, "axes.grid": True, "grid.color": "#e6e8ec", "axes.axisbelow": True}
+_BESIDE: dict[str, Any] = {
+    "loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "frameon": False, "fontsize": 8,
+}  # fmt: skip
+_LINES = ("-", "--", ":", "-.")
+
+
+def figures(results: Results) -> Iterator[tuple[str, Figure]]:
+    """Every figure that the runs have content for, with its name."""
+    with rc_context(_STYLE):
+        for name, plot, groups in (
+            ("success", _success, {Group.UNIFORM, Group.LEARNED}),
+            ("safety", _safety, {Group.PLANS}),
+        ):
+            found = {}
+            for group, runs in results.groups.items():
+                own = runs[runs["group"].isin(groups)]
+                if len(own) and own["solved"].any():
+                    found[group] = Paired(own)
+            if found:
+                yield name, plot(found, results)
+
+
+def _panels(rows: int, columns: int, width: float = 4.2) -> tuple[Figure, Any]:
+    figure = Figure(figsize=(width * columns + 2.0, 3.4 * rows), dpi=110, layout="constrained")
+    return figure, figure.subplots(rows, columns, squeeze=False)
+
+
+def _looks(paired: Paired, results: Results) -> dict[str, dict[str, Any]]:
+    """Colour and line of each variant of a panel; uniform ones are black."""
+    shown = [one for one in results.variants if one.name in paired]
+    uniform, learned = cycle(_LINES), cycle([(c, line) for line in _LINES for c in _COLOURS])
+    looks = {}
+    for one in shown:
+        colour, line = (INK, next(uniform)) if one.sampler is None else next(learned)
+        looks[one.name] = {"color": colour, "linestyle": line, "label": one.name}
+    return looks
+
+
+def _success(found: dict[str, Paired], results: Results) -> Figure:
+    """Share solved against iterations, edge checks and whole time, a row for each family."""
+    shown = (("iterations", 1.0, "iterations"), ("edge_checks", 1.0, "edge checks"), ("total_s", 1e3, "ms"))
+    figure, grid = _panels(len(found), 3)
+    for row, (family, paired) in zip(grid, found.items(), strict=True):
+        for axes, (column, scale, label) in zip(row, shown, strict=True):
+            for name, look in _looks(paired, results).items():
+                solved = paired.solved(name)
+                taken = np.sort(scale * paired.values(name, column)[solved])
+                shares = np.arange(1, len(taken) + 1) / solved.size
+                axes.step(np.maximum(taken, 1e-3), shares, where="post", **look)
+            axes.set(xscale="log", xlabel=label, ylim=(-0.02, 1.02))
+        row[0].set_ylabel(f"{family}\nshare solved")
+        row[-1].legend(**_BESIDE)
+    return figure
+
+
+def _safety(found: dict[str, Paired], results: Results) -> Figure:
+    """Share of colliding paths against answered problems: a curve for each model, a mark for each rule."""
+    sources = {
+        name: one for name, one in found.items() if name.partition(",")[0] in set(results.runs["source"])
+    }
+    figure, grid = _panels(1, len(sources))
+    for axes, (group, paired) in zip(grid[0], sources.items(), strict=True):
+        for one in (one for one in results.variants if one.name in paired):
+            own = paired.of(one.name)
+            if one.sampler is not None:
+                curve = confidence_curve(own)
+                axes.plot(curve["answered"], curve["collide"], label=one.name)
+            elif one.unseen is not Unseen.KNOWN and own["solved"].any():
+                collide = (own["clearance_m"][own["solved"]] <= 0.0).mean()
+                axes.plot(own["solved"].mean(), collide, "o", label=one.name)
+        axes.set(
+            title=f"{group} picture(s)\n{paired.problems} problems", xlabel="share of the problems answered"
+        )
+        axes.set(xlim=(0.0, 1.02), ylim=(0.0, None))
+    grid[0][0].set_ylabel("share of the paths that collide")
+    grid[0][-1].legend(**_BESIDE)
+    return figure

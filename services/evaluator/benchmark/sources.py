@@ -30,15 +30,9 @@ _PNG = b"\x89PNG\r\n\x1a\n"
 
 @dataclass(frozen=True, slots=True)
 class SourceSpec:
-    """All that a worker process needs to ask a model.
+    """All that a worker needs to ask a model: a reference at an API, pinned to a version, or a packed bundle.
 
-    Args:
-        name: in the names of variants.
-        digest: of the bundle that has to answer.
-        with_ends: whether start and goal are sent, as path models require and others refuse.
-        model: reference at the API, pinned to a version; None for a bundle.
-        url: of the API; None for a bundle.
-        packed: the bundle's files; None for a model behind an API.
+    ``with_ends``: start and goal are sent, as path models require and others refuse.
     """
 
     name: str
@@ -63,11 +57,7 @@ class SourceSpec:
 
 
 def parse_named(text: str) -> tuple[str, str]:
-    """``NAME=VALUE``, or a value that is its own name up to its version.
-
-    Raises:
-        ConfigError: a part is empty.
-    """
+    """``NAME=VALUE``, or a value that is its own name up to its version."""
     name, separator, value = text.partition("=")
     if not separator:
         name, value = text.partition("@")[0].partition("/")[0], text
@@ -79,12 +69,7 @@ def parse_named(text: str) -> tuple[str, str]:
 
 
 def bundled(name: str, folder: Path, plans_for: World | None = None) -> SourceSpec:
-    """A bundle that answers in the planner's own process; with a world it has to plan for its robot.
-
-    Raises:
-        BundleError: it is damaged.
-        ConfigError: it is another robot's, or has no validity head.
-    """
+    """A bundle that answers in the planner's own process; with a world it has to plan for its robot."""
     bundle = load_verified(folder)
     if plans_for is not None and not (bundle.has_validity and bundle.robot == robot_digest(plans_for)):
         raise ConfigError(
@@ -96,11 +81,7 @@ def bundled(name: str, folder: Path, plans_for: World | None = None) -> SourceSp
 
 
 def served(name: str, model: str, url: str, world: World, *, plans: bool = False) -> SourceSpec:
-    """A model behind an API, pinned to the version that answers now.
-
-    Raises:
-        SamplerError: the API refuses, or does not answer.
-    """
+    """A model behind an API, pinned to the version that answers now."""
     problem, with_ends = _example(world), True
     query = SampleQuery(10, 1, min_confidence=0.0, robot=robot_digest(world))
     picture = picture_file_of(problem.scenario)
@@ -134,11 +115,7 @@ class Model:
             self._source = stack.enter_context(_client(spec.url or "", world))
 
     def sample(self, problem: Problem, query: SampleQuery) -> SampleBatch:
-        """One batch for a problem's picture, as for a picture that the model has not seen before.
-
-        Raises:
-            SamplerError: the model does not answer, or another one does.
-        """
+        """One batch for a problem's picture, as for a picture that the model has not seen before."""
         query = replace(query, robot=robot_digest(problem.scenario.world))
         query = between_ends(query, problem) if self._spec.with_ends else query
         picture = fresh_picture(picture_file_of(problem.scenario), f"{query.seed} {query.n}")
@@ -151,9 +128,6 @@ class Model:
 
         A problem that needs wider joint limits than a served model has counts as refused; a bundle takes the
         limits of the problem's world.
-
-        Raises:
-            SamplerError: the API does not answer, or another model does.
         """
         picture, world = picture_file_of(problem.scenario), problem.scenario.world
         if self._bundle is not None:
@@ -168,12 +142,7 @@ class Model:
 
 
 def opened(specs: Sequence[SourceSpec], world: World, stack: ExitStack, *, plans: bool) -> dict[str, Model]:
-    """The models by name, each asked once, so that no run pays for a first request.
-
-    Raises:
-        SamplerError: one of them does not answer.
-        BundleError: a bundle is damaged.
-    """
+    """The models by name, each asked once, so that no run pays for a first request."""
     problem, found = _example(world), {}
     for spec in specs:
         found[spec.name] = model = Model(spec, world, stack)

@@ -5,14 +5,13 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
 
-import numpy as np
-
 from cspace.errors import ConfigError
 from cspace.query import SampleQuery
 from cspace.simulator import Families, Problem, ProblemRequest, Split
 from cspace.simulator import Taken as Unseen
 from cspace.world import World
 from cspace.worlds import default_world, partly_seen, simulator_of
+from services.evaluator.evaluation import planner_seed
 from services.planner.settings import (
     LEARNED_PLANNERS,
     PLANNERS,
@@ -27,6 +26,8 @@ SAMPLES = 300
 SHARES = (0.7, 1.0)
 PICTURES = (1, 2, 3)
 AIMS = ("goal", "scene")
+# Status of a problem whose start or goal collides; it is left out.
+NO_PROBLEM = "start or goal collides"
 NAMES = {RRT: "RRT", RRT_STAR: "RRT*", RRT_CONNECT: "RRT-Connect", SAMPLED_CONNECT: "own RRT-Connect"}
 
 
@@ -43,39 +44,30 @@ class Group(StrEnum):
 
     UNIFORM = "uniform"
     LEARNED = "learned"
-    OPTIMISING = "optimising"
     PLANS = "plans"
     PATHS = "paths"
 
 
 GROUPS: Mapping[Protocol, tuple[Group, ...]] = {
-    Protocol.FAMILIES: (Group.UNIFORM, Group.LEARNED, Group.OPTIMISING),
-    Protocol.PAPER: (Group.UNIFORM, Group.LEARNED, Group.OPTIMISING),
+    Protocol.FAMILIES: (Group.UNIFORM, Group.LEARNED),
+    Protocol.PAPER: (Group.UNIFORM, Group.LEARNED),
     Protocol.PLANS: (Group.PLANS, Group.PATHS),
 }
 RUNS = {Protocol.FAMILIES: 1, Protocol.PAPER: 100, Protocol.PLANS: 3}
 LIMITS: Mapping[Protocol, Mapping[str, float]] = {
-    Protocol.FAMILIES: {"max_iterations": 20_000, "optimising_iterations": 2000, "time_limit_s": 10.0},
+    Protocol.FAMILIES: {"max_iterations": 20_000, "time_limit_s": 10.0},
     # The paper stops by the clock alone; no planner here makes so many iterations in a second.
-    Protocol.PAPER: {"max_iterations": 200_000, "optimising_iterations": 200_000, "time_limit_s": 1.0},
-    Protocol.PLANS: {"max_iterations": 200_000, "optimising_iterations": 2000, "time_limit_s": 20.0},
+    Protocol.PAPER: {"max_iterations": 200_000, "time_limit_s": 1.0},
+    Protocol.PLANS: {"max_iterations": 200_000, "time_limit_s": 20.0},
 }
 
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """One way to solve a problem.
+    """One way to solve a problem; ``base`` names the variant that it is compared with.
 
-    Args:
-        name: unique.
-        group: its purpose.
-        planner: with exact checks, by its name in ``services.planner.settings``; None plans without.
-        base: name of the variant that it is compared with.
-        sampler: name of the model; None for none.
-        share: of learned samples among the drawn ones while there are any, 0 to 1.
-        samples: number of learned samples that are requested.
-        stop_at_first: whether the search ends with its first solution.
-        unseen: what unseen space counts as where paths are searched for without a model.
+    Without a ``planner`` it plans without exact checks. ``share`` is that of learned samples among the drawn
+    ones while there are any. ``unseen`` is what unseen space counts as where no model plans.
     """
 
     name: str
@@ -85,7 +77,6 @@ class Variant:
     sampler: str | None = None
     share: float = 0.0
     samples: int = 0
-    stop_at_first: bool = True
     unseen: Unseen | None = None
 
     @property
@@ -119,17 +110,11 @@ def _samples(models: Sequence[str], samples: int, shares: Sequence[float]) -> It
 
     for planner in PLANNERS:
         yield Variant(uniform(planner), Group.UNIFORM, planner, uniform(planner))
-    base = f"{uniform(RRT_STAR)}, optimising"
-    yield Variant(base, Group.OPTIMISING, RRT_STAR, base, stop_at_first=False)
     for model in models:
         for share in shares:
             for planner in LEARNED_PLANNERS:
                 name = f"{NAMES[planner]}, {model}, {100.0 * share:g} %"
-                one = Variant(name, Group.LEARNED, planner, uniform(planner), model, share, samples)
-                yield one
-                if planner == RRT_STAR:
-                    name = f"{name}, optimising"
-                    yield replace(one, name=name, group=Group.OPTIMISING, base=base, stop_at_first=False)
+                yield Variant(name, Group.LEARNED, planner, uniform(planner), model, share, samples)
 
 
 def _plans(models: Sequence[str]) -> Iterator[Variant]:
@@ -143,11 +128,7 @@ def _plans(models: Sequence[str]) -> Iterator[Variant]:
 
 
 def pick(variants: Sequence[Variant], wanted: Sequence[str]) -> tuple[Variant, ...]:
-    """The variants of some names or groups, and their bases.
-
-    Raises:
-        ConfigError: a name is unknown.
-    """
+    """The variants of some names or groups, and their bases."""
     if unknown := set(wanted) - {variant.name for variant in variants} - set(Group):
         raise ConfigError(
             "there is no such variant or group", expected=", ".join(Group), got=", ".join(unknown)
@@ -159,26 +140,15 @@ def pick(variants: Sequence[Variant], wanted: Sequence[str]) -> tuple[Variant, .
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """What all runs of a folder have in common.
+    """What all runs of a folder have in common; ``plan_limit_s`` is for plans without exact checks.
 
-    Args:
-        protocol: what is run.
-        split: of the problems.
-        seed: of problems, planners and samplers.
-        max_iterations: states drawn after which a search ends without a path.
-        optimising_iterations: the same for a search that goes on after its first solution.
-        time_limit_s: wall time after which a search ends.
-        aim: what cameras look at, ``goal`` or ``scene``.
-        plan_limit_s: time in which paths are planned without exact checks.
-        world: robot and sensor.
-        held: whether the robot holds what goals grasp, and planners know this and the table.
+    ``aim`` is what cameras look at. With ``held`` the robot holds what goals grasp, and planners know it.
     """
 
     protocol: Protocol
     split: Split
     seed: int
     max_iterations: int
-    optimising_iterations: int
     time_limit_s: float
     aim: str = AIMS[0]
     plan_limit_s: float = 2.0
@@ -205,16 +175,9 @@ class Setting:
             range_rad=measures.range_rad,
             resolution_rad=measures.resolution_rad,
             time_limit_s=self.time_limit_s,
-            max_iterations=self.max_iterations if variant.stop_at_first else self.optimising_iterations,
+            max_iterations=self.max_iterations,
             seed=planner_seed(self.seed, index, run),
-            stop_at_first=variant.stop_at_first,
         )
-
-
-def planner_seed(seed: int, index: int, run: int) -> int:
-    """The seed of one run, in 1...2^31 - 1; OMPL takes no zero."""
-    state = np.random.SeedSequence(entropy=seed, spawn_key=(98, index, run)).generate_state(1)
-    return 1 + int(state[0]) % (2**31 - 1)
 
 
 # Family, problem, pictures, run and variant.
@@ -223,15 +186,7 @@ Key = tuple[str, int, int, int, str]
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """One problem with the runs that one process does at a time.
-
-    Args:
-        family: of the problem.
-        index: of the problem within its family.
-        todo: variants and the numbers of their runs.
-        pictures: by which the scene is seen; 0 where the runs do not depend on depth pictures.
-        folder: of problems that do not ship.
-    """
+    """One problem with the runs that one process does at a time; ``pictures`` is 0 where none matter."""
 
     family: str
     index: int

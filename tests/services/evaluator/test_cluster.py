@@ -8,11 +8,8 @@ from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.problems import Family
 from cspace.worlds.planar.world import PlanarWorld
-from services.evaluator import cluster as ray_tasks
-from services.evaluator.cluster import join
-from services.evaluator.evaluation import Evaluation, table_of
+from services.evaluator.evaluation import QUICK, Evaluation, Setting, Unit, table_of
 from services.evaluator.job import run_here, run_on_ray
-from services.evaluator.measure import QUICK, Setting, Unit
 from services.evaluator.metrics import Task
 from services.evaluator.scenes import PackedBundle
 from tests.bundles import write_tiny_bundle
@@ -55,24 +52,6 @@ def numbers(results, setting):
     return found[~found["measure"].str.contains("time")].to_csv()
 
 
-@pytest.mark.parametrize(
-    ("address", "asked_for"),
-    [(None, None), ("", None), ("auto", None), ("127.0.0.1:6379", None), ("http://127.0.0.1:8265", "local")],
-)
-def test_an_address_that_only_takes_jobs_is_not_joined(monkeypatch, address, asked_for):
-    import ray
-
-    joined = []
-    monkeypatch.setattr(ray, "is_initialized", lambda: bool(joined))
-    monkeypatch.setattr(ray, "init", lambda given, **settings: joined.append((given, settings["namespace"])))
-    monkeypatch.delenv("RAY_ADDRESS", raising=False)
-    if address is not None:
-        monkeypatch.setenv("RAY_ADDRESS", address)
-    join(namespace="test")
-    join(namespace="again")
-    assert joined == [(asked_for, "test")]
-
-
 @pytest.mark.e2e
 def test_a_cluster_gives_the_same_numbers_as_this_process(cluster, packed):
     setting = Setting(PlanarWorld(TWO_LINK, Camera()), 4, QUICK)
@@ -80,18 +59,3 @@ def test_a_cluster_gives_the_same_numbers_as_this_process(cluster, packed):
     there = numbers(run_on_ray(WORK, setting, packed), setting)
     assert there == here
     assert "iterations_median" in here
-
-
-def test_what_has_ended_is_not_cancelled(monkeypatch):
-    cancelled = []
-
-    def wait(references, *, num_returns, timeout):
-        assert (num_returns, timeout) == (len(references), 0)
-        return references[::2], references[1::2]
-
-    monkeypatch.setattr(ray_tasks.ray, "wait", wait)
-    monkeypatch.setattr(ray_tasks.ray, "cancel", cancelled.append)
-    ray_tasks.cancel(["ended", "running", "over", "waiting"])
-    assert cancelled == ["running", "waiting"]
-    ray_tasks.cancel([])
-    assert cancelled == ["running", "waiting"]

@@ -6,7 +6,6 @@ import pytest
 from cspace.simulator import Split
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.worlds.planar.camera import Camera
-from cspace.worlds.planar.problems import Family
 from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.figures import MISSED_COLOUR, SHOWN_SAMPLES, gallery
 from services.evaluator.scenes import Scene, Stage
@@ -43,12 +42,3 @@ def test_free_configurations_that_no_sample_is_near_are_marked():
     panel = gallery([scene], collapsed, "collapsed").axes[2]
     assert "100.0% free" in panel.get_title()
     assert 0.95 * SHOWN_SAMPLES < marked(panel, MISSED_COLOUR) < SHOWN_SAMPLES
-
-
-def test_a_problem_s_ends_and_its_passage_are_shown():
-    scene = Scene(STAGE, 0, Family.DISCONNECTED)
-    figure = gallery([scene], UniformSampler(TWO_LINK.space), "one")
-    picture, truth, _ = figure.axes
-    assert picture.get_title() == "test, disconnected scenario 0"
-    assert truth.get_title().endswith("no path")
-    assert np.array_equal(truth.collections[0].get_offsets(), [scene.problem.start, scene.problem.goal])

@@ -7,24 +7,16 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 
-from cspace.simulator import Split
 from cspace.space import JointSpace
-from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator.metrics.geometry_score import (
-    boundary_cells,
     complement_score,
     geometry_score,
-    living_times,
     mean_living_times,
     relative_living_times,
     sample_complement,
-    square_to_disk,
     turned_living_times,
     witness_complex,
 )
-from services.evaluator.scenes import Scene, Stage
-from services.evaluator.statistics import mean_interval
 
 CASES = Path(__file__).with_name("living_times.npz")
 CASE_NAMES = ("disk_0.007812", "ring7_0.000937", "ring_0.125000", "square_0.001250", "tworing_0.007812")
@@ -57,12 +49,6 @@ def test_living_times_equal_the_original_implementation_on_fixed_landmarks(name)
     np.testing.assert_allclose(times, expected, atol=1e-6)
 
 
-def test_living_times_of_hand_made_intervals():
-    # One loop in [1, 4), two in [2, 3), none in [0, 1); the last lives to the end at 5.
-    times = living_times(np.array([[1.0, 4.0], [2.0, 3.0], [4.0, np.inf]]), alpha_max=5.0, i_max=2)
-    np.testing.assert_allclose(times, [0.2, 0.6])
-
-
 # First Betti numbers. The relaxation ends at an eighth of the diameter, below the radius of every hole.
 SHAPES = [(circle, 1), (disk, 0), (two_circles, 2), (annulus, 1)]
 
@@ -71,15 +57,6 @@ SHAPES = [(circle, 1), (disk, 0), (two_circles, 2), (annulus, 1)]
 def test_a_shape_has_its_betti_number_of_loops_for_most_of_the_filtration(shape, loops, rng):
     times = mean_living_times(shape(1500, rng), rng, draws=10, gamma=1 / 8)
     assert times[loops] > 0.5
-
-
-def test_draws_are_seeded():
-    cloud = circle(300, np.random.default_rng(5))
-    first, again, other = (
-        mean_living_times(cloud, np.random.default_rng(seed), draws=4) for seed in (6, 6, 7)
-    )
-    np.testing.assert_array_equal(first, again)
-    assert not np.array_equal(first, other)
 
 
 def gudhi_simplices(distances, alpha_max):
@@ -113,27 +90,11 @@ def test_the_complex_is_gudhis_to_the_last_bit(seed, ties):
 
 TORUS = JointSpace((-np.pi, -np.pi), (np.pi, np.pi), (True, True))
 LIMITED = JointSpace((-1.0, -2.0), (1.0, 2.0), (False, False))
-CUBE = JointSpace((-1.0,) * 3, (1.0,) * 3, (False,) * 3)
 
 
 def square_with_hole(count, rng, half=1.0):
     points = TORUS.sample_uniform(rng, 4 * count)
     return points[np.abs(points).max(axis=1) > half][:count]
-
-
-def test_a_lone_empty_cell_is_chance_and_a_pair_is_boundary():
-    counts = np.ones((5, 5), dtype=np.int64)
-    counts[1, 1] = counts[3, 3] = counts[3, 2] = 0
-    expected = np.zeros((5, 5), dtype=bool)
-    expected[3, 2:4] = True
-    np.testing.assert_array_equal(boundary_cells(counts, (False, False)), expected)
-
-
-@pytest.mark.parametrize(("periodic", "found"), [((True, True), 2), ((False, True), 0)])
-def test_neighbours_close_round_a_circle_only(periodic, found):
-    counts = np.ones((4, 4), dtype=np.int64)
-    counts[0, 2] = counts[3, 2] = 0
-    assert boundary_cells(counts, periodic).sum() == found
 
 
 def test_the_complement_fills_the_hole_and_nothing_else(rng):
@@ -142,14 +103,6 @@ def test_the_complement_fills_the_hole_and_nothing_else(rng):
     assert np.mean(np.abs(complement).max(axis=1) < 1.0) > 0.97
     # Evenly weighted by area: each quarter of the hole gets its share.
     assert np.mean(complement[:, 0] > 0) == pytest.approx(0.5, abs=0.05)
-
-
-def test_the_square_maps_onto_the_disk():
-    square = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [0.5, 0.5]])
-    disk = square_to_disk(square)
-    half = np.sqrt(0.5)
-    expected = [[0, 0], [1, 0], [0, -1], [half, half], [-half, half], [0.5 * np.sqrt(0.875)] * 2]
-    np.testing.assert_allclose(disk, expected)
 
 
 def turned(points, seed, space=TORUS):
@@ -178,30 +131,3 @@ def test_a_shifted_set_is_equal_to_gs_and_not_to_gsc_inside_the_joint_limits():
     away = [scored(middle, shifted, LIMITED, seed) for seed in range(3)]
     again = [scored(middle, block(1000, rng, (0.0, 0.0), LIMITED), LIMITED, seed) for seed in range(3)]
     assert min(away) > max(again)
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(600)
-def test_real_noisy_and_uniform_samples_have_gsc_intervals_apart():
-    scene = Scene(Stage(PlanarWorld(), Split.TRAIN, 0), 3)
-    space, samples = TWO_LINK.space, 2000
-    found = {"real": [], "noise": [], "uniform": []}
-
-    def measured(cloud, rng):
-        complement = sample_complement(cloud, space, rng, samples)
-        return [turned_living_times(one, space, rng, draws=80) for one in (cloud, complement)]
-
-    for repeat in range(10):
-        rng = np.random.default_rng([1, repeat])
-        reference, again, base = (scene.free(samples, rng) for _ in range(3))
-        noisy = space.wrap(base + rng.normal(0.0, 0.1, base.shape))
-        first, first_c = measured(reference, rng)
-        clouds = {"real": again, "noise": noisy, "uniform": space.sample_uniform(rng, samples)}
-        for name, cloud in clouds.items():
-            second, second_c = measured(cloud, rng)
-            found[name].append(complement_score(first, second, first_c, second_c))
-    real, noise, uniform = (
-        mean_interval(found[name], np.random.default_rng(0)) for name in ("real", "noise", "uniform")
-    )
-    assert real.high < noise.low
-    assert noise.high < uniform.low

@@ -10,8 +10,16 @@ from hypothesis import strategies as st
 from cspace.space import JointSpace, embed
 from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator import metrics
-from services.evaluator.evaluation import MAX_METRICS, Evaluation, run_metrics, table_of
-from services.evaluator.measure import Budget, Setting, run_unit, units
+from services.evaluator.evaluation import (
+    MAX_METRICS,
+    Budget,
+    Evaluation,
+    Setting,
+    run_metrics,
+    run_unit,
+    table_of,
+    units,
+)
 from services.evaluator.metrics import Head, Run, Samples, Task, measured, metrics_of
 from services.evaluator.metrics.coverage import covered
 from services.evaluator.metrics.energy import energy_distance
@@ -22,7 +30,6 @@ from tests.fakes.uniform_sampler import UniformSampler
 
 TORUS = JointSpace((-np.pi, -np.pi), (np.pi, np.pi), (True, True))
 MIXED = JointSpace((-np.pi, -3.0), (np.pi, 3.0), (True, False))
-LINE = JointSpace((-6.0,), (6.0,), (False,))
 
 TOY = '''
 from services.evaluator.metrics import Samples, metric
@@ -125,13 +132,6 @@ def test_coverage_and_manifolds_equal_those_of_the_distance_matrix(seed, k, spac
         radii = np.sort(space.distance(members[:, None], members), axis=1)[:, k]
         expected = np.mean((space.distance(points[:, None], members) <= radii).any(axis=1))
         assert inside_manifold(points, members, space, k) == expected
-
-
-def test_the_manifolds_by_hand():
-    # Radii of the real ones: 1, 1, 2. Of the generated ones, in their order: 0.1, 3.4, 0.2, 0.2, 0.1.
-    real, made = (np.array([one]).T for one in ((0.0, 1.0, 3.0), (1.9, -1.5, 4.9, 5.1, 2.0)))
-    assert inside_manifold(made, real, LINE, k=1) == pytest.approx(3 / 5)
-    assert inside_manifold(real, made, LINE, k=1) == pytest.approx(2 / 3)
 
 
 def test_a_head_that_is_right_and_sure_has_no_error_and_only_near_contact_counts_as_near():

@@ -7,26 +7,17 @@ import numpy as np
 import pytest
 
 from cspace.bundle import Bundle
-from cspace.errors import EvaluationError
 from cspace.simulator import Split
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.problems import Family, draw_problem
-from cspace.worlds.planar.world import PlanarWorld
 from inference_api.settings import PRETRAINED_FOLDER
-from services.evaluator.job import evaluate_version, make_request
-from services.evaluator.measure import (
+from services.evaluator.evaluation import (
     LEARNED_SAMPLES,
     Budget,
-    Setting,
-    Unit,
     learned_samples,
-    run_unit,
-    units,
 )
-from services.evaluator.metrics import Task
+from services.evaluator.job import evaluate_version, make_request
 from services.evaluator.scenes import bundle_sampler
-from services.planner.samples import BundleSampler
 from services.registry.promotion import decisions
 from tests.fakes.registry import FakeRegistry, FakeTracking
 from tests.fakes.uniform_sampler import UniformSampler
@@ -96,12 +87,3 @@ def test_start_and_goal_reach_the_model(made):
     expected = made.sample(image, LEARNED_SAMPLES, 3, min_confidence=0.0, **ends).samples
     assert np.array_equal(there, expected)
     assert not np.array_equal(there, back)
-
-
-def test_path_models_have_planning_units_alone(made):
-    assert {unit.task for unit in units(Setting(PlanarWorld(), 0, FEW, paths=True))} == {Task.PLANNING}
-    setting = Setting(PlanarWorld(TWO_LINK, Camera()), 0, FEW, paths=True)
-    with pytest.raises(EvaluationError, match="evaluated by planning"):
-        run_unit(Unit(Task.RECONSTRUCTION, Split.TEST, 0, 1), setting, BundleSampler(made))
-    result = run_unit(Unit(Task.PLANNING, Split.TEST, 0, 1, Family.NARROW), setting, BundleSampler(made))
-    assert {row.sampler for row in result.rows} == {"uniform", "learned", "confident"}

@@ -6,8 +6,8 @@ import pytest
 
 from inference_api.settings import PRETRAINED_FOLDER
 from services.evaluator import __main__ as evaluator
-from services.evaluator import measure
-from services.evaluator.measure import Budget
+from services.evaluator import evaluation
+from services.evaluator.evaluation import Budget
 from services.names import ALIAS_CHAMPION, MODEL_NAME
 from services.registry import __main__ as models
 from services.registry.models import ModelRegistry
@@ -22,7 +22,7 @@ SMALL = Budget(20, 500, 3, 1, 1, 0, 1, narrow_scenarios=1)
 
 
 def test_the_imported_shipped_model_is_judged_and_a_worsened_copy_is_refused(tmp_path, monkeypatch, capsys):
-    monkeypatch.setitem(measure.BUDGETS, "quick", SMALL)
+    monkeypatch.setitem(evaluation.BUDGETS, "quick", SMALL)
     (tmp_path / "mlflow").mkdir()
     with mlflow_server(tmp_path / "mlflow") as uri:
         environment = {"MLFLOW_TRACKING_URI": uri}

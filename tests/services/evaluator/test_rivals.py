@@ -12,7 +12,7 @@ from cspace.worlds import robot_digest
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
 from cspace.worlds.planar.world import PlanarWorld
 from inference_api.settings import PRETRAINED_FOLDER
-from services.evaluator.rivals import find_rivals
+from services.evaluator.job import find_rivals
 from services.names import MODEL_NAME
 from services.registry.promotion import Decision, promote, record_decision, roll_back
 from tests.bundles import write_tiny_bundle
@@ -115,13 +115,6 @@ def test_a_version_that_was_rolled_back_is_no_bar_any_more(registry, register, r
     assert note.startswith("not compared with version 3, which was rolled back on 20")
     promote(registry, registry.version(MODEL_NAME, 3), "it was the camera")
     assert names(rivals_of(4)[0]) == ["version 3, the present champion", "version 2, the best before it"]
-
-
-def test_champions_of_other_robots_are_no_rivals(register, rivals_of):
-    register(1, 0.9, THREE_LINK)
-    register(2)
-    rivals, bar = rivals_of(2)
-    assert (rivals, bar.recorded, bar.against) == ((), (), None)
 
 
 @pytest.mark.parametrize(

@@ -31,22 +31,6 @@ def test_a_solved_problem_prints_a_table_draws_a_figure_and_returns_0(api, tmp_p
     assert lines[-1].endswith(str(figure))
 
 
-def test_the_same_command_gives_the_same_outcome_as_json(api, capsys):
-    runs = []
-    for _ in range(2):
-        assert command.main([*api, *UNIFORM, "--n", "50", "--json"]) == 0
-        outcome = json.loads(capsys.readouterr().out)
-        for run in outcome["runs"].values():
-            assert run.pop("solve_time_s") > 0.0
-            assert run["state_checks"] > run["edge_checks"] > 0
-            assert (run["resolution_rad"], run["costs"]) == (0.0314, [])
-        assert outcome["samples"].pop("round_trip_s") > 0.0
-        runs.append(outcome)
-    assert runs[0] == runs[1]
-    assert runs[0]["samples"]["count"] == 50
-    assert runs[0]["runs"]["RRT, learned"]["solved"] is True
-
-
 def test_the_api_is_told_what_the_exact_checks_found_if_asked_to(capsys, monkeypatch):
     told = []
 
@@ -78,13 +62,9 @@ def test_a_dead_server_is_reported_and_the_problem_solved_uniformly(capsys):
     assert "RRT, no samples" in out
 
 
-def test_a_problem_without_a_path_returns_1_and_null_lengths(capsys):
-    arguments = [*DEAD, "--family", "disconnected", "--max-iterations", "300", "--json"]
-    assert command.main(arguments) == 1
-    outcome = json.loads(capsys.readouterr().out)
-    assert outcome["samples"] is None
-    assert "127.0.0.1:9" in outcome["sampler_unavailable"]
-    assert all(run["length_rad"] is None and not run["path"] for run in outcome["runs"].values())
+def test_a_problem_without_a_path_returns_1(capsys):
+    assert command.main([*DEAD, "--family", "disconnected", "--max-iterations", "300"]) == 1
+    assert "the iteration limit was reached" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

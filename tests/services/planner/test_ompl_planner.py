@@ -3,13 +3,12 @@ import pytest
 from scipy.stats import mannwhitneyu
 
 from cspace.errors import ConfigError, PlanningError
-from cspace.simulator import Problem, Split
+from cspace.simulator import Problem
 from cspace.worlds.planar import checks
-from cspace.worlds.planar.arm import THREE_LINK, PlanarArm
+from cspace.worlds.planar.arm import PlanarArm
 from cspace.worlds.planar.checks import CollisionChecker
-from cspace.worlds.planar.problems import Family, draw_problem
+from cspace.worlds.planar.problems import Family
 from cspace.worlds.planar.world import Scenario
-from services.planner import result as results
 from services.planner.ompl_planner import solve
 from services.planner.result import Reason, check_path
 from services.planner.settings import (
@@ -74,14 +73,6 @@ def test_the_hook_with_uniform_states_alone_is_no_better_or_worse_than_ompl_s_sa
     assert mannwhitneyu(*runs).pvalue > 1e-3
 
 
-@pytest.mark.parametrize("planner", LEARNED_PLANNERS)
-def test_a_three_link_arm_works_through_the_same_code(make_problem, planner):
-    problem = make_problem([(0.0, 2.5), (2.5, -2.0)], (0.0, 0.0, 0.0), (-3.0, 0.5, -0.5), THREE_LINK)
-    result = solve(problem, PlannerSettings(planner, max_iterations=20_000), uniform_samples(200, dim=3))
-    assert result.solved
-    assert result.path.shape[1] == 3
-
-
 @pytest.mark.parametrize("planner", PLANNERS)
 def test_paths_do_not_go_round_limited_joints(planner):
     robot = PlanarArm(joint_limits_rad=((-7.0, 7.0), (-1.0, 1.0)))
@@ -96,7 +87,7 @@ def test_paths_do_not_go_round_limited_joints(planner):
     assert np.diff(result.path[:, 0]).sum() == pytest.approx(13.8, abs=1e-5)
 
 
-def test_rrt_star_that_goes_on_minimises_the_torus_length_and_reports_each_shorter_path(make_problem):
+def test_rrt_star_that_goes_on_minimises_the_torus_length(make_problem):
     # Where nothing is in the way, every monotone path has the least sum, and only the straight one is short.
     problem = make_problem(start=(-1.0, -1.0), goal=(1.0, 1.0))
     first, further = (
@@ -104,29 +95,14 @@ def test_rrt_star_that_goes_on_minimises_the_torus_length_and_reports_each_short
         for stop in (True, False)
     )
     assert further.length_rad < 1.01 * np.hypot(2.0, 2.0)
-    lengths = [point.length_rad for point in further.costs]
-    assert lengths == sorted(lengths, reverse=True)
-    assert lengths[0] == first.costs[0].length_rad == pytest.approx(first.length_rad, abs=1e-8)
-    assert lengths[-1] == pytest.approx(further.length_rad, abs=1e-8)
-    assert further.costs[0].iterations == first.costs[0].iterations < further.iterations
+    assert further.length_rad <= first.length_rad + 1e-9
+    assert first.iterations < further.iterations == 3000
 
 
 def test_a_path_that_the_planner_believes_in_is_still_checked(disconnected, monkeypatch):
     monkeypatch.setattr(checks.KERNELS, "checked_edge", lambda *_: (True, 1))
     result = solve(disconnected, SETTINGS)
     assert (result.solved, result.reason, len(result.path)) == (False, Reason.REJECTED, 0)
-
-
-def test_a_rejected_path_is_searched_again_and_both_searches_count(monkeypatch):
-    problem = draw_problem(Family.UNIFORM, Split.DEMO, 31, 0)
-    single = solve(problem, SETTINGS)
-    verdicts = iter([Reason.REJECTED, Reason.SOLVED])
-    monkeypatch.setattr(results, "check_path", lambda *_: next(verdicts))
-    both = solve(problem, SETTINGS)
-    assert both.solved
-    assert both.resolution_rad == pytest.approx(SETTINGS.resolution_rad / 10)
-    assert both.iterations > single.iterations
-    assert both.state_checks > 5 * single.state_checks
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,6 @@ from cspace.errors import SamplerError
 from cspace.query import SampleQuery
 from cspace.worlds.planar.camera import decode_png
 from cspace.worlds.planar.render import render
-from services.planner.__main__ import make_parser
-from services.planner.client import usual_api
-from services.planner.ompl_planner import solve
 from services.planner.planning import SampleRequest, plan, raised_share
 from services.planner.settings import PlannerSettings
 from tests.fakes.sample_source import FakeSampleSource
@@ -71,26 +68,9 @@ def test_a_picture_like_no_other_is_planned_with_uniform_samples_alone(blocked):
     assert calm.result.learned_drawn > 0
 
 
-def test_a_batch_from_which_all_was_dropped_is_planned_uniformly(blocked):
-    source = FakeSampleSource(lambda rng, n: rng.uniform(-1, 1, (n, 2)))
-    request = SampleRequest(SampleQuery(3, 0, min_confidence=1.0))
-    found = plan(blocked, source, SETTINGS, request)
-    assert found.batch is not None
-    assert found.batch.shortfall == 3
-    assert np.array_equal(found.result.path, solve(blocked, SETTINGS).path)
-
-
 def test_the_ends_are_sent_where_a_path_model_needs_them(blocked):
     source = FakeSampleSource()
     with pytest.raises(SamplerError):
         plan(blocked, source, SETTINGS, SampleRequest(SampleQuery(300, 3), with_ends=True))
     assert source.requests[0].query.start == tuple(blocked.start.tolist())
     assert source.requests[0].query.goal == tuple(blocked.goal.tolist())
-
-
-def test_the_address_is_the_shell_s_or_the_usual_one(monkeypatch):
-    monkeypatch.delenv("CSPACE_API_URL", raising=False)
-    assert usual_api() == "http://127.0.0.1:8000"
-    monkeypatch.setenv("CSPACE_API_URL", "http://127.0.0.1:8100")
-    assert usual_api() == "http://127.0.0.1:8100"
-    assert make_parser().parse_args([]).api == "http://127.0.0.1:8100"

@@ -1,26 +1,18 @@
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 from PIL import Image
 
 from cspace.errors import ConfigError
-from cspace.simulator import Split
-from cspace.worlds import examples, simulator_of
-from cspace.worlds.planar.arm import THREE_LINK, PlanarArm
+from cspace.worlds.planar.arm import PlanarArm
 from services.planner.ompl_planner import solve
 from services.planner.plotting import (
-    PATH,
     check_figure_path,
     collision_share,
-    outcome_title,
     plot_plan,
-    plot_workspace,
     save_figure,
     wrapped_segments,
 )
 from services.planner.settings import PlannerSettings
-
-WORLD = examples()["panda"]
 
 
 @pytest.fixture
@@ -43,35 +35,6 @@ def test_a_solved_problem_shows_all_its_parts(blocked, samples, tmp_path):
     with Image.open(target) as picture:
         assert min(picture.size) > 500
         assert len(picture.convert("RGB").getcolors(10**6) or []) > 50
-
-
-@pytest.mark.slow
-def test_an_arm_in_space_is_drawn_from_the_side_with_the_way_of_its_tool():
-    problem = simulator_of(WORLD).problem("table", Split.DEMO, 7)
-    axes = Figure().subplots()
-    plot_workspace(axes, problem, np.stack([problem.start, problem.goal]))
-    ends = WORLD.body.joint_positions_m(np.stack([problem.start, problem.goal]))[:, -1]
-    (way,) = [line.get_xydata() for line in axes.get_lines() if line.get_color() == PATH]
-    np.testing.assert_allclose(way[[0, -1]], ends[:, [0, 2]], atol=1e-9)
-    shown = np.concatenate([line.get_xydata() for line in axes.get_lines()])
-    assert np.abs(shown).max() < WORLD.body.reach_m
-
-
-def test_an_unsolved_problem_shows_no_path_and_says_why(disconnected):
-    result = solve(disconnected, PlannerSettings(max_iterations=200), keep_tree=True)
-    figure = plot_plan(disconnected, result)
-    assert {"path", "learned samples"}.isdisjoint(labels(figure))
-    assert "not solved" in outcome_title(disconnected, result)
-    assert "iteration limit" in figure.get_suptitle()
-
-
-def test_three_joints_are_drawn_in_two_planes(make_problem, tmp_path):
-    problem = make_problem([(0.0, 2.5)], (0.0, 0.0, 0.0), (-3.0, 0.0, 0.0), THREE_LINK)
-    result = solve(problem, PlannerSettings(), keep_tree=True)
-    figure = plot_plan(problem, result)
-    assert [axes.get_title() for axes in figure.axes] == ["workspace", "joints 1 and 2", "joints 2 and 3"]
-    save_figure(figure, tmp_path / "plan.svg")
-    assert (tmp_path / "plan.svg").stat().st_size > 1000
 
 
 def test_the_collision_region_of_two_joints_is_exact(blocked):

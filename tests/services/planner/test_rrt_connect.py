@@ -36,13 +36,6 @@ def test_no_step_is_longer_than_the_range_and_every_edge_is_free(blocked):
     assert len(result.tree.edges) == len(result.tree.vertices) - 2
 
 
-def test_samples_along_the_path_are_all_that_is_needed(blocked):
-    turns = np.linspace(0.0, -3.0, 31)
-    tube = np.stack([turns, np.zeros_like(turns)], axis=-1)
-    found = [solve(blocked, settings(seed), tube, 0.0) for seed in range(20)]
-    assert all(one.solved and one.uniform_drawn == 0 for one in found)
-
-
 def alternative(path):
     return AlternativePath(np.asarray(path), 0.5, np.full(len(path) - 1, 0.9, np.float32))
 
@@ -70,9 +63,3 @@ def test_where_no_path_is_free_the_search_draws_around_them(narrow, wrong):
     found = solve_with_paths(narrow, settings(3), [wrong])
     assert found.solved
     assert found.learned_drawn > 0
-
-
-def test_without_paths_it_is_the_uniform_search(narrow):
-    plain, found = solve(narrow, settings(3)), solve_with_paths(narrow, settings(3), [])
-    assert (found.state_checks, found.edge_checks) == (plain.state_checks, plain.edge_checks)
-    np.testing.assert_array_equal(found.path, plain.path)

@@ -7,10 +7,7 @@ import pytest
 import cspace.errors
 from cspace.query import PlanQuery, SampleQuery
 from services.planner.client import SamplingClient
-from services.planner.samples import LocalSampler
-from tests.bundles import picture, write_tiny_bundle
-from tests.fakes.sample_server import read_form, sample_answer, sample_server
-from tests.fakes.sample_source import FakeSampleSource
+from tests.fakes.sample_server import read_form, sample_answer
 
 PNG = b"\x89PNG picture"
 ROWS = [[0.5, -3.0], [3.0, 1.0]]
@@ -65,19 +62,3 @@ def test_errors_are_those_of_the_project(answer, error):
     with pytest.raises(error) as caught:
         client_of(answer).sample(PNG, 2, seed=1)
     assert type(caught.value) is error
-
-
-def test_the_environments_proxy_is_not_asked(monkeypatch):
-    monkeypatch.setenv("HTTP_PROXY", "http://127.0.0.1:9")
-    monkeypatch.setenv("ALL_PROXY", "http://127.0.0.1:9")
-    with sample_server(FakeSampleSource()) as server, SamplingClient(server.url) as client:
-        assert len(client.sample(PNG, 3).samples) == 3
-        client.sample(PNG, 3)
-    assert len(set(server.connections)) == 1
-
-
-def test_a_bundle_in_this_process_states_where_its_time_went(tmp_path):
-    batch = LocalSampler(write_tiny_bundle(tmp_path / "bundle")).sample(picture(), 10, seed=1)
-    timing = batch.timing
-    assert min(timing.decode_s, timing.encode_s, timing.generate_s) > 0.0
-    assert timing.decode_s + timing.encode_s + timing.generate_s <= timing.total_s == batch.round_trip_s

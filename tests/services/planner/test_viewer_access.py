@@ -152,25 +152,6 @@ def test_uploads_are_bounded_in_number_and_size_and_go_with_their_client(page: P
     assert len(page.refused) == 1 + 13 + 4
 
 
-def test_files_that_are_read_count_until_they_are_done(page: Page) -> None:
-    async def send() -> None:
-        async with page.connect() as socket:
-            await socket.send(encode(CAMERA))
-            await asyncio.sleep(0.3)
-            page.bounds.reading[:] = [UPLOAD_BYTES - 3, 1]
-            await socket.send(page.start("third", 1))
-            await asyncio.sleep(0.3)
-            assert page.arriving == {}
-            page.bounds.reading.pop()
-            await socket.send(page.start("second", 3))
-            await socket.send(page.part("second", b"abc"))
-            await asyncio.sleep(0.3)
-            page.bounds.reading.clear()
-
-    asyncio.run(send())
-    assert page.button.value.content == b"abc"
-
-
 WICKED = '<iframe srcdoc="<script>parent.X=1</script>">'
 
 

@@ -9,17 +9,15 @@ from cspace.bundle import Bundle
 from cspace.simulator import Split
 from cspace.worlds import examples
 from inference_api.settings import PRETRAINED_FOLDER
+from services.evaluator.benchmark.job import COLUMNS
 from services.evaluator.benchmark.report import Results
-from services.evaluator.benchmark.runs import COLUMNS
 from services.evaluator.benchmark.variants import Protocol, Setting, table
 from training.paths.writing import make_path_bundle
-
-LISTS = ("cost_iterations", "cost_edge_checks", "cost_s", "cost_length_rad")
 
 
 @pytest.fixture(scope="session")
 def setting() -> Setting:
-    return Setting(Protocol.FAMILIES, Split.VALIDATION, 0, 2000, 300, 10.0)
+    return Setting(Protocol.FAMILIES, Split.VALIDATION, 0, 2000, 10.0)
 
 
 @pytest.fixture
@@ -38,10 +36,10 @@ def results_of(setting):
                 "sampler": variant.sampler, "learned_share": variant.share, "samples": 0, "solved": True,
                 "status": "solved", "request_s": 0.0, "search_s": 0.0, "score_s": 0.0,
             }  # fmt: skip
-            whole.append(dict.fromkeys(COLUMNS) | {name: [] for name in LISTS} | usual | row)
+            whole.append(dict.fromkeys(COLUMNS) | usual | row)
         runs = pd.DataFrame(whole, columns=list(COLUMNS)).astype(COLUMNS)
         plans = protocol is Protocol.PLANS
-        own = Setting(protocol, Split.VALIDATION, 0, 1000, 1000, 20.0, world=examples()["panda"])
+        own = Setting(protocol, Split.VALIDATION, 0, 1000, 20.0, world=examples()["panda"])
         return Results(runs, own if plans else setting, variants, (1,) if plans else (0,), {"samplers": {}})
 
     return make

@@ -1,7 +1,7 @@
 import re
 from pathlib import Path
 
-from services.evaluator.benchmark.runs import COLUMNS
+from services.evaluator.benchmark.job import COLUMNS
 
 TEXT = (Path(__file__).parents[4] / "docs" / "benchmark.md").read_text("utf-8")
 

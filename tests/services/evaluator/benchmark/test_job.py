@@ -10,18 +10,17 @@ from cspace.errors import SamplerError
 from cspace.worlds.planar.problems import Family
 from services.evaluator import __main__ as evaluator
 from services.evaluator.benchmark import __main__ as command
-from services.evaluator.benchmark.job import RUNS, Request, processes, run_benchmark
-from services.evaluator.benchmark.runs import Worker
+from services.evaluator.benchmark.job import RUNS, Request, Worker, processes, run_benchmark
 from services.evaluator.benchmark.sources import bundled
 from services.evaluator.benchmark.variants import Protocol, Unit, pick, table
 from tests.fakes.benchmark import run_here
 from tests.fakes.registry import FakeTracking
 
-VARIANTS = ("RRT, way, 70 %", "own RRT-Connect, way, 70 %", "RRT*, way, 70 %, optimising")
+VARIANTS = ("RRT, way, 70 %", "own RRT-Connect, way, 70 %")
 TABLE = table(Protocol.FAMILIES, ["way"])
 PROBLEMS = {Family.UNIFORM: 2, Family.DISCONNECTED: 1}
 # What two runs of the same benchmark may differ in.
-TIMES = ["solve_s", "state_check_s", "request_s", "server_s", "total_s", "cost_s"]
+TIMES = ["solve_s", "state_check_s", "request_s", "server_s", "total_s"]
 
 
 def silent(line: str) -> None:
@@ -31,7 +30,7 @@ def silent(line: str) -> None:
 @pytest.fixture(scope="module")
 def make_request(path_folder):
     def make(out, setting, *names, **changes) -> Request:
-        short = replace(setting, max_iterations=500, optimising_iterations=200)
+        short = replace(setting, max_iterations=500)
         request = Request(
             out, short, PROBLEMS, 1, pick(TABLE, names or VARIANTS), (bundled("way", path_folder),)
         )
@@ -59,10 +58,6 @@ def test_every_variant_solves_the_same_problem_with_the_same_seed(setting, path_
         assert row["total_s"] == row["request_s"] + row["solve_s"]
         # The planner drew what the model sent.
         assert (row["learned_drawn"] > 0) == (row["sampler"] == "way") == (row["request_s"] > 0.0)
-    optimising = rows["RRT*, way, 70 %, optimising"]
-    assert optimising["iterations"] == setting.optimising_iterations
-    assert optimising["cost_length_rad"] == sorted(optimising["cost_length_rad"], reverse=True)
-    assert optimising["length_rad"] <= optimising["first_length_rad"] + 1e-9
 
 
 @pytest.mark.slow
@@ -71,15 +66,15 @@ def test_a_benchmark_leaves_table_report_figures_and_a_run(tmp_path, setting, ma
     results = run_benchmark(make_request(tmp_path, setting), run_here, lines.append, tracking)
     assert results.summary["family"].unique().tolist() == sorted(PROBLEMS, key=str)
     files = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*.*") if path.is_file()}
-    names = {"manifest.json", "report.md", "runs.parquet", "figures/success.png", "figures/cost.png"}
+    names = {"manifest.json", "report.md", "runs.parquet", "figures/success.png"}
     assert files - {".gitignore", RUNS} == names
     report = (tmp_path / "report.md").read_text()
-    assert report.startswith("Cost of an edge check")
-    for words in ("![figures/cost.png]", "transport none", "## Optimising: uniform", "## Work: disconnected"):
+    assert report.startswith("# Planning benchmark")
+    for words in ("![figures/success.png]", "transport none", "## Work: disconnected"):
         assert words in report
     frame = pd.read_parquet(tmp_path / "runs.parquet")
-    # Six variants on two problems, and the four of them that do not optimise on one.
-    assert len(frame) == 2 * 6 + 4
+    # Two variants and their bases, on three problems.
+    assert len(frame) == 3 * 4
     assert not frame.loc[frame["family"] == "disconnected", "solved"].any()
     (run,) = tracking.runs.values()
     assert run.status == "FINISHED"

@@ -10,13 +10,9 @@ from cspace.errors import SamplerError, SamplerUnavailableError
 from cspace.png import encode_png
 from cspace.worlds import default_world
 from cspace.worlds.planar.camera import decode_png
-from cspace.worlds.planar.problems import Family
 from services.evaluator.benchmark import __main__ as command
-from services.evaluator.benchmark.job import Request, executor, run_on_ray
-from services.evaluator.benchmark.sources import bundled, fresh_picture, parse_named, served
-from services.evaluator.benchmark.variants import Protocol, pick, table
+from services.evaluator.benchmark.sources import fresh_picture, served
 from tests.bundles import picture, write_tiny_bundle
-from tests.fakes.benchmark import run_here
 from tests.inference_api.server import api_server
 
 ROOT = Path(__file__).resolve().parents[4]
@@ -29,11 +25,6 @@ def test_a_fresh_picture_is_another_file_with_the_same_pixels():
     first, second = (fresh_picture(file, note) for note in ("1", "2"))
     assert len({file, first, second}) == 3
     assert (decode_png(first, 48) == decode_png(file, 48)).all()
-
-
-def test_a_model_is_named_or_has_its_own_name():
-    assert parse_named("way=path-sampler@champion") == ("way", "path-sampler@champion")
-    assert parse_named("path-sampler/3") == ("path-sampler", "path-sampler/3")
 
 
 @pytest.mark.e2e
@@ -65,39 +56,3 @@ def test_a_model_of_configurations_is_found_out_by_its_answers(tmp_path):
             served("tiny", "no-such-model@champion", url, default_world())
     with pytest.raises(SamplerUnavailableError):
         served("tiny", "pretrained", url, default_world())
-
-
-@pytest.mark.parametrize(
-    ("environment", "on_ray"),
-    [({}, False), ({"RAY_ADDRESS": "http://127.0.0.1:8265"}, False), ({"RAY_ADDRESS": "auto"}, True)],
-)
-def test_the_cluster_is_used_where_a_driver_can_reach_one(environment, on_ray):
-    assert (executor(environment, 2) is run_on_ray) is on_ray
-
-
-@pytest.mark.e2e
-@pytest.mark.slow
-def test_a_cluster_gives_the_same_runs_as_this_process(path_folder, setting, monkeypatch, tmp_path):
-    import ray
-
-    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
-    monkeypatch.setenv("RAY_AUTH_MODE", "disabled")
-    monkeypatch.delenv("RAY_ADDRESS", raising=False)
-    environment = {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-    ray.init(
-        num_cpus=2, include_dashboard=False, _node_ip_address="127.0.0.1", log_to_driver=False,
-        runtime_env={"env_vars": environment},
-    )  # fmt: skip
-    specs = (bundled("way", path_folder),)
-    variants = pick(table(Protocol.FAMILIES, ["way"]), NAMES)
-    work = list(Request(tmp_path, setting, {Family.UNIFORM: 3}, 1, variants, specs).units())
-    try:
-        there = [run for found in run_on_ray(work, setting, specs) for run in found]
-    finally:
-        ray.shutdown()
-    here = [run for found in run_here(work, setting, specs) for run in found]
-
-    def numbers(runs):
-        return sorted(tuple(run[name] for name in NUMBERS) for run in runs)
-
-    assert numbers(there) == numbers(here)
