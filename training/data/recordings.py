@@ -8,7 +8,7 @@ import argparse
 import logging
 from array import array
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -354,7 +354,7 @@ class Series:
     def __init__(self, width: int) -> None:
         self._stamps, self._rows, self._width = array("q"), array("d"), width
 
-    def add(self, stamp_ns: int, row: Sequence[float]) -> None:
+    def add(self, stamp_ns: int, row: Iterable[float]) -> None:
         """One more."""
         self._stamps.append(stamp_ns)
         self._rows.extend(row)
