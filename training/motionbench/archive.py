@@ -121,7 +121,7 @@ def _problem(
 ) -> BenchProblem:
     try:
         scene, request = (
-            read_yaml(texts[family, kind, number], f"{kind}{number:04d}.yaml", DatasetError).values
+            read_yaml(texts[family, kind, number], f"{kind}{number:04d}.yaml", DatasetError)
             for kind in ("scene", "request")
         )
         state = request["start_state"]["joint_state"]
