@@ -168,7 +168,7 @@ class Manifest:
         """The text of ``manifest.json``."""
         content = adapter_of(Manifest).dump_python(self)
         content |= {"schema_version": SCHEMA_VERSION, "digest": self.digest}
-        return json_text(content, MANIFEST_FILE, "generator", DatasetError)
+        return json_text(content, MANIFEST_FILE, DatasetError)
 
     @classmethod
     def read(cls, folder: Path) -> "Manifest":
@@ -194,7 +194,7 @@ def _read_members(path: Path) -> dict[str, Any]:
     remedy = "see docs/data.md for the format, python -m training.data import for own data"
     data = read_bounded(path, MAX_MANIFEST_BYTES, DatasetError, remedy=remedy)
     try:
-        values = parse_json(data, whole=int)
+        values = parse_json(data)
     except ValueError as error:
         raise DatasetError(f"{path} is not JSON", expected="a manifest", got=str(error)[:200]) from error
     members = read_object(dict[str, Any], values, str(path), DatasetError)

@@ -43,7 +43,7 @@ def _set(values: dict[str, Any], override: str) -> None:
             raise ConfigError(
                 f"{key!r} is no section", expected="a section's name before the dot", got=parent
             )
-    values[last] = read_yaml(text, f"the value of {key!r}", ConfigError).values
+    values[last] = read_yaml(text, f"the value of {key!r}", ConfigError)
 
 
 # Settings that tell which networks there are and what their weights fit, in whatever section they stand.
@@ -101,7 +101,7 @@ class JobConfig(Section):
         path = cls.PRESETS / f"{preset}.yaml"
         if not path.is_file() or path.parent != cls.PRESETS:
             raise ConfigError("the preset is unknown", expected=", ".join(cls.presets()), got=repr(preset))
-        values: dict[str, Any] = read_yaml_file(path, ConfigError).values or {}
+        values: dict[str, Any] = read_yaml_file(path, ConfigError) or {}
         base = values.pop("base", None)
         return values if base is None else _merged(cls._read(base), values)
 

@@ -187,7 +187,7 @@ class BundleSpec:
         values = adapter_of(BundleSpec).dump_python(self) | {"schema_version": SCHEMA_VERSION} | self._derived
         for name in _LOOKS:
             del values[name]
-        return json_text(values, "the bundle's description", "provenance", BundleIntegrityError).encode()
+        return json_text(values, "the bundle's description", BundleIntegrityError).encode()
 
     @classmethod
     def from_json(cls, data: bytes) -> "BundleSpec":
