@@ -354,7 +354,7 @@ class Series:
     def __init__(self, width: int) -> None:
         self._stamps, self._rows, self._width = array("q"), array("d"), width
 
-    def add(self, stamp_ns: int, row: Sequence[float]) -> None:
+    def add(self, stamp_ns: int, row: Sequence[float] | NDArray[np.float64]) -> None:
         """One more."""
         self._stamps.append(stamp_ns)
         self._rows.extend(row)
