@@ -7,7 +7,8 @@ import argparse
 import json
 import re
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -45,16 +46,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def run(arguments: Sequence[str]) -> list[str]:
     """Import and write; what is to be said of the robot, in lines."""
     options = parser().parse_args(arguments)
-    values, picture = (options.out.with_suffix(end) for end in (".report.json", ".report.png"))
+    picture = options.out.with_suffix(".report.png")
     imported = import_robot(_request(options), lambda name: print(f"covering {name}", flush=True))
-    _write(options.out, "the robot", imported.arm.to_dict())
-    _write(values, "the report", imported.to_dict())
+    text = json.dumps(imported.arm.to_dict(), indent=1, allow_nan=False)
+    # A list of numbers in one line each.
+    text = re.sub(r"\[\s*([^\[\]{}]*?)\s*\]", lambda found: f"[{' '.join(found[1].split())}]", text)
+    with replacing(options.out, "the robot") as beside:
+        beside.write_text(text + "\n", encoding="utf-8")
     with replacing(picture, "the report's picture") as beside:
         imported.draw(beside)
-    return [
-        *imported.lines(),
-        f"written to {options.out}; the report is in {values.name} and {picture.name}",
-    ]
+    return [*imported.lines(), f"written to {options.out}; {picture.name} shows the spheres"]
 
 
 def parser() -> argparse.ArgumentParser:
@@ -72,18 +73,21 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("--srdf", type=Path, help="with the pairs that need no check; default: beside the URDF")
     one.add_argument("--tip", metavar="LINK", help="whose frame is the tool's; default: the last link")
     held = "a joint that does not move, rad or m; those beside the chain are held at 0"
-    for name, value, help_text in (
-        ("--lock", "JOINT=VALUE", held),
-        ("--limit", "JOINT=LOW,HIGH", "instead of the description's, rad; JOINT=none for a circle"),
-        ("--package", "NAME=FOLDER", "where a package of meshes or xacro files lies"),
-        ("--xacro", "NAME=VALUE", "an argument of xacro"),
-        ("--without", "LINK", "leave out the shapes of a link and of all behind it"),
+    for name, value, kind, help_text in (
+        ("--lock", "JOINT=VALUE", finite, held),
+        ("--limit", "JOINT=LOW,HIGH", _limits, "instead of the description's, rad; JOINT=none for a circle"),
+        ("--package", "NAME=FOLDER", Path, "where a package of meshes or xacro files lies"),
+        ("--xacro", "NAME=VALUE", str, "an argument of xacro"),
     ):
-        one.add_argument(name, action="append", default=[], metavar=value, help=help_text)
+        one.add_argument(
+            name, action="append", default=[], type=partial(_pair, kind), metavar=value, help=help_text
+        )
+    without = "leave out the shapes of a link and of all behind it"
+    one.add_argument("--without", action="append", default=[], metavar="LINK", help=without)
     keep_help = "a pair that is held apart whatever the SRDF says"
     one.add_argument("--keep", action="append", default=[], nargs=2, metavar="LINK", help=keep_help)
     waits = "where the arm waits, rad; default: the middle of its limits"
-    one.add_argument("--ready", metavar="A,B,...", help=waits)
+    one.add_argument("--ready", type=_numbers, metavar="A,B,...", help=waits)
     outside = "of the surface outside the spheres; default 2"
     one.add_argument("--slack-mm", type=float, default=2.0, help=outside)
     sticks_out = "that spheres stick out; default 10, and more of parts that are longer than 0.8 m"
@@ -92,56 +96,41 @@ def parser() -> argparse.ArgumentParser:
     return result
 
 
+def _pair(kind: Callable[[str], Any], text: str) -> tuple[str, Any]:
+    name, _, value = text.partition("=")
+    if not (name and value):
+        raise argparse.ArgumentTypeError(f"expected NAME=VALUE, got {text[:80]!r}")
+    return name, kind(value)
+
+
+def _limits(text: str) -> Limits:
+    low, _, high = text.partition(",")
+    return None if text == "none" else (finite(low), finite(high))
+
+
+def _numbers(text: str) -> tuple[float, ...]:
+    return tuple(map(finite, text.split(",")))
+
+
 def _request(options: argparse.Namespace) -> Request:
     if options.name is not None and re.fullmatch("[a-z0-9]([a-z0-9-]{0,38}[a-z0-9])?", options.name) is None:
         fitting = "1 to 40 lower-case letters, digits and dashes, no dash at an end"
         raise ConfigError("--name does not fit", expected=fitting, got=repr(options.name)[:200])
     excess_m = (10.0 if options.excess_mm is None else options.excess_mm) / 1e3
-    ready = None if options.ready is None else options.ready.split(",")
     return Request(
         urdf=options.urdf,
         name=options.name,
         srdf=options.srdf,
         tip=options.tip,
-        locked={joint: _number("--lock", text) for joint, text in _pairs("--lock", options.lock)},
-        limits={joint: _limits(text) for joint, text in _pairs("--limit", options.limit)},
-        packages={name: Path(folder) for name, folder in _pairs("--package", options.package)},
-        arguments=dict(_pairs("--xacro", options.xacro)),
+        locked=dict(options.lock),
+        limits=dict(options.limit),
+        packages=dict(options.package),
+        arguments=dict(options.xacro),
         without=tuple(options.without),
         kept=tuple((first, second) for first, second in options.keep),
         allowances=Allowances(options.slack_mm / 1e3, excess_m, relaxed=options.excess_mm is None),
-        ready_rad=None if ready is None else tuple(_number("--ready", text) for text in ready),
+        ready_rad=options.ready,
     )
-
-
-def _pairs(option: str, given: Sequence[str]) -> Iterator[tuple[str, str]]:
-    for text in given:
-        name, _, value = text.partition("=")
-        if not (name and value):
-            raise ConfigError(f"{option} does not fit", expected="NAME=VALUE", got=repr(text)[:200])
-        yield name, value
-
-
-def _limits(text: str) -> Limits:
-    low, _, high = text.partition(",")
-    return None if text == "none" else (_number("--limit", low), _number("--limit", high))
-
-
-def _number(option: str, text: str) -> float:
-    try:
-        return finite(text)
-    except argparse.ArgumentTypeError as error:
-        raise ConfigError(
-            f"{option} does not fit", expected="a finite number", got=repr(text)[:200]
-        ) from error
-
-
-def _write(path: Path, what: str, values: Mapping[str, Any]) -> None:
-    """Write JSON with a list of numbers in one line each."""
-    text = json.dumps(values, indent=1, allow_nan=False)
-    text = re.sub(r"\[\s*([^\[\]{}]*?)\s*\]", lambda found: f"[{' '.join(found[1].split())}]", text)
-    with replacing(path, what) as beside:
-        beside.write_text(text + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

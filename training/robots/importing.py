@@ -1,10 +1,9 @@
 """A serial arm from its description: chain, spheres for its links, pairs of links that can touch, report."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -44,12 +43,7 @@ _TOLERANCE_M = 0.0005
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What is asked for, as the options of the command.
-
-    Where they are None, the name is the description's, the SRDF file is that beside it, the tip is the last
-    link, and the arm waits in the middle of its limits. Values of ``locked`` are rad or m, ``limits`` rad,
-    None for a circle.
-    """
+    """The options of the command. Values of ``locked`` are rad or m, ``limits`` rad, None for a circle."""
 
     urdf: Path
     name: str | None = None
@@ -112,21 +106,6 @@ class Imported:
             if one.share is not None and (one.share > 0.0 or one.kept)
         ]
         return lines + [f"warning: {note}" for note in self.notes]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        arm = self.arm
-        return {
-            "robot": arm.name,
-            "joints": [{"name": joint.name, "limits_rad": joint.limits_rad} for joint in arm.joints],
-            "held": [asdict(one) for one in self.held],
-            "parts": [
-                {"name": part.name, "link": part.link, **asdict(self.fits[part.name])} for part in arm.parts
-            ],
-            "srdf": None if self.srdf is None else str(self.srdf),
-            "pairs": [asdict(one) for one in self.touching],
-            "warnings": list(self.notes),
-        }
 
     def draw(self, path: Path) -> None:
         """Write a PNG: from three sides, the arm's surfaces where it waits, with its spheres over them.

@@ -47,11 +47,6 @@ def test_a_description_becomes_a_robot_file(tmp_path: Path, capsys: pytest.Captu
     output = capsys.readouterr().out
     assert f"two: 2 joints, {arm.sphere_count} spheres" in output
     assert "shoulder: -2 to 2 rad" in output
-    report = json.loads(out.with_suffix(".report.json").read_bytes())
-    assert [one["limits_rad"] for one in report["joints"]] == [[-2.0, 2.0], None]
-    assert max(one["missed_m"] for one in report["parts"]) < 0.0021
-    assert max(one["excess_m"] for one in report["parts"]) < 0.0101
-    assert {tuple(one["pair"]) for one in report["pairs"] if one["kept"]} == set(arm.touching)
     with Image.open(out.with_suffix(".report.png")) as picture:
         assert picture.format == "PNG"
 
