@@ -29,8 +29,8 @@ from cspace.errors import CspaceError, InputError, JobError
 from cspace.simulator import Split
 from services.command_errors import report_error
 from services.evaluator.evaluation import estimates_of, measure_topology, reconstruct, sample_clouds
-from services.evaluator.figures import COLLISION_COLOUR, FREE_COLOUR, SHOWN_SAMPLES, free_map
 from services.evaluator.metrics import Task
+from services.evaluator.report import COLLISION_COLOUR, FREE_COLOUR, SHOWN_SAMPLES, free_map
 from services.evaluator.scenes import Scene, Stage, unfiltered
 from services.planner.samples import BundleSampler
 from training.config import TrainConfig

@@ -21,8 +21,7 @@ from cspace.worlds.planar.problems import Family, draw_problem
 from cspace.worlds.planar.render import render
 from services.planner.ompl_planner import solve
 from services.planner.plotting import GOAL, plot_configurations, plot_workspace
-from services.planner.result import PlanResult
-from services.planner.settings import PlannerSettings
+from services.planner.result import PlannerSettings, PlanResult
 
 ROOT = Path(__file__).parents[1]
 SAMPLES = 1000

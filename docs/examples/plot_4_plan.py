@@ -22,8 +22,8 @@ from cspace.worlds.planar.render import render
 from inference_api.settings import PRETRAINED_FOLDER
 from services.planner.ompl_planner import solve
 from services.planner.plotting import plot_configurations
+from services.planner.result import PlannerSettings
 from services.planner.samples import LocalSampler
-from services.planner.settings import PlannerSettings
 from training import path_sampler
 
 problem = draw_problem(Family.NARROW, Split.DEMO, seed=24)

@@ -21,9 +21,8 @@ from services.evaluator.scenes import SAMPLES, Scene, ScoredSampler, Stage, unfi
 from services.evaluator.statistics import Interval, summary_rng
 from services.planner.ompl_planner import solve
 from services.planner.planning import between_ends
-from services.planner.result import PlanResult, Reason, check_path
+from services.planner.result import PlannerSettings, PlanResult, Reason, check_path
 from services.planner.samples import SampleSource
-from services.planner.settings import PlannerSettings
 
 EVALUATED_SPLITS = (Split.VALIDATION, Split.TEST)
 LEARNED_SAMPLES = 300

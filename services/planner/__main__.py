@@ -36,7 +36,7 @@ from services.planner.planning import (
     report_samples,
 )
 from services.planner.plotting import check_figure_path, plot_plan, save_figure
-from services.planner.settings import LEARNED_PLANNERS, RRT, PlannerSettings
+from services.planner.result import LEARNED_PLANNERS, RRT, PlannerSettings
 from services.scene_files import SceneFile, read_scene_file
 
 WORLDS = examples()

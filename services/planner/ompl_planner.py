@@ -32,7 +32,12 @@ from cspace_client.ompl import (
 )
 from services.planner.result import (
     CHECK_FACTOR,
+    LEARNED_PLANNERS,
+    RRT_CONNECT,
+    RRT_STAR,
+    SAMPLED_CONNECT,
     Counts,
+    PlannerSettings,
     PlanResult,
     Reason,
     SearchTree,
@@ -40,13 +45,6 @@ from services.planner.result import (
     outcome,
 )
 from services.planner.rrt_connect import connect
-from services.planner.settings import (
-    LEARNED_PLANNERS,
-    RRT_CONNECT,
-    RRT_STAR,
-    SAMPLED_CONNECT,
-    PlannerSettings,
-)
 
 __all__ = ["DEFAULT_UNIFORM_SHARE", "solve"]
 

@@ -18,9 +18,8 @@ from cspace_client import OutcomeSender, PictureWarning
 from services.names import label, model_name
 from services.planner.client import FoundPlan, SamplingClient, usual_api
 from services.planner.ompl_planner import DEFAULT_UNIFORM_SHARE, solve
-from services.planner.result import CHECK_FACTOR, PlanResult, Reason
+from services.planner.result import CHECK_FACTOR, RRT_CONNECT, PlannerSettings, PlanResult, Reason
 from services.planner.samples import SampleBatch, SampleSource
-from services.planner.settings import RRT_CONNECT, PlannerSettings
 from services.scene_files import read_scene_file
 
 DEFAULT_SAMPLES = 300

@@ -1,4 +1,4 @@
-"""What a planner returns: the path after an independent check, and what the search took."""
+"""Settings of a planner, and its result: the path after an independent check, and what the search took."""
 
 import math
 from dataclasses import asdict, dataclass, fields, replace
@@ -7,10 +7,52 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from cspace.errors import ConfigError
 from cspace.planning.paths import length_rad
+from cspace.query import MAX_SEED
 from cspace.simulator import Problem
 from cspace.worlds import checker_of
-from services.planner.settings import PlannerSettings
+
+RRT = "RRT"
+RRT_STAR = "RRTstar"
+RRT_CONNECT = "RRTConnect"
+SAMPLED_CONNECT = "SampledRRTConnect"
+PLANNERS = (RRT, RRT_STAR, RRT_CONNECT, SAMPLED_CONNECT)
+LEARNED_PLANNERS = (RRT, RRT_STAR, SAMPLED_CONNECT)
+"""Planners that can draw learned samples; OMPL's RRTConnect draws uniform ones only."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlannerSettings:
+    """How a problem is solved.
+
+    The range is the longest step of a tree in OMPL's metric (the sum over the joints), the resolution the
+    largest distance between checked states of an edge in any joint. RRT-Connect has no goal bias. A search
+    ends after so many drawn states. RRT* alone can go on after its first solution.
+    """
+
+    planner: str = RRT
+    range_rad: float = 1.0
+    resolution_rad: float = 0.0314
+    goal_bias: float = 0.05
+    time_limit_s: float = 10.0
+    max_iterations: int = 5000
+    seed: int = 1
+    stop_at_first: bool = True
+
+    def __post_init__(self) -> None:
+        positive = ("range_rad", "resolution_rad", "time_limit_s")
+        rules = {
+            "planner": (self.planner in PLANNERS, " or ".join(PLANNERS)),
+            **{name: (0.0 < getattr(self, name) < math.inf, "above 0 and finite") for name in positive},
+            "goal_bias": (0.0 <= self.goal_bias <= 1.0, "0 to 1"),
+            "max_iterations": (self.max_iterations >= 1, "at least 1"),
+            "seed": (0 <= self.seed <= MAX_SEED, "unsigned 64 bit"),
+        }
+        for name, (holds, expected) in rules.items():
+            if not holds:
+                raise ConfigError(f"{name} is out of range", expected=expected, got=repr(getattr(self, name)))
+
 
 GOAL_TOLERANCE_RAD = 1e-6
 # Paths are checked at the planner's resolution divided by this.
@@ -42,13 +84,8 @@ class SearchTree:
 class Counts:
     """What a search took.
 
-    Args:
-        iterations: states that the planner drew, free or not, the goal among them.
-        edge_checks: motions that the planner had checked.
-        state_checks: states that were checked, within motions and alone.
-        solve_time_s: wall time of the search alone.
-        learned_drawn: how many of the drawn states came from the batch of learned samples.
-        uniform_drawn: how many were uniform.
+    Iterations are drawn states, free or not, the goal among them; edges are motions. The time is that of the
+    search alone. Learned and uniform states are those of the drawn ones.
     """
 
     iterations: int = 0
@@ -63,14 +100,8 @@ class Counts:
 class PlanResult(Counts):
     """One run of a planner.
 
-    Args:
-        solved: a path from the start to within 1e-6 rad of the goal passed the check at a tenth of the
-            resolution.
-        path: (k, d) rad; (0, d) unless solved.
-        length_rad: torus length (L2) of the path; nan unless solved.
-        reason: why the search ended.
-        tree: the search tree, where it was asked for.
-        resolution_rad: largest distance between checked states of a motion in any joint.
+    It is solved where a path from the start to within 1e-6 rad of the goal passed the check at a tenth of the
+    resolution. The path is (k, d) rad, (0, d) unless solved; its torus length (L2) is nan unless solved.
     """
 
     solved: bool

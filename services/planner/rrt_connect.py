@@ -13,8 +13,7 @@ from cspace.query import AlternativePath
 from cspace.simulator import EdgeTest, Problem
 from cspace.space import JointSpace
 from cspace.worlds import checker_of
-from services.planner.result import Counts, PlanResult, Reason, SearchTree, after, outcome
-from services.planner.settings import PlannerSettings
+from services.planner.result import Counts, PlannerSettings, PlanResult, Reason, SearchTree, after, outcome
 
 UNIFORM_SHARE = 0.3
 

@@ -16,7 +16,7 @@ from cspace.errors import InputError
 from cspace.simulator import Split
 from cspace.worlds import examples, simulator_of
 from cspace.worlds.spatial.view import write_view
-from services.planner.viewer.app import world_of
+from services.planner.viewer.__main__ import world_of
 from services.registry.models import ModelRegistry
 from services.registry.tracking import Tracking
 from tests.browser.viewer import drop_file, open_viewer, plan_in_viewer, viewer_at

@@ -17,8 +17,8 @@ from cspace.worlds.planar.scenes import DiscScenes, GivenScenes
 from cspace.worlds.planar.world import Disc, PlanarWorld, Scenario
 from services.planner.__main__ import main
 from services.planner.planning import SampleRequest, plan, plan_scene
+from services.planner.result import PlannerSettings
 from services.planner.samples import SampleBatch
-from services.planner.settings import PlannerSettings
 from services.scene_files import given_scenes, read_scene_file, schema
 from tests.capsules import self_clearance_by_hand
 

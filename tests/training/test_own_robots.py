@@ -13,7 +13,7 @@ from cspace.simulator import Split
 from cspace.worlds import read_world, simulator_of
 from cspace.worlds.planar.scenes import DiscScenes
 from services.planner.ompl_planner import solve
-from services.planner.settings import PlannerSettings
+from services.planner.result import PlannerSettings
 from services.scene_files import SceneFile, read_scene_file
 from tests.own_ray import run_alone
 from tests.training.clusters.test_pipeline import bundle_of

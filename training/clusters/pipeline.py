@@ -15,7 +15,7 @@ from cspace.dataset import Dataset, open_dataset
 from cspace.errors import ConfigError, DatasetError
 from cspace.simulator import ORIGINS, Split
 from cspace.space import JointSpace
-from services.evaluator.figures import gallery
+from services.evaluator.report import gallery
 from services.evaluator.scenes import Scene, Stage
 from services.names import ALIAS_CHALLENGER, TAG_MODEL, label, recorded_name
 from services.planner.samples import BundleSampler

@@ -21,7 +21,7 @@ from cspace.simulator import NARROW, UNIFORM, PathSearch, Problem, Simulator, Sp
 from cspace.world import Arrays, Scene
 from cspace.worlds import simulator_of
 from services.planner.ompl_planner import solve
-from services.planner.settings import RRT_STAR, PlannerSettings
+from services.planner.result import RRT_STAR, PlannerSettings
 from training.data.config import PathDatasetConfig, Shard
 
 MAX_DRAWS = 5000

@@ -12,7 +12,7 @@ from cspace.simulator import Taken as Unseen
 from cspace.world import World
 from cspace.worlds import default_world, partly_seen, simulator_of
 from services.evaluator.evaluation import planner_seed
-from services.planner.settings import (
+from services.planner.result import (
     LEARNED_PLANNERS,
     PLANNERS,
     RRT,

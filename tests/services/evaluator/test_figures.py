@@ -7,7 +7,7 @@ from cspace.simulator import Split
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
-from services.evaluator.figures import MISSED_COLOUR, SHOWN_SAMPLES, gallery
+from services.evaluator.report import MISSED_COLOUR, SHOWN_SAMPLES, gallery
 from services.evaluator.scenes import Scene, Stage
 from tests.fakes.sample_source import FakeSampleSource
 from tests.fakes.uniform_sampler import UniformSampler

@@ -1,13 +1,14 @@
 """The gate's decisions on recorded cases, and what single conditions say."""
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from cspace.worlds import examples
 from services.evaluator.evaluation import (
     QUICK,
     VALIDATION,
@@ -20,10 +21,33 @@ from services.evaluator.evaluation import (
 )
 from services.evaluator.gate import Bar, Champion, compare, decide
 from services.evaluator.metrics import Task
-from tests.services.evaluator.gate_cases import cases
 
-CASES = cases()
-RECORDED = json.loads(Path(__file__).with_name("gate_decisions.json").read_text())
+HERE = Path(__file__).parent
+RECORDED = json.loads((HERE / "gate_decisions.json").read_text())
+
+
+@dataclass(frozen=True)
+class Case:
+    """Measured rows of a candidate and its rivals, and the metrics of champions that are not measured."""
+
+    world: object
+    path: bool
+    ours: list
+    rivals: dict
+    recorded: list
+
+
+def recorded_cases():
+    rows = pd.read_parquet(HERE / "gate_cases.parquet").set_index(["case", "model"])
+    for number, case in enumerate(RECORDED):
+        models = {
+            name: list(mine.itertuples(index=False, name=None))
+            for name, mine in rows.loc[number].groupby(level="model", sort=False)
+        }
+        yield Case(examples()[case["world"]], case["path"], models.pop("m/1"), models, case["recorded"])
+
+
+CASES = list(recorded_cases())
 
 
 def evaluated(case):

@@ -7,7 +7,7 @@ from cspace.simulator import Split
 from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.problems import Family, draw_problem
 from services.planner.ompl_planner import solve
-from services.planner.settings import LEARNED_PLANNERS, RRT, RRT_STAR, PlannerSettings
+from services.planner.result import LEARNED_PLANNERS, RRT, RRT_STAR, PlannerSettings
 
 GARBAGE = 300
 BUDGET = 20_000

@@ -10,13 +10,14 @@ from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.problems import Family
 from cspace.worlds.planar.world import Scenario
 from services.planner.ompl_planner import solve
-from services.planner.result import Reason, check_path
-from services.planner.settings import (
+from services.planner.result import (
     LEARNED_PLANNERS,
     PLANNERS,
     RRT_CONNECT,
     SAMPLED_CONNECT,
     PlannerSettings,
+    Reason,
+    check_path,
 )
 
 SETTINGS = PlannerSettings(max_iterations=2000, seed=1)

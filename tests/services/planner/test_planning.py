@@ -8,7 +8,7 @@ from cspace.query import SampleQuery
 from cspace.worlds.planar.camera import decode_png
 from cspace.worlds.planar.render import render
 from services.planner.planning import SampleRequest, plan, raised_share
-from services.planner.settings import PlannerSettings
+from services.planner.result import PlannerSettings
 from tests.fakes.sample_source import FakeSampleSource
 
 SETTINGS = PlannerSettings(seed=3)

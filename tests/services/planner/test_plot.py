@@ -12,7 +12,7 @@ from services.planner.plotting import (
     save_figure,
     wrapped_segments,
 )
-from services.planner.settings import PlannerSettings
+from services.planner.result import PlannerSettings
 
 
 @pytest.fixture

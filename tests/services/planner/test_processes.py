@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from services.planner.ompl_planner import solve
-from services.planner.settings import LEARNED_PLANNERS, PLANNERS, PlannerSettings
+from services.planner.result import LEARNED_PLANNERS, PLANNERS, PlannerSettings
 
 ROOT = Path(__file__).parents[3]
 SETTING = """
@@ -18,8 +18,8 @@ from cspace.worlds.planar.problems import Family
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.world import Disc, Scenario
 from services.planner.ompl_planner import solve
-from services.planner.settings import PlannerSettings
-from services.planner.settings import LEARNED_PLANNERS, PLANNERS
+from services.planner.result import PlannerSettings
+from services.planner.result import LEARNED_PLANNERS, PLANNERS
 
 scenario = Scenario(TWO_LINK, (Disc(0.0, 3.0),))
 problem = Problem(scenario, np.array([0.0, 0.0]), np.array([3.0, 0.0]), Family.UNIFORM, 0.1, 0, 0)

@@ -8,8 +8,8 @@ from cspace.simulator import Split
 from cspace.worlds import default_world, examples, robot_digest
 from cspace.worlds.planar.problems import Family, draw_problem
 from services.planner.planning import SampleRequest, plan
+from services.planner.result import PlannerSettings
 from services.planner.samples import LocalSampler
-from services.planner.settings import PlannerSettings
 from tests.bundles import picture, write_tiny_bundle
 from tests.fakes.sample_source import FakeSampleSource
 

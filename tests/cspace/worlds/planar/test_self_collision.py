@@ -16,7 +16,7 @@ from cspace.worlds.planar.checks import CollisionChecker, segment_gap
 from cspace.worlds.planar.free_grid import FreeGrid
 from cspace.worlds.planar.world import Disc, PlanarWorld, Scenario
 from services.planner.ompl_planner import solve
-from services.planner.settings import RRT_CONNECT, SAMPLED_CONNECT, PlannerSettings
+from services.planner.result import RRT_CONNECT, SAMPLED_CONNECT, PlannerSettings
 from tests.capsules import gap_by_hand, self_clearance_by_hand
 from tests.cspace.worlds.planar.test_collision import FOLDING
 
