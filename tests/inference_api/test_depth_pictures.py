@@ -220,3 +220,22 @@ def test_a_plan_names_the_view_that_would_see_most_of_its_uncertain_space(api):
     refused = ask(api, **fields, next_view="true", min_confidence="1").json()
     assert (refused["status"], refused["next_view"]) == ("refused", around)
     assert_problem(ask(api, **fields, view=[json.dumps({"fx": 1.0})]), 422, "invalid-value")
+
+
+def test_without_a_model_the_only_one_that_fits_pictures_and_joints_answers(
+    api: ApiClient, start_api, registry, bundles, space_bundle
+) -> None:
+    depth = {"camera": [json.dumps(one) for one in CAMERAS]}
+
+    def plan(of: ApiClient, **fields: Any) -> httpx.Response:
+        images = [("image", image) for image in IMAGES]
+        return of.post("/plan", files=images, data={**depth, **ENDS, **fields})
+
+    assert plan(api).json()["model"]["name"] == "panda-sampler"
+    # Of no joints that a model has: the default model says what it takes.
+    assert_problem(plan(api, start="[0.0, 0.0, 0.0]", goal="[0.0, 0.0, 1.0]"), 422, "invalid-value")
+    registry.add(bundles["plain"], "champion")
+    registry.add(space_bundle, "champion", name="panda-sampler")
+    registry.add(space_bundle, "champion", name="cell-4")
+    problem = assert_problem(plan(start_api(registry)), 422, "invalid-value")
+    assert "cell-4, panda-sampler" in problem["expected"]

@@ -13,7 +13,7 @@ from cspace.errors import PortTakenError, ServiceError, ServiceStartError
 from cspace.files import holding
 from services.local.settings import BIN, Settings, drop_state
 from services.local.stack import SERVICES, connect, down, leftovers, status, up
-from tests.services.local.conftest import WriteStub, ignore, settings_in
+from tests.services.local.conftest import STUB, WriteStub, ignore, settings_in
 
 pytestmark = pytest.mark.usefixtures("programs")
 
@@ -54,6 +54,24 @@ def test_up_starts_services_and_down_ends_them_with_all_that_they_started(settin
     assert not any(process.is_running() for process in processes)
     assert status(settings)[0].count("not running") == 3
     assert not down(settings, ignore)
+
+
+def test_an_api_without_a_registry_starts_anew_once_there_is_one(
+    settings: Settings, write_stub: WriteStub
+) -> None:
+    write_stub(
+        "python",
+        STUB.replace(
+            "import http", "import os; print(os.environ.get('MLFLOW_TRACKING_URI'))\nimport http", 1
+        ),
+    )
+    up(settings, ["api"], ignore)
+    first = pids(settings)["api"]
+    up(settings, ["viewer"], ignore)
+    assert pids(settings)["api"] == first
+    up(settings, ["mlflow", "api"], ignore)
+    log = (settings.home / "logs" / "api.log").read_text()
+    assert [line for line in log.splitlines() if "token" not in line] == ["None", settings.url("mlflow")]
 
 
 def test_up_again_leaves_running_services_alone(settings: Settings) -> None:
