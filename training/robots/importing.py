@@ -38,8 +38,8 @@ class Request:
     """What is asked for, as the options of the command.
 
     Where they are None, the name is the description's, the SRDF file is that beside it, the tip is the last
-    link, and the arm waits in the middle of its limits. Values of ``locked`` are rad or m, ``limits`` rad,
-    None for a circle.
+    link before a gripper or the first branch, and the arm waits in the middle of its limits. Values of
+    ``locked`` are rad or m, ``limits`` rad, None for a circle.
     """
 
     urdf: Path
