@@ -70,6 +70,8 @@ STEP_RAD = 0.15
 _KNOWN_STEP_RAD = 0.01
 # Configurations that bring the tool to a goal, which paths are searched to.
 MAX_GOALS = 4
+# Confidence below which a configuration is expected to touch something.
+_LIKELY = 0.5
 # Of an angle at an end, which came in single precision.
 _ROUNDED_RAD = 1e-6
 
@@ -151,7 +153,8 @@ def plan(
             found = replace(found, next_view=view)
     else:
         nothing = np.empty((0, seen.world.dim))
-        found = Plan("timeout" if searched.late else "refused", nothing, reason=searched.reason)
+        reason = searched.reason or _blocked_end(seen, ends)
+        found = Plan("timeout" if searched.late else "refused", nothing, reason=reason)
     if found.status != "solved" and (query.explain or seen.known is not None):
         found = replace(found, contact=_contact(seen, ends, found))
     if query.unwrapped:
@@ -159,6 +162,25 @@ def plan(
         others = (replace(one, path=space.unwrap(one.path, query.start)) for one in found.alternatives)
         found = replace(found, path=space.unwrap(found.path, query.start), alternatives=tuple(others))
     return replace(found, search_ms=searched.search_ms, score_ms=searched.score_ms)
+
+
+def _blocked_end(seen: Seen, ends: NDArray[np.float64]) -> str | None:
+    """What start or goal touches, for certain or as the model expects, in words; None where neither does."""
+    contacts = [
+        (name, seen.world.contact(end, seen.picture, seen.known))
+        for name, end in zip(("start", "goal"), ends, strict=False)
+    ]
+    for kinds in (("known", "self"), ("seen",)):
+        for name, one in contacts:
+            if one is not None and one.kind in kinds:
+                off = "; is state where the arm was?" if (name, one.kind) == ("start", "seen") else ""
+                return f"at the {name} {one.text}{off}"
+    confidence, _ = seen.predict(seen.world.space.to_float32(ends))
+    if len(ends) > 1 and confidence[-1] < _LIKELY:
+        unseen = contacts[-1][1]
+        where = "" if unseen is None else f": {unseen.text}"
+        return f"the goal is expected to touch something, with a confidence of {confidence[-1]:.2f}{where}"
+    return None
 
 
 def _contact(seen: Seen, ends: NDArray[np.float64], found: Plan) -> Contact | None:

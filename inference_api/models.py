@@ -380,6 +380,8 @@ class ModelStore:
             return found
         if reference.name in self.shipped:
             return self.shipped.get(reference.name)
+        if self._registry is None and (found := self._instead(reference, self.shipped.get)) is not None:
+            return found
         try:
             version = self._know(reference)
         except ModelNotFoundError:

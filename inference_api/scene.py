@@ -5,20 +5,23 @@ import json
 import re
 import time
 from collections.abc import Awaitable, Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache, lru_cache
 from typing import Annotated, Any, Self
 
 import numpy as np
+from anyio import to_thread
 from fastapi import Depends, Request
 from fastapi.responses import Response
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field, WithJsonSchema, model_validator
 
-from cspace.errors import InputError
+from cspace.errors import CspaceError, InputError
 from cspace.query import is_digest
-from cspace.view_file import View, check_ages, unstamped
-from cspace.world import Finding
+from cspace.view_file import View, check_ages, is_view, unstamped
+from cspace.world import Finding, World
+from cspace.worlds import robot_digest
 from cspace_client.wire import (
     DIGEST,
     MAX_EXPLAINED,
@@ -37,9 +40,9 @@ from cspace_client.wire import (
     ViewFields,
 )
 from inference_api.body import body_of
-from inference_api.models import Models, ServedModel
+from inference_api.models import Models, ModelStore, ServedModel
 from inference_api.problems import SAMPLE_PROBLEMS, problem_responses
-from services.names import model_of
+from services.names import ALIAS_CHAMPION, PATH_MODEL_NAME, model_of
 from services.registry.entities import ModelReference
 
 NPY = "application/x-npy"
@@ -72,7 +75,8 @@ class SceneFields(ViewFields):
     model: str | None = Field(
         None,
         max_length=300,
-        description="`name` (its champion), `name@alias`, `name/version` or `pretrained`.",
+        description="`name` (its champion), `name@alias`, `name/version` or `pretrained`; "
+        "absent, the default model if it fits the request, else the only one that does.",
     )
     robot: RobotReference | None = Field(
         None, description="Digest of the robot that is planned for; without `model` also its name."
@@ -123,15 +127,53 @@ def served_for(kind: type[SceneFields]) -> Callable[..., Awaitable[ServedModel]]
     """A dependency: the model that a request names, loaded before it waits for a place to compute."""
 
     async def resolve(request: Annotated[Any, Depends(body_of(kind))], models: Models) -> ServedModel:
-        return await models.resolve(_reference(request, models.model_name))
+        if request.model is not None:
+            return await models.resolve(ModelReference.parse(request.model))
+        if request.robot is not None and not is_digest(request.robot):
+            return await models.resolve(ModelReference.parse(model_of(request.robot)))
+        served = await models.resolve(ModelReference.parse(models.model_name))
+        if _fits(served.bundle.spec.world, request):
+            return served
+        names = await to_thread.run_sync(_fitting, models, request)
+        if len(names) > 1:
+            raise InputError(
+                "several models fit the request, and the default model does not",
+                expected=f"model, one of {', '.join(names)}",
+                got="none",
+            )
+        # Where none fits, the default model says why it does not.
+        return await models.resolve(ModelReference.parse(names[0])) if names else served
 
     return resolve
 
 
-def _reference(request: SceneFields, default: str) -> ModelReference:
-    if request.model is None and request.robot is not None and not is_digest(request.robot):
-        return ModelReference.parse(model_of(request.robot))
-    return ModelReference.parse(default if request.model is None else request.model)
+def _fits(world: World, request: SceneFields) -> bool:
+    """Whether models of a world take a request's pictures and joints, as far as the request tells."""
+    takes_depth = world.sensor.extent_m is None
+    if takes_depth != (bool(request.camera) or is_view(request.image[0])):
+        return False
+    if is_digest(request.robot) and request.robot != robot_digest(world):
+        return False
+    state, rows = request.state or [], getattr(request, "configurations", b"")
+    given = [getattr(request, "start", None), getattr(request, "goal", None), *rows[:1], state, *state]
+    return all(len(one) == world.dim for one in given if isinstance(one, list) and _is_row(one))
+
+
+def _is_row(values: list[Any]) -> bool:
+    return bool(values) and isinstance(values[0], int | float)
+
+
+def _fitting(models: ModelStore, request: SceneFields) -> list[str]:
+    """Champions that fit a request, and shipped models of robots without one, by name."""
+    found: dict[str, str] = {}
+    for version in models.listing():
+        if ALIAS_CHAMPION in version.aliases and not version.name.endswith(PATH_MODEL_NAME):
+            with suppress(CspaceError):
+                bundle = models.loaded(version) or models.get(ModelReference(version.name)).bundle
+                if _fits(bundle.spec.world, request):
+                    found[version.name] = bundle.robot
+    shipped = [one for one in models.shipped if _fits(one.spec.world, request)]
+    return [*found, *(one.name for one in shipped if robot_digest(one.spec.world) not in found.values())]
 
 
 def robot_of(request: SceneFields) -> str | None:

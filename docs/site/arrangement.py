@@ -25,7 +25,15 @@ class Section:
 ARRANGEMENT: Mapping[str, Sequence[Section]] = {
     "index": (
         Section(
-            "Tutorials", ("At a glance: site/readme", "first-plan", "own-robot", "own-camera", "arm-in-space")
+            "Tutorials",
+            (
+                "At a glance: site/readme",
+                "plan-from-depth",
+                "own-camera",
+                "arm-in-space",
+                "first-plan",
+                "own-robot",
+            ),
         ),
         Section(
             "How-to guides",
@@ -38,6 +46,7 @@ ARRANGEMENT: Mapping[str, Sequence[Section]] = {
                 "Operate: operations",
                 "Run in containers: containers",
                 "Measure planners: benchmark",
+                "extend",
             ),
         ),
         Section(

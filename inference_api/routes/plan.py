@@ -94,7 +94,7 @@ def plan(
     return json_response(
         PlanAnswer.model_construct(
             status=found.status,
-            reason=_reason(found, query, findings),
+            reason=_reason(found, query, request.max_risk, findings),
             path=found.path,
             confidence=found.confidence,
             receipt=receipt,
@@ -157,25 +157,33 @@ def _findings(world: World, prepared: Prepared, query: PlanQuery) -> tuple[Findi
     return prepared.findings_with(world, image=prepared.picture.image, start=query.start)
 
 
-def _reason(found: Plan, query: PlanQuery, warnings: Sequence[Finding]) -> str | None:
+def _reason(found: Plan, query: PlanQuery, max_risk: float | None, findings: Sequence[Finding]) -> str | None:
+    """What is in the way, by what is most certain, and then how the search ended."""
     if found.status == "solved":
         return None
-    notes = "".join(f"; {one.message}" for one in warnings if one.code in _WHY)
-    touches = "" if found.contact is None else f"; {found.contact.text}"
-    return f"{_why(found, query)}{touches}{notes}"
-
-
-def _why(found: Plan, query: PlanQuery) -> str:
-    if found.reason is not None:
-        return found.reason
+    causes = [] if found.reason is None else [found.reason]
+    if found.contact is not None and not any(found.contact.text in one for one in causes):
+        causes.append(found.contact.text)
+    causes += [one.message for one in findings if one.code in _WHY]
+    if found.least is not None:
+        return "; ".join([_too_risky(found, query, max_risk), *causes])
     if found.status == "timeout":
-        return f"no path was found within {query.time_limit_s:g} s"
+        causes.append(f"no path was found within {query.time_limit_s:g} s")
+    elif not causes:
+        causes.append("start and goal lie in separate parts of what the picture shows as free")
+    return "; ".join(causes)
+
+
+def _too_risky(found: Plan, query: PlanQuery, max_risk: float | None) -> str:
     least = found.least
+    if max_risk is None:
+        said = f"the best of {found.found} paths has a confidence of {found.confidence:.3f}"
+        said += f", below the requested {query.min_confidence:g}"
+    else:
+        said = f"the least risk found is {1.0 - found.confidence:.3f}; {max_risk:g} was allowed"
     if least is None:
-        return "no path was found through what the picture shows"
-    unseen = "" if least.unseen is None else f", where {least.unseen:.0%} of the robot is in unknown space"
+        return said
+    unseen = "" if least.unseen is None else f", where {least.unseen:.0%} of the robot is in unseen space"
     return (
-        f"the best of {found.found} paths has a confidence of {found.confidence:.3f}, below the requested "
-        f"{query.min_confidence:g}; its lowest confidence is {least.confidence:.3f} at {least.along:.0%} of "
-        f"its length{unseen}"
+        f"{said}; its lowest confidence is {least.confidence:.3f} at {least.along:.0%} of its length{unseen}"
     )

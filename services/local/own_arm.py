@@ -22,7 +22,11 @@ def import_arm(settings: Settings, urdf: Path, options: Sequence[str], say: Repo
     if run_shown(settings, command, timed(say))[0] != 0:
         remedy = "see docs/arm-in-space.md for what it does with each part of a description"
         raise ConfigError(f"{urdf} was not imported", got="the error above", remedy=remedy)
-    return file
+    # Named as the model is: an import under another name leaves this file to its model.
+    named = file.with_name(f"{_name(named_world(str(file)))}.json")
+    for end in (".json", ".report.json", ".report.png"):
+        file.with_suffix(end).replace(named.with_suffix(end))
+    return named
 
 
 def tour_of_arm(file: Path) -> Tour:

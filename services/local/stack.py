@@ -28,6 +28,8 @@ SERVICES = ("mlflow", "ray", "api")
 HEALTH = {"mlflow": "/health", "ray": "/api/gcs_healthz", "api": "/health/ready", "viewer": "/"}
 # supervisord and all that it starts have the state folder in this variable of their environment.
 STACK = "CSPACE_STACK"
+# This file is there while the API runs without MLflow.
+NO_REGISTRY = "run/no-registry"
 # What a user's shell says about other clusters and servers would lead jobs astray; his token is his.
 FOREIGN, OWN = ("RAY_", "MLFLOW_", "PYTHONHOME"), ("RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH")
 POLL_S = 0.2
@@ -56,6 +58,7 @@ def up(settings: Settings, names: Sequence[str], report: Report) -> None:
                 got=server.getIdentification(),
                 remedy="`make down` first, or set CSPACE_HOME and the ports to others for this checkout",
             )
+        _choose_registry(settings, server, names)
         absent = [
             name
             for name in names
@@ -214,6 +217,7 @@ def _start_supervisord(settings: Settings) -> Any:
 def _configuration(settings: Settings) -> str:
     values = settings.model_dump() | {"bin": BIN, "identifier": _identifier(settings), "root": ROOT}
     values |= {"socket": settings.socket, "temp_folder": settings.temp_folder}
+    values["no_registry"] = settings.home / NO_REGISTRY
     # Empty switches them off; another folder would be that of another state folder.
     off = os.environ.get(OUTCOMES) == ""
     values["outcomes"] = "" if off else shell_values(settings)[OUTCOMES]
@@ -221,6 +225,18 @@ def _configuration(settings: Settings) -> str:
     template = Template(Path(__file__).with_name("supervisord.conf").read_text(encoding="utf-8"))
     # supervisord expands %(name)s in values.
     return template.substitute({name: str(value).replace("%", "%%") for name, value in values.items()})
+
+
+def _choose_registry(settings: Settings, server: Any, names: Sequence[str]) -> None:
+    """Have the API start without a registry where MLflow does not, and start anew once it does."""
+    running = {name for name in SERVICES if server and server.getProcessInfo(name)["state"] in RUNNING_STATES}
+    mark = settings.home / NO_REGISTRY
+    if "mlflow" not in {*names, *running}:
+        mark.touch()
+    elif mark.exists():
+        mark.unlink()
+        if "api" in running:
+            server.stopProcess("api")
 
 
 def _identifier(settings: Settings) -> str:

@@ -5,6 +5,7 @@ import logging
 import pickle
 import subprocess
 import sys
+from pathlib import Path
 
 import httpx
 import numpy as np
@@ -14,7 +15,10 @@ from pydantic import ValidationError
 import cspace_client
 from cspace_client import (
     ConfigError,
+    DepthPictures,
+    Known,
     PlanQuery,
+    SampleQuery,
     SamplerAnswerError,
     SamplerError,
     SamplerModelError,
@@ -119,6 +123,55 @@ def test_constraints_of_a_plan_are_sent_as_json():
     [form] = server.forms
     sent = {name: json.loads(value[0]) for name, value in form.items() if name not in ("image", "seed")}
     assert sent == query | {"goal_pose": {"pose": np.eye(4).tolist()}, "limits": [[-1.0, 2.5], None]}
+
+
+OPENAPI = json.loads(Path(__file__).parents[1].joinpath("inference_api/openapi.json").read_text())
+BOX = {"name": "crate", "box": {"size_m": [0.1, 0.1, 0.1]}}
+VIEW = {"fx": 1.0, "fy": 1.0, "cx": 1.0, "cy": 1.0, "pose": np.eye(4)}
+EVERYTHING = DepthPictures(
+    [PNG],
+    [VIEW],
+    [0.0, 0.0],
+    depth_scale_m=0.001,
+    max_age_s=1.0,
+    known=Known([BOX], [BOX], [("crate", "hand")], [BOX], {"a.stl": b"solid"}),
+)
+# Values of queries that are not the client's to invent.
+GIVEN = {
+    "goal_pose": {"pose": np.eye(4)},
+    "upright": {"axis": [0.0, 0.0, 1.0], "max_rad": 0.1},
+    "limits": [None, None],
+    "view": [VIEW | {"width": 2, "height": 2}],
+    "start": [0.0, 0.0],
+    "goal": [0.0, 0.0],
+    **dict.fromkeys(("min_confidence", "max_risk"), 0.5),
+}
+
+
+def full(kind):
+    """A query with all of its fields."""
+    fields = kind.model_fields.items()
+    return kind(**{name: GIVEN.get(name, 1 if name == "seed" else field.default) for name, field in fields})
+
+
+@pytest.mark.parametrize(
+    ("call", "request_schema"),
+    [
+        (lambda client, **named: client.answer(EVERYTHING, full(SampleQuery), **named), "SampleRequest"),
+        (lambda client, **named: client.plan(EVERYTHING, full(PlanQuery), **named), "PlanRequest"),
+        (lambda client, **named: client.validity(EVERYTHING, ROWS, explain=True, **named), "ValidityRequest"),
+        (lambda client, **named: client.belief(EVERYTHING, **named), "BeliefRequest"),
+        (lambda client, **named: client.doctor(EVERYTHING, **named), "DoctorRequest"),
+    ],
+    ids=["sample", "plan", "validity", "belief", "doctor"],
+)
+def test_the_client_sends_every_field_that_the_api_takes(call, request_schema):
+    server = Server(httpx.Response(422))
+    with pytest.raises(SamplerError, match="422"):
+        server.ask(lambda client: call(client, model="m", robot="ab" * 32))
+    [form] = server.forms
+    sent = {"meshes" if name == "mesh" else name for name in form}
+    assert sent == set(OPENAPI["components"]["schemas"][request_schema]["properties"])
 
 
 @pytest.mark.parametrize(

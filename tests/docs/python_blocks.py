@@ -18,7 +18,7 @@ class BlockEvaluator(PythonEvaluator):
         source = str(example.parsed)
         if DOCUMENTED in source:
             api: TinyApi = example.namespace["tiny_api"]
-            source = source.replace(DOCUMENTED, api.address)
+            source = source.replace(DOCUMENTED, api.address(example.path))
         code = compile(pad(source, example.line + example.parsed.line_offset), example.path, "exec")
         scratch: Path = example.namespace["docs_scratch"]
         here = Path.cwd()

@@ -44,7 +44,9 @@ def root(tmp_path: Path, tiny_api: TinyApi) -> Path:
     assert program.source.startswith("// sampler.cpp")
     assert DOCUMENTED in program.source
     folder = linked_root(tmp_path)
-    (folder / "sampler.cpp").write_text(program.source.replace(DOCUMENTED, tiny_api.address))
+    (folder / "sampler.cpp").write_text(
+        program.source.replace(DOCUMENTED, tiny_api.address(program.document))
+    )
     return folder
 
 

@@ -27,7 +27,7 @@ def test_a_static_block_runs_as_it_stands(block: Block, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("block", all_blocks(Kind.API), ids=lambda block: block.name)
 def test_a_block_runs_against_an_inference_api(block: Block, tmp_path: Path, tiny_api: TinyApi) -> None:
-    replaced = {DOCUMENTED: tiny_api.address}
+    replaced = {DOCUMENTED: tiny_api.address(block.document)}
     assert run_block(block, tmp_path, {}, replaced, LIMIT_S, linked_root(tmp_path))
 
 

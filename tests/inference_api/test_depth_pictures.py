@@ -220,3 +220,42 @@ def test_a_plan_names_the_view_that_would_see_most_of_its_uncertain_space(api):
     refused = ask(api, **fields, next_view="true", min_confidence="1").json()
     assert (refused["status"], refused["next_view"]) == ("refused", around)
     assert_problem(ask(api, **fields, view=[json.dumps({"fx": 1.0})]), 422, "invalid-value")
+
+
+def test_without_a_model_the_only_one_that_fits_pictures_and_joints_answers(
+    api: ApiClient, start_api, registry, bundles, space_bundle
+) -> None:
+    depth = {"camera": [json.dumps(one) for one in CAMERAS]}
+
+    def plan(of: ApiClient, **fields: Any) -> httpx.Response:
+        images = [("image", image) for image in IMAGES]
+        return of.post("/plan", files=images, data={**depth, **ENDS, **fields})
+
+    assert plan(api).json()["model"]["name"] == "panda-sampler"
+    # Of no joints that a model has: the default model says what it takes.
+    assert_problem(plan(api, start="[0.0, 0.0, 0.0]", goal="[0.0, 0.0, 1.0]"), 422, "invalid-value")
+    registry.add(bundles["plain"], "champion")
+    registry.add(space_bundle, "champion", name="panda-sampler")
+    registry.add(space_bundle, "champion", name="cell-4")
+    problem = assert_problem(plan(start_api(registry)), 422, "invalid-value")
+    assert "cell-4, panda-sampler" in problem["expected"]
+
+
+def test_a_refusal_names_what_is_in_the_way_by_what_is_most_certain(api: ApiClient) -> None:
+    ball = {"name": "ball", "sphere": {"radius_m": 0.2}, "pose": np.eye(4).tolist()}
+    tool = WORLD.body.frame_of("tool", np.array(GOAL))
+    ball["pose"] = tool.tolist()
+    known = ask(api, page="/plan", **ENDS, scene=json.dumps([ball])).json()["reason"]
+    assert known.startswith("at the goal ")
+    assert "touches ball by" in known
+    reasons = []
+    for goal in ROWS[:12]:
+        ends = ENDS | {"goal": json.dumps(goal.tolist()), "time_limit_s": "0.5", "max_risk": "0.0"}
+        answer = ask(api, page="/plan", **ends).json()
+        reasons.append(answer["reason"])
+    causes = (
+        "at the goal ", "at the start ", "the goal is expected to touch", "the least risk found is",
+        "separate parts",
+    )  # fmt: skip
+    assert [one for one in reasons if one and not any(cause in one for cause in causes)] == []
+    assert any("0 was allowed" in one for one in reasons if one)

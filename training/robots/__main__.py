@@ -71,7 +71,8 @@ def parser() -> argparse.ArgumentParser:
     named = "of the robot and its models, as in NAME-sampler; default: the description's"
     one.add_argument("--name", help=named)
     one.add_argument("--srdf", type=Path, help="with the pairs that need no check; default: beside the URDF")
-    one.add_argument("--tip", metavar="LINK", help="whose frame is the tool's; default: the last link")
+    tip = "whose frame is the tool's; default: the last link before a gripper or the first branch"
+    one.add_argument("--tip", metavar="LINK", help=tip)
     held = "a joint that does not move, rad or m; those beside the chain are held at 0"
     for name, value, kind, help_text in (
         ("--lock", "JOINT=VALUE", finite, held),

@@ -1,5 +1,6 @@
 """The serial chain in a description: joints that do not move are folded, what hangs on them is carried."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -19,6 +20,7 @@ _TURNING = ("revolute", "continuous")
 # Joints turn twice at most, some wrists a little more; more than four times is a range in degrees.
 MAX_RANGE_RAD = 8.0 * np.pi
 _AGREE = 1e-6
+_GRIPPER = re.compile("gripper|finger|jaw|claw|hand", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +57,8 @@ def read_chain(
     else as near to zero as their limits allow. Joints in ``locked`` do not move, rad or m; ``limits`` replace
     the description's, rad, None for a circle.
     """
-    path = _path(description, tip)
+    proposed, note = (tip, None) if tip is not None else _propose_tip(description, locked)
+    path = _path(description, proposed)
     by_name = {joint.name: joint for joint in description.joints.values()}
     if unknown := sorted((set(locked) | set(limits)) - set(by_name)):
         raise ScenarioError("joints are unknown", expected=f"some of {sorted(by_name)}", got=str(unknown))
@@ -87,16 +90,45 @@ def read_chain(
             remedy="name another link with --tip",
         )
     outside = [one for one in held if not _within(by_name[one.name], one.value)]
-    notes = tuple(f"joint {one.name} is held at {one.value:g}, outside its limits" for one in outside)
-    return Chain(tuple(joints), frames, Frame.of(frames[path[-1]][1]), tuple(held), notes)
+    notes = [] if note is None else [note]
+    notes += [f"joint {one.name} is held at {one.value:g}, outside its limits" for one in outside]
+    return Chain(tuple(joints), frames, Frame.of(frames[path[-1]][1]), tuple(held), tuple(notes))
+
+
+def _propose_tip(description: Description, locked: Mapping[str, float]) -> tuple[str | None, str | None]:
+    """The last link before a gripper or the first branch, and a note on it; None where it is unclear.
+
+    A gripper, like a branch, has fewer joints that move than the arm before it.
+    """
+    children: dict[str, list[Any]] = {name: [] for name in description.links}
+    for joint in description.joints.values():
+        children[joint.parent].append(joint)
+    # Joints that move, from each joint on, by the link after it.
+    moving: dict[str, int] = {}
+    for name in reversed(list(description.links)[1:]):
+        joint = description.joints[name]
+        own = joint.type != "fixed" and joint.mimic is None and joint.name not in locked
+        moving[name] = own + sum(moving[one.child] for one in children[name])
+    at = next(iter(description.links))
+    total = sum(moving[one.child] for one in children[at])
+    while children[at]:
+        ahead = [one for one in children[at] if moving[one.child]]
+        passed = total - sum(moving[one.child] for one in ahead)
+        small = all(moving[one.child] < passed for one in ahead)
+        gripper = next((one.child for one in ahead if _GRIPPER.search(f"{one.name} {one.child}")), None)
+        if len(ahead) > 1 and not small:
+            return None, None
+        if (gripper is not None and small) or len(ahead) > 1 or (not ahead and len(children[at]) > 1):
+            why = "the first branch" if gripper is None else f"the gripper {gripper}"
+            return at, f"the tip is {at}, the last link before {why}; --tip names another"
+        at = (ahead or children[at])[0].child
+    return at, None
 
 
 def _path(description: Description, tip: str | None) -> list[str]:
     """The links from the root to the tip."""
-    last = sorted(set(description.links) - {joint.parent for joint in description.joints.values()})
-    if tip is None and len(last) == 1:
-        tip = last[0]
     if tip not in description.links:
+        last = sorted(set(description.links) - {joint.parent for joint in description.joints.values()})
         raise ScenarioError(
             "the tip of the chain is not clear",
             expected="one link of the description",

@@ -43,7 +43,12 @@ _TOLERANCE_M = 0.0005
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """The options of the command. Values of ``locked`` are rad or m, ``limits`` rad, None for a circle."""
+    """What is asked for, as the options of the command.
+
+    Where they are None, the name is the description's, the SRDF file is that beside it, the tip is the last
+    link before a gripper or the first branch, and the arm waits in the middle of its limits. Values of
+    ``locked`` are rad or m, ``limits`` rad, None for a circle.
+    """
 
     urdf: Path
     name: str | None = None

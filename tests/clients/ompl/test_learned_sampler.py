@@ -152,6 +152,6 @@ def test_a_plan_with_samples_of_the_shipped_bundle_is_free_in_the_scene_that_the
 def test_the_packages_own_readme_runs(tiny_api, documented):
     (block,) = BLOCK.findall((ROOT / "clients/python/README.md").read_text(encoding="utf-8"))
     names = documented | {"start": documented["START"], "goal": documented["GOAL"]}
-    exec(block.replace(DOCUMENTED, tiny_api.address), names)  # noqa: S102 - the project's own
+    exec(block.replace(DOCUMENTED, tiny_api.address("README.md")), names)  # noqa: S102 - the project's own
     assert DOCUMENTED in block
     np.testing.assert_allclose(names["path"][[0, -1]], [documented["START"], documented["GOAL"]])

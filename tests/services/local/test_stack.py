@@ -13,7 +13,7 @@ from cspace.errors import PortTakenError, ServiceError, ServiceStartError
 from cspace.files import holding
 from services.local.settings import BIN, Settings, drop_state
 from services.local.stack import SERVICES, connect, down, leftovers, status, up
-from tests.services.local.conftest import WriteStub, ignore, settings_in
+from tests.services.local.conftest import STUB, WriteStub, ignore, settings_in
 
 pytestmark = pytest.mark.usefixtures("programs")
 
@@ -56,12 +56,36 @@ def test_up_starts_services_and_down_ends_them_with_all_that_they_started(settin
     assert not down(settings, ignore)
 
 
-def test_up_again_leaves_running_services_alone(settings: Settings) -> None:
+def test_an_api_without_a_registry_starts_anew_once_there_is_one(
+    settings: Settings, write_stub: WriteStub
+) -> None:
+    write_stub(
+        "python",
+        STUB.replace(
+            "import http", "import os; print(os.environ.get('MLFLOW_TRACKING_URI'))\nimport http", 1
+        ),
+    )
     up(settings, ["api"], ignore)
-    (first,), said = pids(settings).values(), []
-    up(settings, ["api", "mlflow"], said.append)
+    first = pids(settings)["api"]
+    up(settings, ["viewer"], ignore)
     assert pids(settings)["api"] == first
-    assert [line.split(",")[0] for line in said if "already" in line] == ["api: runs already"]
+    up(settings, ["mlflow", "api"], ignore)
+    log = (settings.home / "logs" / "api.log").read_text()
+    assert [line for line in log.splitlines() if line in ("None", settings.url("mlflow"))] == [
+        "None",
+        settings.url("mlflow"),
+    ]
+
+
+def test_up_again_leaves_running_services_alone(settings: Settings) -> None:
+    up(settings, ["mlflow", "api"], ignore)
+    first, said = pids(settings), []
+    up(settings, SERVICES, said.append)
+    assert {name: pids(settings)[name] for name in first} == first
+    assert [line.split(",")[0] for line in said if "already" in line] == [
+        "mlflow: runs already",
+        "api: runs already",
+    ]
 
 
 def test_a_killed_service_is_started_again_by_supervisord(settings: Settings) -> None:

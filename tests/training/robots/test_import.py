@@ -28,6 +28,9 @@ def coarse_search(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(spheres, "_GRID_POINTS", 4000)
 
 
+TOOL_JOINT = '<joint name="to_{0}" type="fixed"><parent link="gripper"/><child link="{0}"/></joint>'
+
+
 def test_a_description_becomes_a_robot_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "two.json"
     command = ["import", str(described(tmp_path, ROUND_UPPER)), "--ready", "0.5,-1", "--out", str(out)]
@@ -141,3 +144,17 @@ def test_one_mesh_that_is_named_two_hundred_times_ends_within_the_limit_of_memor
     assert "simplify the meshes" in said
     # KiB, with the libraries of the worker.
     assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss < 1.8 * 2**20
+
+
+def test_without_a_tip_the_last_link_before_a_gripper_is_taken_and_named(tmp_path: Path) -> None:
+    chain = read_chain(read_description(described(tmp_path, with_more(FINGER)), {}, {}), None, {}, {})
+    assert [joint.name for joint in chain.joints] == ["shoulder", "elbow"]
+    assert [
+        note for note in chain.notes if note.startswith("the tip is lower, the last link before the gripper")
+    ]
+    fork = "".join(f'<link name="{one}"/>{TOOL_JOINT.format(one)}' for one in ("camera", "plate"))
+    described(tmp_path, with_more(fork + "</robot>"))
+    chain = read_chain(read_description(tmp_path / "two.urdf", {}, {}), None, {}, {})
+    assert any(
+        note.startswith("the tip is gripper, the last link before the first branch") for note in chain.notes
+    )

@@ -66,8 +66,8 @@ class SamplingClient:
         deadline_s: after which no attempt begins, and an answer that still arrives is given up.
         retries: further attempts after the first.
         api_key: sent as ``Authorization: Bearer``.
-        robot: digest of the robot that is planned for: models of others are refused. Also its name, where
-            calls name no model.
+        robot: digest of the robot that is planned for, of calls that name none: models of others are refused.
+            Also its name, where calls name no model.
         transport: of httpx, in place of the network.
     """
 
@@ -104,38 +104,54 @@ class SamplingClient:
         )
 
     def sample(
-        self, picture: Picture, n: int, seed: int | None = None, *, model: str | None = None, **options: Any
+        self,
+        picture: Picture,
+        n: int,
+        seed: int | None = None,
+        *,
+        model: str | None = None,
+        robot: str | None = None,
+        **options: Any,
     ) -> SampleBatch:
         """At most ``n`` samples; options as :class:`cspace_client.SampleQuery` has them."""
-        return self.answer(picture, as_query(SampleQuery, n=n, seed=seed, **options), model)
+        return self.answer(picture, as_query(SampleQuery, n=n, seed=seed, **options), model, robot)
 
     def answer(
         self, picture: Picture, query: SampleQuery, model: str | None = None, robot: str | None = None
     ) -> SampleBatch:
         """At most ``query.n`` samples of ``name``, ``name@alias``, ``name/version`` or ``pretrained``."""
-        form = form_of(seeded(query)) | ({"robot": robot} if robot else {})
-        found = self._ask("/sample", _SampleAnswer, picture, model, form)
+        found = self._ask("/sample", _SampleAnswer, picture, model, robot, form_of(seeded(query)))
         return SampleBatch.of(found, found.round_trip_s, found.request_id)
 
     def validity(
-        self, picture: Picture, configurations: ArrayLike, model: str | None = None, *, explain: bool = False
+        self,
+        picture: Picture,
+        configurations: ArrayLike,
+        model: str | None = None,
+        robot: str | None = None,
+        *,
+        explain: bool = False,
     ) -> Predictions:
         """A model's confidence that configurations, (n, d) rad, are free."""
         rows = npy_file(np.ascontiguousarray(configurations, dtype="<f8"))
         part = ("configurations", ("configurations.npy", rows, NPY))
-        return self._ask("/validity", Predictions, picture, model, {"explain": json.dumps(explain)}, part)
+        return self._ask(
+            "/validity", Predictions, picture, model, robot, {"explain": json.dumps(explain)}, part
+        )
 
-    def plan(self, picture: Picture, query: PlanQuery, model: str | None = None) -> FoundPlan:
+    def plan(
+        self, picture: Picture, query: PlanQuery, model: str | None = None, robot: str | None = None
+    ) -> FoundPlan:
         """A path from start to goal by what a model predicts; the time limits leave room for the search."""
-        return self._ask("/plan", FoundPlan, picture, model, form_of(seeded(query)))
+        return self._ask("/plan", FoundPlan, picture, model, robot, form_of(seeded(query)))
 
-    def belief(self, picture: Picture, model: str | None = None) -> Belief:
+    def belief(self, picture: Picture, model: str | None = None, robot: str | None = None) -> Belief:
         """How likely something is in each cell of space, for depth pictures."""
-        return self._ask("/belief", Belief, picture, model, {})
+        return self._ask("/belief", Belief, picture, model, robot, {})
 
-    def doctor(self, picture: Picture, model: str | None = None) -> Diagnosis:
+    def doctor(self, picture: Picture, model: str | None = None, robot: str | None = None) -> Diagnosis:
         """What is wrong with pictures, cameras and state, and what to do."""
-        return self._ask("/doctor", Diagnosis, picture, model, {})
+        return self._ask("/doctor", Diagnosis, picture, model, robot, {})
 
     def close(self) -> None:
         """Closes the connections."""
@@ -153,13 +169,14 @@ class SamplingClient:
         kind: type[Answered],
         picture: Picture,
         model: str | None,
+        robot: str | None,
         form: dict[str, Any],
         *files: Part,
     ) -> Answered:
         """Sends a request until it is answered, and reads the answer."""
         began = time.perf_counter()
         sent, fields = shown(picture)
-        named = {"model": model, "robot": self._robot}
+        named = {"model": model, "robot": robot or self._robot}
         data = {name: value for name, value in named.items() if value is not None}
         data |= form_of(fields) | form
         for left in range(self._retries, -1, -1):
