@@ -7,9 +7,10 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from cspace.bundle.runtime import Graph
 from training import field
 from training.field import FieldScenes, varied
-from training.models.field import FieldNet, new_field
+from training.models.field import FieldNet, field_graph, new_field
 from training.scene_model import SIZES, named_arm, scene_world
 
 
@@ -37,6 +38,16 @@ def test_what_a_voxel_says_is_read_at_its_own_place(net: FieldNet) -> None:
     cells = net._raw(array).reshape(6, 2, 2, 2, 8, 8, 8)
     # Out of view is the fourth of six states.
     assert cells[3].nonzero().tolist() == [[1, 0, 1, 2, 4, 5]]
+
+
+def test_the_graph_says_what_the_network_says(net: FieldNet) -> None:
+    image = np.random.default_rng(0).random((1, 2, 16, 16, 32), dtype=np.float32)
+    low_m = (-0.2, -0.2, 0.0)
+    graph = Graph("field.onnx", field_graph(net, (16, 16, 32), low_m), {"image"}, {"occupancy"})
+    found = graph.run({"image": image}, {"occupancy": (16, 16, 32)})["occupancy"]
+    with torch.no_grad():
+        own = torch.sigmoid(net(torch.from_numpy(image), torch.tensor(low_m)))[0].numpy()
+    np.testing.assert_allclose(found, own, atol=1e-4)
 
 
 @pytest.mark.slow

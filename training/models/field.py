@@ -3,7 +3,7 @@
 The loss is dense: it covers all voxels that no camera saw to be free, and the others as free checks.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import lightning
 import numpy as np
@@ -15,6 +15,7 @@ from torch.nn import functional
 
 from cspace.world import World
 from cspace.worlds.spatial.sensor import FREE, MOST_BEHIND, NO_READING
+from training.models.export import exported, pictures
 from training.models.grid_head import CHANNELS, GridEncoder
 from training.models.settings import GridConfig
 
@@ -74,6 +75,25 @@ def new_field(config: GridConfig, world: World, weights: Mapping[str, Tensor]) -
     own = {name: value for name, value in weights.items() if name.startswith("encoder.")}
     encoder.load_state_dict({name.removeprefix("encoder."): value for name, value in own.items()})
     return FieldNet(encoder)
+
+
+class _FieldGraph(nn.Module):
+    """One array of a grid to its voxels' probabilities."""
+
+    low: Tensor
+
+    def __init__(self, net: FieldNet, low_m: Sequence[float]) -> None:
+        super().__init__()
+        self.net = net
+        self.register_buffer("low", torch.tensor(low_m))
+
+    def forward(self, image: Tensor) -> Tensor:
+        return torch.sigmoid(self.net(image, self.low))[0]
+
+
+def field_graph(net: FieldNet, counts: Sequence[int], low_m: Sequence[float]) -> bytes:
+    """ONNX bytes for one grid: ``image`` (1, 2, X, Y, Z) to the probabilities ``occupancy`` (X, Y, Z)."""
+    return exported(_FieldGraph(net, low_m), (pictures(1, (2, *counts)),), ["image"], ["occupancy"], ({},))
 
 
 class FieldModule(lightning.LightningModule):

@@ -1,5 +1,6 @@
 """Collision checks of a serial arm by its spheres: kernels, and the checkers of scenes and of pictures."""
 
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,12 +15,12 @@ from cspace.worlds.spatial.distances import (
     NOTHING,
     DistanceGrid,
     box_distance,
-    clear_spheres,
     cylinder_distance,
     distance_grid,
     grid_clearance,
     grid_hits,
     is_beyond,
+    make_room,
     point_distance,
     sets_are_free,
 )
@@ -34,6 +35,7 @@ from cspace.worlds.spatial.kinematics import (
 )
 from cspace.worlds.spatial.obstacles import Obstacles
 from cspace.worlds.spatial.poses import moved
+from cspace.worlds.spatial.sensor import GridBox
 from cspace.worlds.spatial.visibility import distances_m
 from cspace.worlds.spatial.world import SpatialWorld
 
@@ -227,8 +229,8 @@ def group_hits(
 
 # That is kept to what is seen; the most careful first.
 MARGINS_M = (0.015, 0.005, 0.0)
-# More than what lies between the centres of neighbouring voxels.
-_ROOM_M = 0.035
+# Room at the ends of a path: beyond what the arm lacks, m; up to where, m; and how fast it ends.
+_SLACK_M, _PLATEAU_M, _SLOPE = 0.01, 0.03, 0.5
 _NO_OBSTACLES = Obstacles((), ())
 
 
@@ -249,13 +251,26 @@ def seen_checkers(
     grid = world.sensor.grid
     if known is not None and known.seen is not None:
         picture = known.seen
+    worlds = [distances_m(picture) - np.float32(margin_m) for margin_m in MARGINS_M]
+    return world_checkers(arm, worlds, grid, ends, obstacles, bodies)
+
+
+def world_checkers(
+    arm: SerialArm,
+    worlds: Iterable[NDArray[np.float32]],
+    grid: GridBox,
+    ends: NDArray[np.float64],
+    obstacles: Obstacles = _NO_OBSTACLES,
+    bodies: BodyArrays = NO_BODIES,
+) -> list[CollisionChecker]:
+    """A checker for each world's distances (X, Y, Z) m, by which the arm is free at ``ends`` (k, d) rad."""
     arrays = arm_arrays(arm)
     moving = arrays.links > 0
     centres = sphere_centres_batch(np.ascontiguousarray(ends, dtype=np.float64), arrays)[:, moving]
     radii = np.tile(arrays.radii[moving], len(centres))
     found = []
-    for margin_m in MARGINS_M:
-        away = distance_grid(distances_m(picture) - np.float32(margin_m), grid.low_m, grid.voxel_m)
-        clear_spheres(away, centres.reshape(-1, 3), radii, _ROOM_M)
+    for world in worlds:
+        away = distance_grid(world.copy(), grid.low_m, grid.voxel_m)
+        make_room(away, centres.reshape(-1, 3), radii, _SLACK_M, _PLATEAU_M, _SLOPE)
         found.append(CollisionChecker(arm, obstacles, away, bodies))
     return found

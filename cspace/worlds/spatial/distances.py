@@ -162,11 +162,20 @@ def _lerp(first, second, share):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def clear_spheres(grid, centres, radii, slack):  # type: ignore[no-untyped-def]
-    """Make room, in place, where spheres (S, 3), (S,) m are known to be: surfaces end ``slack`` m before."""
+def make_room(grid, centres, radii, slack, plateau, slope):  # type: ignore[no-untyped-def]
+    """Raise distances, in place, so that spheres (S, 3), (S,) m just fit where they are known to be free.
+
+    Each sphere gets what it lacks and ``slack`` m, within ``plateau`` m of its centre; farther away ``slope``
+    less for each metre.
+    """
     values, voxel = grid.values, grid.voxel
+    raised = np.zeros_like(values)
     for at in range(centres.shape[0]):
-        reach = radii[at] + slack
+        lacks = radii[at] - grid_distance(centres[at, 0], centres[at, 1], centres[at, 2], grid)
+        if lacks < 0.0:
+            continue
+        most = lacks + slack
+        reach = plateau + most / slope
         first, last = np.empty(3, np.int64), np.empty(3, np.int64)
         for axis in range(3):
             low = (centres[at, axis] - reach - grid.low[axis]) / voxel - 0.5
@@ -178,8 +187,12 @@ def clear_spheres(grid, centres, radii, slack):  # type: ignore[no-untyped-def]
                 y = grid.low[1] + (j + 0.5) * voxel - centres[at, 1]
                 for k in range(first[2], last[2] + 1):
                     z = grid.low[2] + (k + 0.5) * voxel - centres[at, 2]
-                    room = min(reach - np.sqrt(x * x + y * y + z * z), grid.farthest)
-                    values[i, j, k] = max(values[i, j, k], room)
+                    beyond = max(np.sqrt(x * x + y * y + z * z) - plateau, 0.0)
+                    raised[i, j, k] = max(raised[i, j, k], most - slope * beyond)
+    for i in range(values.shape[0]):
+        for j in range(values.shape[1]):
+            for k in range(values.shape[2]):
+                values[i, j, k] = min(values[i, j, k] + raised[i, j, k], grid.farthest)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
