@@ -87,6 +87,7 @@ class Bundle:
         *,
         digest: str | None = None,
         check: bool = True,
+        replay: bool | None = None,
     ) -> "Bundle":
         """Read a bundle, verify its sums, schema and graphs, and replay its golden case.
 
@@ -97,6 +98,7 @@ class Bundle:
         Args:
             digest: that the bundle has to have; any when None.
             check: False where the graphs of this digest were checked, or come with the program.
+            replay: whether the golden case is replayed; as ``check`` when None.
         """
         files = read_files(Path(folder))
         if digest not in (None, files.digest):
@@ -111,7 +113,7 @@ class Bundle:
                 check_graphs(files.contents)
             bundle = cls(Path(folder), files)
             case = GoldenCase.from_npz(files.contents[GOLDEN_FILE])
-            if check:
+            if check if replay is None else replay:
                 bundle._replay(case)
         except MemoryError as error:
             raise BundleIntegrityError(
