@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cspace.errors import DamagedFileError, DatasetError, StorageError
 from cspace.files import make_output_folder, map_npy, read_bounded, replacing
 from cspace.simulator import ORIGINS
-from cspace.space import JointSpace, circles
+from cspace.space import JointSpace
 from cspace.strict_json import adapter_of, json_text, parse_json, read_object, validated
 from cspace.world import World
 from cspace.worlds import FIRST, WorldField
@@ -117,9 +117,6 @@ def _must_be_angles(file: str, array: NDArray[Any], space: JointSpace) -> None:
     for start in range(0, len(array), _BLOCK):
         block = array[start : start + _BLOCK]
         inside = space.holds(block)
-        if not inside.all():
-            # Data sets of before limits were kept hold wrapped angles outside of them.
-            inside |= circles(space.dim).holds(block)
         if not inside.all():
             raise DatasetError(
                 f"{file} holds values that are no angles",

@@ -122,12 +122,6 @@ class Checker:
     def edge_batch(self, starts: ArrayLike, ends: ArrayLike, resolution_rad: float) -> NDArray[np.bool_]:
         """Which of the edges between (N, d) and (N, d) rad are free, both ends included, (N,)."""
         first, second = self._rows(starts), self._rows(ends)
-        if first.shape != second.shape or not resolution_rad > 0.0:
-            raise ScenarioError(
-                "the edges do not fit",
-                expected="as many starts as ends and a positive resolution",
-                got=f"{first.shape}, {second.shape}, {resolution_rad} rad",
-            )
         return np.asarray(self.kernels.edge_batch(first, second, float(resolution_rad), self.scene))
 
     def within(self, space: JointSpace) -> "Checker":
@@ -202,12 +196,6 @@ class Checker:
             (n, d) rad with the same ends, no longer than before.
         """
         rows = np.array(path, dtype=np.float64)
-        if rows.ndim != 2 or len(rows) < 2 or rows.shape[1] != self.space.dim or not resolution_rad > 0.0:
-            raise ScenarioError(
-                "the path does not fit",
-                expected=f"two or more configurations of {self.space.dim} joints, and a positive resolution",
-                got=f"shape {rows.shape}, {resolution_rad} rad",
-            )
         draws = rng.random((shortcuts, 2))
         # Spans of all sizes: corners are cut by short ones, detours by long ones.
         draws[:, 1] = SHORTEST_SPAN ** draws[:, 1]

@@ -1,10 +1,8 @@
 """The files of a bundle and their sums: read once, verified, and used from memory ever after."""
 
-import errno
 import hashlib
 import os
 import re
-import stat
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -56,22 +54,19 @@ def sums_of(contents: Mapping[str, bytes]) -> bytes:
 def read_files(folder: Path) -> BundleFiles:
     """Read a bundle's folder and hold it against its ``SHA256SUMS``.
 
-    Only plain files straight in the folder are ever opened, only under the names of the schema, and no more
-    of them is read than a bundle may hold. What was opened is what is looked at: nothing that is exchanged
-    meanwhile is followed.
+    Only plain files straight in the folder are read, only under the names of the schema, and no more of them
+    than a bundle may hold.
     """
     try:
-        place = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-        try:
-            contents = _read_all(place)
-        finally:
-            os.close(place)
+        contents = _read_all(folder)
     except (OSError, ValueError) as error:
         raise BundleIntegrityError(
             "the bundle cannot be read",
             expected="a readable folder",
             got=getattr(error, "strerror", None) or type(error).__name__,
         ) from error
+    if SUMS_FILE not in contents:
+        raise _broken(SUMS_FILE, "missing")
     sums = contents.pop(SUMS_FILE)
     listed = _parse_sums(sums)
     _check_names(set(listed), set(contents))
@@ -81,52 +76,21 @@ def read_files(folder: Path) -> BundleFiles:
     return BundleFiles(contents, hashlib.sha256(sums).hexdigest())
 
 
-def _read_all(place: int) -> dict[str, bytes]:
-    """Every file of an open folder, ``SHA256SUMS`` first, within the limits of each and of all."""
-    names = set()
-    with os.scandir(place) as entries:
+def _read_all(folder: Path) -> dict[str, bytes]:
+    left, names = TOTAL_BYTES, []
+    with os.scandir(folder) as entries:
         for entry in entries:
-            names.add(entry.name)
-            # The first that does not belong ends it, however many follow.
             if entry.name not in LIMITS_BYTES:
-                raise _broken(_shown(entry.name), "not part of a bundle")
-    if SUMS_FILE not in names:
-        raise _broken(SUMS_FILE, "missing")
-    left = TOTAL_BYTES
-    contents: dict[str, bytes] = {}
-    for name in (SUMS_FILE, *(known for known in KNOWN_FILES if known in names)):
-        contents[name] = _read(place, name, min(LIMITS_BYTES[name], left))
-        left -= len(contents[name])
-    return contents
-
-
-def _read(place: int, name: str, limit_bytes: int) -> bytes:
-    """A plain file of an open folder; opening neither follows a link nor waits for a pipe's other end."""
-    flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
-    try:
-        opened = os.open(name, flags, dir_fd=place)
-    except OSError as error:
-        # A link, or a socket.
-        if error.errno in (errno.ELOOP, errno.ENXIO):
-            raise _broken(name, "not a plain file") from error
-        raise
-    try:
-        found = os.fstat(opened)
-        if not stat.S_ISREG(found.st_mode):
-            raise _broken(name, "not a plain file")
-        if found.st_size > limit_bytes:
-            raise _broken(name, f"{found.st_size} bytes, more than {limit_bytes}")
-        with os.fdopen(opened, "rb", closefd=False) as file:
-            data = file.read(found.st_size + 1)
-    finally:
-        os.close(opened)
-    if len(data) != found.st_size:
-        raise _broken(name, "changed while it was read")
-    return data
-
-
-def _shown(name: str) -> str:
-    return name.encode("utf-8", "backslashreplace").decode()[:100]
+                shown = entry.name.encode("utf-8", "backslashreplace").decode()[:100]
+                raise _broken(shown, "not part of a bundle")
+            if not entry.is_file(follow_symlinks=False):
+                raise _broken(entry.name, "not a plain file")
+            size = entry.stat().st_size
+            left -= size
+            if size > LIMITS_BYTES[entry.name] or left < 0:
+                raise _broken(entry.name, f"{size} bytes, more than a bundle may hold")
+            names.append(entry.name)
+    return {name: (folder / name).read_bytes() for name in names}
 
 
 def _parse_sums(sums: bytes) -> dict[str, str]:

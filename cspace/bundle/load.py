@@ -21,7 +21,7 @@ from cspace.bundle.files import (
     sums_of,
 )
 from cspace.bundle.golden import GoldenCase, endpoints, scene
-from cspace.bundle.runtime import PLACES_CHUNK_ROWS, RUN_LIMIT_S, Graph, chunked, open_graphs
+from cspace.bundle.runtime import PLACES_CHUNK_ROWS, Graph, chunked, open_graphs
 from cspace.bundle.samples import (
     Belief,
     Encoding,
@@ -30,7 +30,6 @@ from cspace.bundle.samples import (
     fitted,
     fitted_plan,
     fitted_problem,
-    require_inside,
 )
 from cspace.bundle.sampling import Head, sampler_of
 from cspace.bundle.spec import MAP, PICTURE, WAYS, BundleSpec
@@ -70,12 +69,12 @@ def quantiles_of(scores: NDArray[np.floating]) -> tuple[tuple[float, ...], ...]:
 class Bundle:
     """A loaded bundle; safe to share between threads. Make one with :meth:`load`."""
 
-    def __init__(self, folder: Path, files: BundleFiles, run_limit_s: float = RUN_LIMIT_S) -> None:
+    def __init__(self, folder: Path, files: BundleFiles) -> None:
         self.folder = folder
         self.digest = files.digest
         self.spec = BundleSpec.from_json(files.contents[SPEC_FILE])
         self.robot = robot_digest(self.spec.world)
-        self._graphs = open_graphs(self.spec, files, run_limit_s)
+        self._graphs = open_graphs(self.spec, files)
         self._validity = None if self._graphs.validity is None else Head(self._graphs.validity)
         self._sampler = sampler_of(self.spec, self._graphs.generator, self._validity)
         self.reports_unseen = self._validity is not None and self._validity.reports_unseen
@@ -89,7 +88,6 @@ class Bundle:
         digest: str | None = None,
         check: bool = True,
         replay: bool | None = None,
-        run_limit_s: float = RUN_LIMIT_S,
     ) -> "Bundle":
         """Read a bundle, verify its sums, schema and graphs, and replay its golden case.
 
@@ -101,7 +99,6 @@ class Bundle:
             digest: that the bundle has to have; any when None.
             check: False where the graphs of this digest were checked, or come with the program.
             replay: whether the golden case is replayed; as ``check`` when None.
-            run_limit_s: how long one run of one graph may take, above 0.
         """
         files = read_files(Path(folder))
         if digest not in (None, files.digest):
@@ -114,7 +111,7 @@ class Bundle:
                 from cspace.bundle.graph_check import check_graphs  # noqa: PLC0415
 
                 check_graphs(files.contents)
-            bundle = cls(Path(folder), files, run_limit_s)
+            bundle = cls(Path(folder), files)
             case = GoldenCase.from_npz(files.contents[GOLDEN_FILE])
             if check if replay is None else replay:
                 bundle._replay(case)
@@ -131,10 +128,6 @@ class Bundle:
             world: with the same robot but for the limits. Beyond those that the graphs were trained for they
                 know nothing.
         """
-        if world.dim != self.spec.dim:
-            raise InputError(
-                "the model is of another robot", expected=f"{self.spec.dim} joints", got=str(world.dim)
-            )
         found = copy(self)
         found.spec = replace(self.spec, world=replace(cast("Any", self.spec.world), body=world.body))
         found.robot = robot_digest(found.spec.world)
@@ -236,7 +229,6 @@ class Bundle:
         encode_ms, generate_ms = 1e3 * (encoded - began), 1e3 * (time.perf_counter() - encoded)
         if picture is image:
             encode_ms = 0.0
-        require_inside(samples, self.spec.world.space)
         shortfall = request.n - len(samples)
         times = encode_ms, generate_ms
         return SampleSet(
@@ -312,13 +304,6 @@ class Bundle:
             configurations: float32 (n, d) rad, at least one.
         """
         head, picture = self._head(), self._prepared(image)
-        shape = np.shape(configurations)
-        if len(shape) != 2 or not shape[0] or shape[1] != self.spec.dim:
-            raise InputError(
-                "the configurations do not fit the model",
-                expected=f"shape (n, {self.spec.dim}), n at least 1",
-                got=str(shape),
-            )
         return head.predict(picture, configurations, check_cancelled)
 
     def belief(
@@ -368,13 +353,6 @@ class Bundle:
     def _prepared(self, image: NDArray[np.uint8] | Picture) -> Picture:
         if not isinstance(image, Picture):
             return self.prepare(image)
-        if image.digest != self.digest:
-            raise InputError(
-                "the picture was prepared by another bundle",
-                expected=self.digest,
-                got=image.digest,
-                remedy="prepare it with the bundle that samples",
-            )
         return image
 
     def _network_image(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:

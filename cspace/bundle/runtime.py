@@ -33,7 +33,6 @@ from cspace.world import CheckCancelled
 ARENA_BYTES, CONTAINER_SHARE = 512 * 2**20, 0.5
 
 _LONGEST = 300
-_NO_LIMIT = 2**60
 # The folders of a path, of whatever kind; its last part stays.
 _FOLDERS = re.compile(r"(?:[A-Za-z]:)?(?:[\w.~+-]*[/\\])+")
 
@@ -66,22 +65,11 @@ def share_arena() -> None:
         ort.create_and_register_allocator(place, ort.OrtArenaCfg(grows_as_needed))
 
 
-def container_bytes(root: Path = Path("/")) -> int | None:
-    """The memory limit of the control groups that this process is in; None without one."""
-    groups, lines = root / "sys/fs/cgroup", ""
-    with suppress(OSError):
-        lines = (root / "proc/self/cgroup").read_text(encoding="utf-8")
-    files = {groups / "memory.max", groups / "memory/memory.limit_in_bytes"}
-    for line in lines.splitlines():
-        place = Path(line.rpartition(":")[2].lstrip("/"))
-        files |= {groups / each / "memory.max" for each in (place, *place.parents)}
-        files |= {groups / "memory" / each / "memory.limit_in_bytes" for each in (place, *place.parents)}
-    found = []
-    for file in files:
-        with suppress(OSError, ValueError):
-            found.append(int(file.read_text(encoding="ascii")))
-    # The first version of control groups writes no limit as nearly 2^63.
-    return min((limit for limit in found if limit < _NO_LIMIT), default=None)
+def container_bytes() -> int | None:
+    """The memory limit of the container that this process is in; None without one."""
+    with suppress(OSError, ValueError):
+        return int(Path("/sys/fs/cgroup/memory.max").read_text(encoding="ascii"))
+    return None
 
 
 @cache
@@ -169,11 +157,7 @@ def chunked(
     check_cancelled: CheckCancelled | None,
     chunk_rows: int = CHUNK_ROWS,
 ) -> NDArray[np.float32]:
-    """What ``run`` gives for all rows, in their order.
-
-    Args:
-        rows: at least 1.
-    """
+    """What ``run`` gives for all rows, in their order; ``rows`` is at least 1."""
     parts = []
     for at in range(0, rows, chunk_rows):
         if at and check_cancelled is not None:
@@ -321,7 +305,7 @@ class GraphSet:
     belief: Graph | None
 
 
-def open_graphs(spec: BundleSpec, files: BundleFiles, run_limit_s: float) -> GraphSet:
+def open_graphs(spec: BundleSpec, files: BundleFiles) -> GraphSet:
     """Open them."""
 
     def opened(
@@ -331,10 +315,10 @@ def open_graphs(spec: BundleSpec, files: BundleFiles, run_limit_s: float) -> Gra
         optional: frozenset[str] = frozenset(),
     ) -> Graph | None:
         model = files.contents.get(name)
-        return None if model is None else Graph(name, model, inputs, outputs, run_limit_s, optional)
+        return None if model is None else Graph(name, model, inputs, outputs, optional=optional)
 
     noise = {item.name for item in spec.random_inputs}
-    encoder = Graph(ENCODER_FILE, files.contents[ENCODER_FILE], {"image"}, {"mu", "sigma"}, run_limit_s)
+    encoder = Graph(ENCODER_FILE, files.contents[ENCODER_FILE], {"image"}, {"mu", "sigma"})
     seen = opened(MAP_FILE, {"image"}, {"map"})
     if seen is not None:
         seen.fixed_shape("map")

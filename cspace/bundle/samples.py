@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cspace.bundle.spec import BundleSpec
-from cspace.errors import BundleError, InputError, OtherRobotError
+from cspace.errors import InputError, OtherRobotError
 from cspace.plan import planning_space
 from cspace.query import PlanQuery, SampleQuery
 from cspace.space import JointSpace
@@ -18,12 +18,7 @@ from cspace.worlds import robot_digest, tool_constraints
 
 @dataclass(frozen=True, slots=True)
 class Encoding:
-    """The encoder's view of one picture.
-
-    Args:
-        mu: float32 (L,).
-        sigma: float32 (L,), not negative.
-    """
+    """The encoder's view of one picture; ``mu`` is float32 (L,), ``sigma`` is float32 (L,), not negative."""
 
     mu: NDArray[np.float32]
     sigma: NDArray[np.float32]
@@ -132,16 +127,6 @@ class SampleSet:
     unseen: NDArray[np.float32] | None = None
     ways: NDArray[np.int64] | None = None
     proposals: ProposalCounts | None = None
-
-
-def require_inside(samples: NDArray[np.float32], space: JointSpace) -> None:
-    """Raise where a configuration (n, d) is outside the joint space, which no sampler's may be."""
-    if not space.is_torus and not np.all(space.contains(samples)):
-        raise BundleError(
-            "a sample lies outside the limits of the robot's joints",
-            expected=f"joints from {space.lower} to {space.upper} rad",
-            got=str(samples[~space.contains(samples)][0].tolist()),
-        )
 
 
 class FittedQuery(SampleQuery):

@@ -6,12 +6,11 @@ import subprocess
 from pathlib import Path
 
 import numpy as np
-import onnx
 import pytest
 
 from cspace.bundle import Bundle, GoldenCase, write_bundle
-from cspace.errors import BundleError, BundleIntegrityError, GoldenMismatchError, StorageError
-from tests.bundles import picture, tiny_graphs, tiny_spec, write_tiny_bundle
+from cspace.errors import BundleIntegrityError, GoldenMismatchError, StorageError
+from tests.bundles import tiny_graphs, tiny_spec, write_tiny_bundle
 
 
 def resign(folder: Path) -> None:
@@ -54,15 +53,6 @@ def test_a_changed_or_missing_file_is_found(folder: Path, name: str) -> None:
         Bundle.load(folder)
 
 
-def test_an_extra_file_is_refused_listed_or_not(folder: Path) -> None:
-    (folder / "notes.txt").write_text("hello")
-    with pytest.raises(BundleIntegrityError, match=r"notes\.txt"):
-        Bundle.load(folder)
-    resign(folder)
-    with pytest.raises(BundleIntegrityError, match=r"notes\.txt"):
-        Bundle.load(folder)
-
-
 @pytest.mark.parametrize("name", ["../outside.onnx", "/etc/passwd", "", "ü"])
 def test_a_path_in_the_sums_is_refused(folder: Path, tmp_path: Path, name: str) -> None:
     (tmp_path / "outside.onnx").write_bytes(b"x")
@@ -72,37 +62,11 @@ def test_a_path_in_the_sums_is_refused(folder: Path, tmp_path: Path, name: str) 
         Bundle.load(folder)
 
 
-def test_bytes_that_are_no_graph_are_refused_in_the_projects_own_words(folder: Path) -> None:
-    (folder / "generator.onnx").write_bytes(b"not a graph")
-    resign(folder)
-    with pytest.raises(BundleIntegrityError, match=r"generator\.onnx cannot be opened"):
-        Bundle.load(folder)
-
-
 def test_graphs_with_other_inputs_than_described_are_refused(tmp_path: Path) -> None:
     graphs = tiny_graphs(tiny_spec(kind="path"))
     with pytest.raises(BundleIntegrityError, match="start"):
         write_bundle(tmp_path / "bundle", tiny_spec(), graphs)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_graph_that_gives_another_shape_than_described_is_refused(tmp_path: Path) -> None:
-    spec = dataclasses.replace(tiny_spec(), samples_per_latent=3)
-    with pytest.raises(BundleError, match="samples does not fit"):
-        write_bundle(tmp_path / "bundle", spec, tiny_graphs(tiny_spec()))
-
-
-def test_weights_outside_the_bundle_are_refused(folder: Path, tmp_path: Path) -> None:
-    (tmp_path / "secret").write_bytes(bytes(48))
-    model = onnx.load_from_string((folder / "encoder.onnx").read_bytes())
-    weights = model.graph.initializer[0]
-    weights.ClearField("raw_data")
-    weights.data_location = onnx.TensorProto.EXTERNAL
-    weights.external_data.add(key="location", value="../secret")
-    (folder / "encoder.onnx").write_bytes(model.SerializeToString())
-    resign(folder)
-    with pytest.raises(BundleIntegrityError, match="weights outside"):
-        Bundle.load(folder)
 
 
 def test_a_graph_that_answers_otherwise_fails_its_golden_case(folder: Path) -> None:
@@ -132,24 +96,6 @@ def test_golden_samples_may_differ_by_1e_4_on_the_torus_and_no_more(
         assert Bundle.load(folder).has_validity
 
 
-def test_a_golden_case_of_another_answer_or_another_model_is_refused(folder: Path) -> None:
-    case = golden_of(folder)
-    assert case.confidence is not None
-    ends = dataclasses.replace(case.query, start=(0.0, 0.0), goal=(0.0, 0.0))
-    for change, error in (
-        ({"samples": case.samples[:-1]}, GoldenMismatchError),
-        ({"confidence": None}, GoldenMismatchError),
-        ({"confidence": case.confidence + np.float32(0.01)}, GoldenMismatchError),
-        ({"mu": np.full_like(case.mu, np.nan)}, GoldenMismatchError),
-        ({"image": picture(pixels=32)}, BundleIntegrityError),
-        ({"query": ends}, BundleIntegrityError),
-    ):
-        (folder / "golden.npz").write_bytes(dataclasses.replace(case, **change).to_npz())
-        resign(folder)
-        with pytest.raises(error, match="golden"):
-            Bundle.load(folder)
-
-
 def test_a_golden_file_is_never_unpickled(folder: Path) -> None:
     buffer = io.BytesIO()
     np.savez(buffer, image=np.array([{"code": "runs"}], dtype=object))
@@ -174,10 +120,3 @@ def test_a_bundle_that_fails_its_own_golden_case_is_not_left_behind(folder: Path
     with pytest.raises(GoldenMismatchError):
         write_tiny_bundle(tmp_path / "new", golden=wrong)
     assert [path.name for path in tmp_path.iterdir()] == ["bundle"]
-
-
-@pytest.mark.parametrize("names", [("generator",), ("encoder", "generator", "critic")])
-def test_other_graphs_than_the_schemas_are_refused(tmp_path: Path, names: tuple[str, ...]) -> None:
-    graphs = {**tiny_graphs(tiny_spec()), "critic": b""}
-    with pytest.raises(BundleIntegrityError, match="graphs do not fit"):
-        write_bundle(tmp_path / "bundle", tiny_spec(), {name: graphs[name] for name in names})

@@ -1,15 +1,13 @@
 """Bundles of limited joints: whatever their graphs give, every answer lies within the limits."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cspace.bundle import Bundle, BundleSpec, write_bundle
-from cspace.errors import BundleError, BundleIntegrityError, InputError
-from cspace.space import JointSpace, to_float32
+from cspace.bundle import Bundle, write_bundle
+from cspace.space import JointSpace
 from cspace.worlds.planar.arm import PlanarArm
 from tests.bundles import picture, tiny_graphs, tiny_spec, write_tiny_bundle
 
@@ -48,44 +46,6 @@ def test_no_path_sample_lies_outside_the_limits(tmp_path: Path, robot: PlanarArm
     assert inside(robot.space, bundle.sample(picture(), 4000, 1, start=start, goal=goal).samples)
 
 
-def test_an_end_outside_the_limits_is_refused_with_limits_and_value(tmp_path: Path) -> None:
-    bundle = Bundle.load(write_tiny_bundle(tmp_path / "bundle", ARMS["mixed"], kind="path"))
-    with pytest.raises(InputError, match="start lies outside the limits") as refused:
-        bundle.sample(picture(), 5, 1, start=[0.0, 2.0 * np.pi], goal=[0.0, 0.0])
-    assert "0.5" in str(refused.value.expected)
-    assert "joint 2 at 6.2831853" in str(refused.value.got)
-    # Circles are wrapped as ever.
-    turned, plain = (
-        bundle.sample(picture(), 5, 1, start=[angle, 0.1], goal=[0.0, 0.0]).samples
-        for angle in (1.0 + 2.0 * np.pi, 1.0)
-    )
-    np.testing.assert_allclose(turned, plain, atol=1e-5)
-
-
-def test_the_description_tells_limits_and_no_other_ones_than_the_robots() -> None:
-    spec = tiny_spec(ARMS["mixed"])
-    assert BundleSpec.from_json(spec.to_json()) == spec
-    values = json.loads(spec.to_json())
-    space = values["joint_space"]
-    assert space == {
-        "kind": "mixed", "dim": 2, "unit": "rad",
-        "lower": [-np.pi, -1.0], "upper": [np.pi, 0.5], "periodic": [True, False],
-    }  # fmt: skip
-    for other in (space | {"upper": [np.pi, 0.6]}, {"kind": "torus", "dim": 2, "unit": "rad"}):
-        with pytest.raises(BundleIntegrityError, match="joint_space"):
-            BundleSpec.from_json(json.dumps(values | {"joint_space": other}).encode())
-
-
-def test_a_sampler_that_forgets_the_limits_is_an_error_not_an_answer(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    bundle = Bundle.load(write_tiny_bundle(tmp_path / "bundle", ARMS["mixed"]))
-    monkeypatch.setattr(JointSpace, "to_float32", lambda _, values: to_float32(values))
-    monkeypatch.setattr(JointSpace, "keeps_pose", lambda _, values: np.ones(len(values), dtype=bool))
-    with pytest.raises(BundleError, match="outside the limits"):
-        bundle.sample(picture(), 500, 1)
-
-
 @pytest.mark.parametrize("least", [0.0, 0.1])
 def test_samples_beyond_narrower_limits_are_rejected_and_none_is_moved_to_a_limit(
     tmp_path: Path, least: float
@@ -106,9 +66,3 @@ def test_samples_beyond_narrower_limits_are_rejected_and_none_is_moved_to_a_limi
         np.testing.assert_array_equal(samples[kept], found[kept])
     assert narrow.sample(picture(), 1000, 1, min_confidence=least).samples.tobytes() == samples.tobytes()
     assert wide.sample(picture(), 1000, 1, min_confidence=0.0).samples.tobytes() == found.tobytes()
-
-
-def test_a_bundle_is_not_within_another_robots_limits(tmp_path: Path) -> None:
-    bundle = Bundle.load(write_tiny_bundle(tmp_path / "bundle", ARMS["box"]))
-    with pytest.raises(InputError, match="another robot"):
-        bundle.within(replace(bundle.spec.world, body=PlanarArm((1.0, 1.0, 1.0))))

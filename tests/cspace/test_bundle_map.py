@@ -20,16 +20,6 @@ def bundle(tmp_path_factory: pytest.TempPathFactory) -> Bundle:
     return Bundle.load(write_bundle(tmp_path_factory.mktemp("map") / "bundle", SPEC, tiny_graphs(SPEC)))
 
 
-def test_a_prepared_picture_holds_its_map(bundle: Bundle) -> None:
-    image = np.zeros((PIXELS, PIXELS, 3), np.uint8)
-    image[3, 4] = 255, 0, 51
-    assert bundle.spec == SPEC
-    assert bundle.spec.conditions == ("map", "start", "goal")
-    found = bundle.prepare(image).map
-    assert found is not None
-    np.testing.assert_allclose(found, [1.0, -1.0, -0.6], atol=1e-6)
-
-
 def test_samples_depend_on_the_map_and_not_on_who_made_it(bundle: Bundle) -> None:
     image = picture(3)
     prepared = bundle.prepare(image)

@@ -12,19 +12,6 @@ from tests.bundles import PIXELS, tiny_graphs, tiny_spec
 QUANTILES = ((-1.0, 0.0, 1.0), (0.0, 1.0, 10.0))
 
 
-def test_one_score_is_ranked_among_the_known_ones() -> None:
-    known = [[0.0, 1.0, 2.0, 4.0, 8.0]]
-    for score, expected in ((-3.0, 0.0), (0.5, 0.125), (2.0, 0.5), (6.0, 0.875), (8.0, 1.0), (99.0, 1.0)):
-        assert novelty(np.array([score], np.float32), known) == pytest.approx(expected)
-
-
-def test_of_several_scores_the_highest_counts_for_less() -> None:
-    known = [[0.0, 1.0], [0.0, 1.0]]
-    assert novelty(np.array([0.95, 0.1], np.float32), known) == pytest.approx(0.9)
-    assert novelty(np.array([0.2, 0.3], np.float32), known) == 0.0
-    assert novelty(np.array([0.2, 5.0], np.float32), known) == 1.0
-
-
 def test_known_pictures_are_seldom_new() -> None:
     rng = np.random.default_rng(0)
     known, fresh = rng.exponential(size=(2, 4000, 2))

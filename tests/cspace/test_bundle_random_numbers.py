@@ -1,18 +1,7 @@
 import numpy as np
-import pytest
 
-from cspace.bundle.sampling import propose, random_numbers, shares
+from cspace.bundle.sampling import propose, random_numbers
 from tests.bundles import LATENT, tiny_spec
-
-
-@pytest.mark.parametrize(
-    ("count", "parts", "expected"),
-    [(300, 4, [75, 75, 75, 75]), (10, 4, [4, 2, 2, 2]), (2, 3, [2, 0, 0]), (1, 1, [1])],
-)
-def test_samples_are_shared_equally_with_the_remainder_to_the_first(
-    count: int, parts: int, expected: list[int]
-) -> None:
-    assert shares(count, parts) == expected
 
 
 def test_draws_follow_the_documented_order() -> None:
@@ -27,13 +16,6 @@ def test_draws_follow_the_documented_order() -> None:
     base = low + (high - low) * rng.random((5, 2), dtype=np.float32)
     np.testing.assert_array_equal(draws.random_inputs["base"], base)
     np.testing.assert_array_equal(draws.random_inputs["noise"], rng.standard_normal((5, 2), dtype=np.float32))
-
-
-def test_surplus_samples_of_a_shares_last_latent_are_left_out() -> None:
-    spec = tiny_spec(samples_per_latent=4)
-    zeros = np.zeros(LATENT, dtype=np.float32)
-    kept = random_numbers(spec, zeros, zeros, (6, 5), 0, (0.0, 1.0)).kept
-    assert kept.astype(int).tolist() == [[1, 1, 1, 1], [1, 1, 0, 0], [1, 1, 1, 1], [1, 0, 0, 0]]
 
 
 def test_uniform_proposals_lie_among_the_others_in_their_order() -> None:

@@ -7,32 +7,15 @@ import numpy as np
 import pytest
 
 from cspace.bundle import Bundle
-from cspace.bundle.samples import FittedQuery, fitted, fitted_configurations, fitted_end
+from cspace.bundle.samples import fitted_configurations, fitted_end
 from cspace.errors import InputError
-from cspace.query import SampleQuery
 from cspace.worlds.planar.arm import PlanarArm
 from cspace.worlds.planar.world import PlanarWorld
-from tests.bundles import picture
 
 
 @pytest.fixture(scope="module")
 def bundle(tiny_bundle: Path) -> Bundle:
     return Bundle.load(tiny_bundle)
-
-
-def test_a_query_that_fits_is_not_judged_again_nor_is_it_with_another_seed(bundle: Bundle) -> None:
-    query = fitted(SampleQuery(5, 1, robot=bundle.robot), bundle.spec, has_validity=True)
-    assert query.min_confidence == (bundle.spec.confidence_threshold or 0.0)
-    other = replace(query, seed=2)
-    assert isinstance(other, FittedQuery)
-    assert fitted(other, bundle.spec, has_validity=True) is other
-
-
-def test_a_fitted_query_gives_the_samples_of_the_query_itself(bundle: Bundle) -> None:
-    query = SampleQuery(50, 3, min_confidence=0.5, robot=bundle.robot)
-    fits = fitted(query, bundle.spec, has_validity=True)
-    one, other = (bundle.answer(picture(), each) for each in (query, fits))
-    assert one.samples.tobytes() == other.samples.tobytes()
 
 
 def test_configurations_are_wrapped_where_joints_are_circles_and_held_within_limits(bundle: Bundle) -> None:
@@ -47,18 +30,6 @@ def test_configurations_are_wrapped_where_joints_are_circles_and_held_within_lim
     for wrong in ([0.0, 1.0], [[0.0]], np.empty((0, 2)), [["a", "b"]], [[True, False]]):
         with pytest.raises(InputError, match="do not fit the robot"):
             fitted_configurations(wrong, spec)
-
-
-def test_limits_in_single_precision_are_taken_at_every_field(bundle: Bundle) -> None:
-    limits = (-2.8973, 2.8973), (-3.7525, 3.7525)
-    spec = replace(bundle.spec, world=PlanarWorld(PlanarArm(joint_limits_rad=limits)))
-    upper = np.float32([2.8973, 3.7525])
-    assert not spec.world.space.contains(upper)
-    found = fitted_configurations(upper[None], spec)
-    assert spec.world.space.contains(found).all()
-    np.testing.assert_array_equal(fitted_end(spec, "goal", tuple(upper.tolist())), found[0].tolist())
-    with pytest.raises(InputError, match=r"goal lies outside the limits.*joint 2 at 3.7527"):
-        fitted_end(spec, "goal", (0.0, 3.7527))
 
 
 def test_angles_in_degrees_are_refused_although_the_joints_are_circles(bundle: Bundle) -> None:

@@ -1,7 +1,5 @@
 """Runs that do not end, and what may happen between the parts of those that do."""
 
-import os
-import sys
 import time
 from pathlib import Path
 
@@ -9,12 +7,10 @@ import numpy as np
 import pytest
 
 from cspace.bundle import Bundle
-from cspace.bundle.golden import GoldenCase
-from cspace.bundle.runtime import CHUNK_ROWS, Deadlines, Graph
-from cspace.errors import BundleError, GoldenMismatchError
+from cspace.bundle.runtime import CHUNK_ROWS, Graph
+from cspace.errors import BundleError
 from tests.bundles import PIXELS, picture
 from tests.cspace import hostile_graphs as hostile
-from tests.cspace.test_bundle_integrity import resign
 
 
 def slow_graph(limit_s: float) -> Graph:
@@ -44,34 +40,6 @@ def test_a_run_that_does_not_end_is_ended_and_nothing_is_printed(capfd: pytest.C
     assert capfd.readouterr() == ("", "")
 
 
-def test_what_ends_in_time_is_not_ended() -> None:
-    deadlines, ended = Deadlines(), []
-    with deadlines.ended_by(0.05, lambda: ended.append("late")):
-        pass
-    deadlines.begin("slow", 0.01, lambda: ended.append("slow"))
-    give_up = time.monotonic() + 10.0
-    while not ended and time.monotonic() < give_up:
-        time.sleep(0.01)
-    assert ended == ["slow"]
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="needs fork")
-@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
-def test_a_child_process_has_its_own_watch() -> None:
-    deadlines = Deadlines()
-    deadlines.begin("parent", 60.0, lambda: None)
-    child = os.fork()
-    if child == 0:
-        ended: list[int] = []
-        deadlines.begin("child", 0.01, lambda: ended.append(1))
-        give_up = time.monotonic() + 5.0
-        while not ended and time.monotonic() < give_up:
-            time.sleep(0.01)
-        os._exit(0 if ended else 1)
-    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
-    deadlines.done("parent")
-
-
 class StopError(Exception):
     pass
 
@@ -97,19 +65,3 @@ def test_what_between_raises_passes_through(folder: Path, request_: dict[str, fl
 
     with pytest.raises(StopError):
         Bundle.load(folder).sample(picture(), seed=1, check_cancelled=stop, **request_)  # type: ignore[arg-type]
-
-
-def test_without_a_replay_all_but_the_golden_case_is_checked(folder: Path) -> None:
-    case = GoldenCase.from_npz((folder / "golden.npz").read_bytes())
-    other = GoldenCase(**{name: getattr(case, name) for name in case.__slots__} | {"mu": case.mu + 1.0})
-    (folder / "golden.npz").write_bytes(other.to_npz())
-    resign(folder)
-    with pytest.raises(GoldenMismatchError):
-        Bundle.load(folder)
-    assert Bundle.load(folder, replay=False).has_validity
-    (folder / "encoder.onnx").write_bytes(hostile.endless())
-    with pytest.raises(BundleError, match="changed"):
-        Bundle.load(folder, replay=False)
-    resign(folder)
-    with pytest.raises(BundleError, match="Loop"):
-        Bundle.load(folder, replay=False)

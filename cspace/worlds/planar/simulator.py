@@ -80,12 +80,12 @@ class PlanarSimulator(Simulator):
 
     def arrays_of(self, scene: Scene) -> dict[str, NDArray[Any]]:
         """(D, 3) discs: x, y, radius in m; the last one again until they are as many as the world's most."""
-        discs = _planar(scene).disc_array
+        discs = cast("Scenario", scene).disc_array
         return {"discs": np.pad(discs, ((0, max(0, self._most - len(discs))), (0, 0)), mode="edge")}
 
     def render(self, scene: Scene) -> Image:
         """See :func:`cspace.worlds.planar.render.render`."""
-        return render(_planar(scene))
+        return render(cast("Scenario", scene))
 
     def picture_file(self, scene: Scene) -> bytes:
         """PNG."""
@@ -93,7 +93,7 @@ class PlanarSimulator(Simulator):
 
     def checker(self, scene: Scene) -> Checker:
         """See :class:`cspace.worlds.planar.checks.CollisionChecker`."""
-        return CollisionChecker(_planar(scene))
+        return CollisionChecker(cast("Scenario", scene))
 
     def proposals(self, scene: Scene, rng: np.random.Generator, count: int) -> Proposals:
         """Half of them uniform, half near contact."""
@@ -114,7 +114,7 @@ class PlanarSimulator(Simulator):
 
     def narrow_pairs(self, scene: Scene, configurations: NDArray[np.float64]) -> NDArray[np.int64]:
         """See :func:`cspace.worlds.planar.problems.narrow_pairs`."""
-        return narrow_pairs(_planar(scene), configurations)
+        return narrow_pairs(cast("Scenario", scene), configurations)
 
     def ends(
         self, scene: Scene, free: NDArray[np.float64], rng: np.random.Generator, count: int
@@ -125,19 +125,19 @@ class PlanarSimulator(Simulator):
 
     def path_search(self, scene: Scene) -> PathSearch:
         """See :mod:`cspace.worlds.planar.free_grid`."""
-        return PathFinder(_planar(scene)).path
+        return PathFinder(cast("Scenario", scene)).path
 
     def problem(self, family: str, split: Split, seed: int, index: int = 0) -> Problem:
         """See :func:`cspace.worlds.planar.problems.draw_problem`."""
         self.require(family)
         found = draw_problem(Family(family), split, seed, index, self.world.body, self._scenes)
-        scenario = replace(_planar(found.scenario), camera=self.world.sensor)
+        scenario = replace(cast("Scenario", found.scenario), camera=self.world.sensor)
         return replace(found, scenario=scenario)
 
     def obstruction(self, problem: Problem) -> str | None:
         """See :func:`cspace.worlds.planar.problems.apart` beside what is known in any world."""
         ends = np.stack([problem.start, problem.goal])
-        return super().obstruction(problem) or apart(_planar(problem.scenario), ends)
+        return super().obstruction(problem) or apart(cast("Scenario", problem.scenario), ends)
 
     def count(self, split: Split) -> int | None:
         """How many were given; a family has no end."""
@@ -150,7 +150,7 @@ class PlanarSimulator(Simulator):
 
     def draw_scene(self, axes: Any, scene: Scene, colour: str) -> None:
         """Discs in the camera's frame."""
-        draw_discs(axes, _planar(scene), colour)
+        draw_discs(axes, cast("Scenario", scene), colour)
 
     def draw_robot(self, axes: Any, configuration: ArrayLike, colour: str, order: int) -> None:
         """Links as capsules."""
@@ -182,11 +182,3 @@ class PlanarSimulator(Simulator):
 def open_simulator(world: World) -> PlanarSimulator:
     """The simulator of a planar world."""
     return PlanarSimulator(cast("PlanarWorld", world))
-
-
-def _planar(scene: Scene) -> Scenario:
-    if not isinstance(scene, Scenario):
-        raise ScenarioError(
-            "the scene is of another world", expected="a planar one", got=type(scene).__name__
-        )
-    return scene

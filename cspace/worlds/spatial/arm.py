@@ -190,12 +190,6 @@ class SerialArm(Record):
     def link_frames(self, configurations: ArrayLike) -> NDArray[np.float64]:
         """Forward kinematics: (N, d) rad to the links' frames in the base's, (N, d + 1, 4, 4), m."""
         rows = np.asarray(configurations, dtype=np.float64)
-        if rows.ndim != 2 or rows.shape[1] != self.dim:
-            raise ScenarioError(
-                "the configurations do not fit the robot",
-                expected=f"shape (N, {self.dim})",
-                got=str(rows.shape),
-            )
         frames = np.empty((len(rows), self.dim + 1, 4, 4))
         frames[:, 0] = np.eye(4)
         for index, joint in enumerate(self.joints):
@@ -267,13 +261,6 @@ class SerialArm(Record):
 
     def own_radii_m(self) -> NDArray[np.float64]:
         """(S,) radii by which the arm's parts are held apart from each other."""
-        overlaps = [part.overlap_m for part in self.parts]
-        if len({one is None for one in overlaps}) > 1:
-            raise ScenarioError(
-                "the arm's parts do not fit",
-                expected="overlap_m for all of them or none",
-                got=str(overlaps)[:200],
-            )
         radii = [np.asarray(part.spheres_m)[:, 3] - (part.overlap_m or 0.0) for part in self.parts]
         return np.asarray(np.maximum(np.concatenate([np.empty(0), *radii]), 0.0))
 

@@ -37,7 +37,6 @@ from cspace.worlds.spatial.obstacles import Obstacles
 from cspace.worlds.spatial.poses import moved
 from cspace.worlds.spatial.sensor import GridBox
 from cspace.worlds.spatial.visibility import distances_m
-from cspace.worlds.spatial.world import SpatialWorld
 
 
 class SceneArrays(NamedTuple):
@@ -235,7 +234,7 @@ _NO_OBSTACLES = Obstacles((), ())
 
 
 def seen_checkers(
-    world: SpatialWorld,
+    world: Any,
     picture: NDArray[np.uint8],
     ends: NDArray[np.float64],
     obstacles: Obstacles = _NO_OBSTACLES,

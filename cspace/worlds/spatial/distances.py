@@ -5,7 +5,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cspace.errors import ScenarioError
 from cspace.kernel_cache import njit
 from cspace.worlds.spatial.obstacles import Obstacles
 
@@ -127,10 +126,6 @@ NOTHING = DistanceGrid(np.empty((0, 0, 0), dtype=np.float32), np.zeros(3), 1.0, 
 
 def distance_grid(values: NDArray[np.float32], low_m: ArrayLike, voxel_m: float) -> DistanceGrid:
     """Distances (X, Y, Z) m at the centres of voxels, from a lowest corner (3,) m on."""
-    if values.ndim != 3 or min(values.shape) < 2:
-        raise ScenarioError(
-            "the distances are no grid", expected="three sides of two voxels or more", got=str(values.shape)
-        )
     held = np.ascontiguousarray(values, dtype=np.float32)
     return DistanceGrid(held, np.asarray(low_m, dtype=np.float64), float(voxel_m), float(held.max()))
 

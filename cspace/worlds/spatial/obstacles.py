@@ -19,11 +19,7 @@ _Size = Annotated[float, Field(gt=0.0, le=MAX_PLACE_M, strict=True)]
 
 @validated(ScenarioError)
 class Box(Record):
-    """A cuboid.
-
-    Args:
-        pose: of its centre, rows of a 4 x 4 matrix in the base frame, m.
-    """
+    """A cuboid; ``pose`` is of its centre, rows of a 4 x 4 matrix in the base frame, m."""
 
     pose: Pose
     half_m: tuple[_Size, _Size, _Size]

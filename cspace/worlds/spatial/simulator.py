@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull
 
-from cspace.errors import ScenarioError
 from cspace.simulator import (
     UNIFORM,
     Checker,
@@ -129,29 +128,29 @@ class SpatialSimulator(Simulator):
 
     def arrays_of(self, scene: Scene) -> dict[str, NDArray[Any]]:
         """See :func:`cspace.worlds.spatial.obstacles.rows_of`."""
-        return dict(rows_of(_spatial(scene).obstacles))
+        return dict(rows_of(cast("SpatialScene", scene).obstacles))
 
     def render(self, scene: Scene) -> Image:
         """See :meth:`cspace.worlds.spatial.world.SpatialWorld.observed`."""
-        return self.world.observed(_spatial(scene).view())
+        return self.world.observed(cast("SpatialScene", scene).view())
 
     def unseen_places(self, scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Places in reach that no camera of a scene sees, (N, 3) m, and how far obstacles are, (N,) m."""
-        places = self.world.unseen_m(_spatial(scene).view())
-        return places, distance_m(_spatial(scene).obstacles, places)
+        places = self.world.unseen_m(cast("SpatialScene", scene).view())
+        return places, distance_m(cast("SpatialScene", scene).obstacles, places)
 
     def picture_file(self, scene: Scene) -> bytes:
         """See :mod:`cspace.worlds.spatial.view`."""
-        return write_view(_spatial(scene).view())
+        return write_view(cast("SpatialScene", scene).view())
 
     def checker(self, scene: Scene) -> Checker:
         """See :class:`cspace.worlds.spatial.checks.CollisionChecker`."""
-        found = _spatial(scene)
+        found = cast("SpatialScene", scene)
         return CollisionChecker(found.arm, found.obstacles)
 
     def proposals(self, scene: Scene, rng: np.random.Generator, count: int) -> Proposals:
         """See :func:`cspace.worlds.spatial.problems.draw_proposals`."""
-        found = _spatial(scene)
+        found = cast("SpatialScene", scene)
         start = None if found.state is None else np.asarray(found.state)
         checker = CollisionChecker(found.world.body, found.obstacles)
         return draw_proposals(checker, found.regions, start, rng, count)
@@ -168,7 +167,7 @@ class SpatialSimulator(Simulator):
     ) -> Iterator[NDArray[np.float64]]:
         """See :meth:`cspace.worlds.spatial.problems.Ends.pairs`; the arm sets out where it waits."""
         del free
-        found = _spatial(scene)
+        found = cast("SpatialScene", scene)
         state = None if found.state is None else np.asarray(found.state)
         checker = CollisionChecker(found.world.body, found.obstacles)
         return Ends(checker, found.regions, rng).pairs(count, state)
@@ -198,7 +197,7 @@ class SpatialSimulator(Simulator):
 
     def draw_scene(self, axes: Any, scene: Scene, colour: str) -> None:
         """Obstacles, from the side."""
-        draw_obstacles(axes, _spatial(scene).obstacles, colour)
+        draw_obstacles(axes, cast("SpatialScene", scene).obstacles, colour)
 
     def draw_robot(self, axes: Any, configuration: ArrayLike, colour: str, order: int) -> None:
         """Spheres, from the side."""
@@ -212,11 +211,3 @@ class SpatialSimulator(Simulator):
 def open_simulator(world: World) -> SpatialSimulator:
     """The simulator of a world of this kind."""
     return SpatialSimulator(cast("SpatialWorld", world))
-
-
-def _spatial(scene: Scene) -> SpatialScene:
-    if not isinstance(scene, SpatialScene):
-        raise ScenarioError(
-            "the scene is of another world", expected="a spatial one", got=type(scene).__name__
-        )
-    return scene

@@ -30,7 +30,6 @@ from cspace.worlds.spatial.planning_scene import Attached, Body, BoxShape, Plann
 from cspace.worlds.spatial.poses import HERE, moved, vector
 from cspace.worlds.spatial.sensor import NO_READING, OUT_OF_VIEW, GridBox
 from cspace.worlds.spatial.visibility import SLACK_M, lookup
-from cspace.worlds.spatial.world import SpatialWorld
 
 # The base stands where it stands.
 _STILL = 0
@@ -389,7 +388,7 @@ def _least_out(
     return best
 
 
-def load_kernels(world: SpatialWorld) -> None:
+def load_kernels(world: Any) -> None:
     """Have the compiled code in this process."""
     box = BoxShape((0.1, 0.1, 0.1))
     known = PlanningScene((Body("box", box),), (Attached("held", box),), ignore=(Body("free", box),))

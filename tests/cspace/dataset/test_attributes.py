@@ -43,9 +43,3 @@ def test_what_cannot_be_is_refused(tmp_path, name, change, message):
     with pytest.raises(DatasetError, match=message):
         write_dataset(tmp_path / "data", **content(), attributes=attribute(name, change))
     assert list(tmp_path.iterdir()) == []
-
-
-def test_nothing_is_attribute_of_configurations_that_are_not_there(tmp_path):
-    without = content() | {"collision": None}
-    with pytest.raises(DatasetError, match=r"collision_origin\.npy belongs to collision\.npy"):
-        write_dataset(tmp_path / "data", **without, attributes=attribute("collision_origin"))

@@ -1,5 +1,4 @@
 import json
-import os
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,7 @@ from cspace.errors import DamagedFileError, DatasetError
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
-from tests.dataset_content import CAMERA, content
+from tests.dataset_content import content
 
 
 def rewrite(folder: Path, **arrays):
@@ -47,51 +46,15 @@ def test_a_changed_byte_is_found_and_its_file_named(folder, name):
         open_dataset(folder)
 
 
-def test_a_manifest_that_is_far_too_large_is_refused_before_it_is_read(folder):
-    os.truncate(folder / MANIFEST_FILE, 2**40)
-    with pytest.raises(DatasetError, match="too large"):
-        open_dataset(folder)
-
-
 def test_a_missing_file_is_named(folder):
     (folder / "collision.npy").unlink()
     with pytest.raises(DamagedFileError, match=r"collision\.npy is missing"):
         open_dataset(folder)
 
 
-@pytest.mark.parametrize("code", [False, True])
-def test_a_truncated_file_and_one_of_code_are_found_without_their_digests(folder, code):
-    if code:
-        np.save(folder / "free.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
-    else:
-        (folder / "free.npy").write_bytes((folder / "free.npy").read_bytes()[:-8])
-    with pytest.raises(DamagedFileError, match=r"free\.npy is no array"):
-        open_dataset(folder, verify=False)
-
-
 def test_a_changed_manifest_is_found(folder):
     edit(folder, world=PlanarWorld(TWO_LINK, Camera(pixels=17)).to_dict())
     with pytest.raises(DamagedFileError, match=r"manifest\.json is damaged"):
-        open_dataset(folder)
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"schema_version": 1},
-        {"schema_version": 3},
-        {"extra_key": 1},
-        {"world": None},
-        {"world": {"kind": "flat", "robot": {}, "camera": {}}},
-        {"world": {"kind": "planar", "robot": {"link_lengths_m": [2.0]}, "camera": CAMERA.to_dict()}},
-        {"files": {"images.npy": 5}},
-        {"generator": "me"},
-        {"generator": float("nan")},
-    ],
-)
-def test_a_manifest_that_does_not_follow_the_schema_is_an_error(folder, change):
-    edit(folder, **change)
-    with pytest.raises(DatasetError, match="manifest"):
         open_dataset(folder)
 
 
@@ -147,12 +110,4 @@ def test_a_manifest_cannot_name_files_elsewhere(folder):
 def test_an_array_that_does_not_fit_is_named_with_what_was_expected(folder, arrays, words):
     rewrite(folder, **arrays)
     with pytest.raises(DatasetError, match=words):
-        open_dataset(folder)
-
-
-@pytest.mark.parametrize("name", ["free", "collision_offsets", "path_scenario"])
-def test_an_array_that_is_left_out_is_named(folder, name):
-    manifest = Manifest.read(folder)
-    rebuild(folder, manifest, {file: sha for file, sha in manifest.files.items() if file != f"{name}.npy"})
-    with pytest.raises(DatasetError, match=name):
         open_dataset(folder)

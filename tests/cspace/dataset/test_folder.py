@@ -1,9 +1,7 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from cspace.dataset import MANIFEST_FILE, Manifest, open_dataset, write_dataset
+from cspace.dataset import open_dataset, write_dataset
 from cspace.errors import DatasetError
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.worlds.planar.world import PlanarWorld
@@ -65,13 +63,6 @@ def test_angles_are_wrapped_into_single_precision(tmp_path):
     np.testing.assert_allclose(np.cos(dataset.free), np.cos(free[0]), atol=1e-6)
 
 
-def test_arrays_are_mapped_and_read_only(folder):
-    dataset = open_dataset(folder)
-    assert isinstance(dataset.images, np.memmap)
-    with pytest.raises(ValueError, match="read-only"):
-        dataset.free[0] = 0.0
-
-
 def test_equal_content_has_an_equal_digest_and_other_content_another(tmp_path):
     first, second, other, robot = (
         write_dataset(tmp_path / name, **values)
@@ -108,13 +99,3 @@ def test_a_data_set_that_does_not_fit_is_not_written(tmp_path, change, words):
     with pytest.raises(DatasetError, match=words):
         write_dataset(tmp_path / "data", **content(**change))
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_data_set_of_before_limits_were_kept_is_read(tmp_path):
-    folder = write_dataset(tmp_path / "data", **content()).folder
-    limited = PlanarArm(joint_limits_rad=((-0.1, 0.1), (-4.0, 4.0)))
-    manifest = replace(Manifest.read(folder), world=PlanarWorld(limited, CAMERA))
-    (folder / MANIFEST_FILE).write_text(manifest.to_json())
-    assert open_dataset(folder).world.body == limited
-    free = open_dataset(folder).arrays["free"]
-    assert (np.abs(free[:, 0]) > 0.1).any()

@@ -16,12 +16,6 @@ def test_two_links_reach_where_they_point():
     np.testing.assert_allclose(positions[:, 2], [[4, 0], [0, 4], [2, 2], [0, 2 * sqrt(2)]], atol=1e-12)
 
 
-def test_every_joint_is_relative_to_the_link_before():
-    arm = PlanarArm(link_lengths_m=(3.0, 2.0, 1.0))
-    positions = arm.joint_positions_m([[pi / 2, pi / 2, pi / 2]])[0]
-    np.testing.assert_allclose(positions, [[0, 0], [0, 3], [-2, 3], [-2, 2]], atol=1e-12)
-
-
 def test_joints_are_circles_unless_they_have_limits():
     space = PlanarArm(joint_limits_rad=(None, (-1.0, 2.0))).space
     assert space.periodic == (True, False)
@@ -51,17 +45,3 @@ def test_a_robot_survives_json(arm):
 def test_a_robot_that_cannot_be_is_an_error(values):
     with pytest.raises(ScenarioError, match="expected"):
         PlanarArm(**values)
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"link_lengths_m": None},
-        {"joint_limits_rad": [[1.0], None]},
-        {"colour": "blue"},
-        {"kind": "crane"},
-    ],
-)
-def test_a_description_that_does_not_fit_is_an_error(change):
-    with pytest.raises(ScenarioError):
-        PlanarArm.from_dict(TWO_LINK.to_dict() | change)

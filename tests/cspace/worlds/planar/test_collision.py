@@ -85,29 +85,6 @@ def test_an_edge_is_free_when_all_its_states_are(scene, data, resolution):
     assert checker.edge_test(resolution)(a, b)[0] == expected
 
 
-def test_batches_singles_and_callbacks_agree():
-    scenario = Scenario(TWO_LINK, (Disc(2.5, 1.0), Disc(-2.0, -2.0)))
-    checker, rng = CollisionChecker(scenario), np.random.default_rng(0)
-    starts, ends = rng.uniform(-np.pi, np.pi, (2, 300, 2))
-    batch, edges = checker.valid_batch(starts), checker.edge_batch(starts, ends, 0.05)
-    assert batch.any()
-    assert not batch.all()
-    assert edges.any()
-    assert not edges.all()
-    assert batch.tolist() == [checker.valid(q) for q in starts]
-    is_free, check = checker.state_test(), checker.edge_test(0.05)
-    assert batch.tolist() == [is_free(q) for q in starts]
-    assert edges.tolist() == [checker.edge(a, b, 0.05) for a, b in zip(starts, ends, strict=True)]
-    assert edges.tolist() == [check(a, b)[0] for a, b in zip(starts, ends, strict=True)]
-
-
-def test_touching_is_a_collision():
-    # The stretched arm's capsule ends at y = 0.1; the disc's lowest point is there as well.
-    touching = Scenario(TWO_LINK, (Disc(2.0, 1.0, 0.9),))
-    assert not CollisionChecker(touching).valid([0.0, 0.0])
-    assert CollisionChecker(Scenario(TWO_LINK, (Disc(2.0, 1.0, 0.899),))).valid([0.0, 0.0])
-
-
 def test_an_edge_takes_the_shorter_way_round_a_circle():
     # At an angle of pi the first link points at (-2, 0); a disc above the base blocks the other way.
     scenario = Scenario(TWO_LINK, (Disc(0.0, 3.0),))
@@ -123,14 +100,6 @@ def test_an_edge_does_not_wrap_round_a_limited_joint():
     assert not CollisionChecker(scenario).edge([3.0, 0.0], [-3.0, 0.0], 0.02)
 
 
-def test_both_ends_of_an_edge_are_looked_at():
-    scenario = Scenario(TWO_LINK, (Disc(4.0, 0.0, 0.05),))
-    checker = CollisionChecker(scenario)
-    assert not checker.edge([0.0, 0.0], [0.4, 0.0], 10.0)
-    assert not checker.edge([0.4, 0.0], [0.0, 0.0], 10.0)
-    assert checker.edge([0.4, 0.0], [0.8, 0.0], 10.0)
-
-
 def test_without_discs_everything_within_the_limits_is_free():
     checker = CollisionChecker(Scenario(LIMITED, ()))
     assert checker.valid([0.0, 2.5])
@@ -142,12 +111,6 @@ def test_without_discs_everything_within_the_limits_is_free():
 def test_configurations_of_another_robot_are_an_error(shape):
     with pytest.raises(ScenarioError, match=r"\(N, 2\)"):
         CollisionChecker(Scenario(TWO_LINK, ())).valid_batch(np.zeros(shape))
-
-
-@pytest.mark.parametrize("resolution", [0.0, -0.1, float("nan")])
-def test_a_resolution_that_is_not_positive_is_an_error(resolution):
-    with pytest.raises(ScenarioError, match="resolution"):
-        CollisionChecker(Scenario(TWO_LINK, ())).edge([0.0, 0.0], [1.0, 1.0], resolution)
 
 
 def test_trees_of_an_arm_of_many_joints_never_outgrow_their_arrays():

@@ -52,13 +52,6 @@ def test_a_cell_is_free_when_its_centre_is(robot):
         assert grid.cell_of(centre) == index
 
 
-def test_a_configuration_and_its_full_turns_share_a_cell():
-    grid = FreeGrid(Scenario(TWO_LINK, ()), 64)
-    q = np.array([3.1, -3.1])
-    assert grid.cell_of(q) == grid.cell_of(q + np.array([2 * np.pi, -4 * np.pi])) == (63, 0)
-    assert [axis.tolist() for axis in grid.cells_of(np.stack([q, -q]))] == [[63, 0], [0, 63]]
-
-
 def test_the_clearance_of_one_link_is_the_angle_to_contact():
     grid = FreeGrid(ABOVE, 3600)
     for angle, distance in [
@@ -77,27 +70,6 @@ def test_a_limited_joint_does_not_see_across_its_limits():
     blocked_from = np.pi - CONTACT_RAD
     assert grid.clearance_rad[grid.cell_of([-3.0])] == pytest.approx(3.0 + CONTACT_RAD, abs=0.01)
     assert grid.clearance_rad[grid.cell_of([3.0])] == pytest.approx(3.0 - blocked_from, abs=0.01)
-
-
-def test_the_bottleneck_of_one_link_is_the_nearer_end():
-    grid = FreeGrid(ABOVE, 3600)
-    start, goal = [CONTACT_RAD - 0.3], [np.pi - CONTACT_RAD + 0.5]
-    assert grid.joined(start, goal)
-    assert grid.bottleneck_rad(start, goal) == pytest.approx(0.3, abs=0.004)
-
-
-def test_two_discs_cut_the_circle_in_two():
-    grid = FreeGrid(Scenario(ONE_LINK, (Disc(0.0, 3.0), Disc(0.0, -3.0))), 720)
-    assert not grid.joined([0.0], [np.pi])
-    assert grid.bottleneck_rad([0.0], [np.pi]) == 0.0
-    assert grid.joined([np.pi - 0.5], [-np.pi + 0.5])
-
-
-def test_a_configuration_in_collision_is_joined_to_nothing():
-    grid = FreeGrid(ABOVE, 720)
-    assert not grid.joined([np.pi / 2], [0.0])
-    assert not grid.joined([np.pi / 2], [np.pi / 2])
-    assert grid.bottleneck_rad([0.0], [np.pi / 2]) == 0.0
 
 
 def test_components_close_over_the_seams():

@@ -3,14 +3,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cspace.errors import ScenarioError
 from cspace.planning.paths import spread_points
 from cspace.simulator import Split
-from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
+from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.checks import CollisionChecker
-from cspace.worlds.planar.free_grid import RESOLUTION_RAD, PathFinder, clearance_weights, shortcut
+from cspace.worlds.planar.free_grid import RESOLUTION_RAD, PathFinder
 from cspace.worlds.planar.problems import Family, draw_problem
-from cspace.worlds.planar.world import Disc, Scenario
 
 SPACE = TWO_LINK.space
 
@@ -24,42 +22,9 @@ def test_a_path_is_free_and_joins_its_ends(family, seed, index):
     assert checker.edge_batch(path[:-1], path[1:], RESOLUTION_RAD).all()
 
 
-def test_with_nothing_in_the_way_a_path_is_straight():
-    finder = PathFinder(Scenario(TWO_LINK, ()))
-    assert finder.path((-3.0, 0.0), (3.0, 0.5)).tolist() == [[-3.0, 0.0], [3.0, 0.5]]
-
-
 def test_between_two_parts_of_the_free_space_there_is_no_path():
     problem = draw_problem(Family.DISCONNECTED, Split.DEMO, 11, 0)
     assert PathFinder(problem.scenario).path(problem.start, problem.goal) is None
-
-
-def test_a_goal_in_collision_is_refused():
-    with pytest.raises(ScenarioError, match="the goal is in collision"):
-        PathFinder(Scenario(TWO_LINK, (Disc(2.0, 0.0),))).path((1.0, 0.0), (0.0, 0.0))
-
-
-def test_one_grid_serves_three_joints_and_several_starts():
-    scenario = Scenario(THREE_LINK, (Disc(2.5, 2.5),))
-    finder, checker = PathFinder(scenario), CollisionChecker(scenario)
-    for start in ((-0.5, 0.3, 0.0), (-2.0, 1.0, 1.0)):
-        path = finder.path(start, (2.0, 0.0, 0.0))
-        assert checker.edge_batch(path[:-1], path[1:], RESOLUTION_RAD).all()
-
-
-def test_weights_double_towards_contact_and_forbid_collisions():
-    found = clearance_weights(np.array([0.0, 1e-9, 0.06, 0.12, 3.0, np.inf]))
-    np.testing.assert_allclose(found, [np.inf, 2.0, 1.5, 1.0, 1.0, 1.0], rtol=1e-6)
-
-
-def test_a_shortcut_keeps_only_the_corners_that_are_needed():
-    path = np.array([[0.0, 0.0], [0.5, 0.0], [1.0, 0.0], [1.0, 0.5], [1.0, 1.0]])
-
-    def along_the_axes(starts, ends):
-        return np.any(np.isclose(starts, ends), axis=1)
-
-    assert shortcut(path, along_the_axes).tolist() == [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]
-    assert shortcut(path, lambda starts, _: np.zeros(len(starts), dtype=bool)) is None
 
 
 @given(st.lists(st.tuples(st.floats(-3, 3), st.floats(-3, 3)), min_size=2, max_size=6, unique=True))

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cspace.errors import ImageError, InputError
 from cspace.plan import Seen, search_paths
 from cspace.png import encode_png
 from cspace.view_file import pack_view
@@ -108,19 +107,3 @@ def test_a_path_that_touches_what_is_known_between_the_states_of_the_search_is_n
 def view(**options):
     given = {"cameras": (), "state": None, "known": text_of(DISCS)} | options
     return pack_view([encode_png(render(Scenario(TWO_LINK, (SHOWN,))))], **given)
-
-
-def test_a_picture_with_known_discs_shows_them_and_holds_them():
-    world = PlanarWorld()
-    read = world.examine_picture(view())
-    np.testing.assert_array_equal(read.images[0], read.known.drawn(world.sensor))
-    np.testing.assert_array_equal(read.known.discs[:, 2], [0.3, 0.8, 0.05])
-    np.testing.assert_array_equal(world.read_picture(view()), read.images[0])
-    with pytest.raises(ImageError, match="comes with a camera"):
-        world.examine_picture(view(cameras=[{}]))
-    with pytest.raises(ImageError, match="comes with a camera"):
-        world.examine_picture(view(state=[0.0, 0.0]))
-    with pytest.raises(ImageError, match="a camera each"):
-        view(known=None)
-    with pytest.raises(InputError, match="is not JSON"):
-        world.examine_picture(view(known=b'{"scene": [NaN]}'))

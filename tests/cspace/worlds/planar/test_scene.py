@@ -1,15 +1,9 @@
-import json
-
 import numpy as np
 import pytest
 
-from cspace.errors import ScenarioError
 from cspace.simulator import Split
-from cspace.worlds import read_world
-from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
-from cspace.worlds.planar.camera import Camera
+from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.checks import CollisionChecker
-from cspace.worlds.planar.world import Disc, Scenario
 from tests.scenarios import random_scenarios
 
 COUNT = 1500
@@ -50,32 +44,3 @@ def test_a_seed_gives_the_same_scenarios_as_ever_and_a_longer_list_starts_with_t
     # Published results name seeds; a change of these numbers would silently change what they mean.
     first = random_scenarios(Split.TEST, 5, 1)[0].discs[0]
     assert (first.x_m, first.y_m) == pytest.approx(PINNED, abs=1e-12)
-
-
-def test_splits_seeds_and_indices_share_no_scenario():
-    seen = {
-        scenario.discs[0].x_m
-        for split in Split
-        for seed in (0, 1, 2, 3, 4)
-        for scenario in random_scenarios(split, seed, 50)
-    }
-    assert len(seen) == 4 * 5 * 50
-
-
-def test_scenarios_of_another_robot_have_the_same_discs():
-    two, three = (random_scenarios(Split.DEMO, 1, 4, robot) for robot in (TWO_LINK, THREE_LINK))
-    assert [s.discs for s in two] == [s.discs for s in three]
-    assert {s.robot for s in three} == {THREE_LINK}
-
-
-def test_a_scenario_tells_robot_discs_and_camera_as_json():
-    scenario = Scenario(THREE_LINK, (Disc(1.5, 2.5, 0.5), Disc(-2.0, 0.0)), Camera(-4, 4, -4, 4, 64))
-    values = json.loads(json.dumps(scenario.to_dict()))
-    assert values.pop("discs") == [[1.5, 2.5, 0.5], [-2.0, 0.0, 1.0]]
-    assert read_world(values) == scenario.world
-
-
-@pytest.mark.parametrize("change", [{"pixels": None}, {"pixels": "many"}, {"x_min_m": []}])
-def test_a_camera_that_does_not_fit_is_an_error(change):
-    with pytest.raises(ScenarioError, match="camera"):
-        read_world({"robot": TWO_LINK.to_dict(), "camera": Camera().to_dict() | change})

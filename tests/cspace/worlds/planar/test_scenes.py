@@ -30,17 +30,6 @@ def test_the_family_of_training_is_what_it_was():
     np.testing.assert_array_equal(discs, expected)
 
 
-def test_a_family_keeps_to_its_settings():
-    family = DiscScenes((2, 5), (0.2, 0.6), 3.0, 0.5)
-    scenes = [drawn(family, index) for index in range(200)]
-    assert {len(scene) for scene in scenes} == {2, 3, 4, 5}
-    discs = np.concatenate(scenes)
-    assert discs[:, 2].min() < 0.25
-    assert discs[:, 2].max() > 0.55
-    assert (np.abs(discs[:, :2]) <= 3.0).all()
-    assert (np.hypot(discs[:, 0], discs[:, 1]) >= discs[:, 2] + 0.5).all()
-
-
 @pytest.mark.parametrize(
     "values",
     [
@@ -67,12 +56,6 @@ def test_every_fifth_given_scene_is_held_out_and_no_other_split_has_it():
     assert (few.train, few.held_out) == (SCENES[:1], SCENES[1:2])
 
 
-@pytest.mark.parametrize("scenes", [(), (((0.0, 0.0, -1.0),),), ((),), (((0.0, float("nan"), 1.0),),)])
-def test_given_scenes_that_cannot_be_are_refused(scenes):
-    with pytest.raises(ScenarioError):
-        GivenScenes.of(scenes)
-
-
 def test_a_world_tells_its_scenes_and_is_read_again():
     for scenes in (DiscScenes((5, 5), (0.4, 0.4)), GivenScenes.of(SCENES), None):
         world = PlanarWorld(THREE_LINK, scenes=scenes)
@@ -91,22 +74,6 @@ def test_a_simulator_makes_given_scenes_one_by_one():
     assert len(simulator.scenes(Split.TEST, 0, 50)) == 1
     problem = simulator.problem("uniform", Split.TEST, 0)
     assert problem.scenario.disc_array.tolist() == [list(disc) for disc in SCENES[9]]
-
-
-def test_scenes_of_different_length_fill_one_array():
-    simulator = simulator_of(PlanarWorld(TWO_LINK, scenes=DiscScenes((1, 4), (0.4, 0.4))))
-    scenes = simulator.scenes(Split.TRAIN, 0, 20)
-    rows = [simulator.arrays_of(scene)["discs"] for scene in scenes]
-    assert {len(scene.discs) for scene in scenes} == {1, 2, 3, 4}
-    assert {row.shape for row in rows} == {(4, 3)}
-    for scene, row in zip(scenes, rows, strict=True):
-        assert {tuple(disc) for disc in row} == {tuple(disc) for disc in scene.disc_array}
-
-
-def test_scenes_that_nobody_knows_are_not_made_up():
-    simulator = simulator_of(PlanarWorld(TWO_LINK, scenes=None))
-    with pytest.raises(ScenarioError, match="nobody knows"):
-        simulator.scenes(Split.TEST, 0, 1)
 
 
 def test_a_world_among_the_scenes_of_data():

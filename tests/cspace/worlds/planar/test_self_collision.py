@@ -1,7 +1,6 @@
 """Arms that collide with themselves: links that share no joint, by their capsules."""
 
 import itertools
-import json
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ from hypothesis import strategies as st
 
 from cspace.errors import ScenarioError
 from cspace.simulator import Problem
-from cspace.worlds import robot_digest, simulator_of
+from cspace.worlds import robot_digest
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.worlds.planar.checks import CollisionChecker, segment_gap
 from cspace.worlds.planar.free_grid import FreeGrid
@@ -19,9 +18,6 @@ from services.planner.ompl_planner import solve
 from services.planner.result import RRT_CONNECT, SAMPLED_CONNECT, PlannerSettings
 from tests.capsules import gap_by_hand, self_clearance_by_hand
 from tests.cspace.worlds.planar.test_collision import FOLDING
-
-# The third link lies beside the first one, 1 m above it; the third link crosses the first one from above.
-BESIDE, ACROSS = [0.0, np.pi / 2, np.pi / 2], [0.0, 0.75 * np.pi, 0.75 * np.pi]
 
 angles = st.floats(-7.0, 7.0) | st.sampled_from([0.0, np.pi / 2, np.pi, -np.pi])
 places = st.floats(-3.0, 3.0) | st.integers(-3, 3).map(float)
@@ -36,15 +32,6 @@ def test_the_distance_of_segments_is_the_least_of_their_points(tail, head, other
     assert segment_gap(*tail, *head, *other_tail, *other_head) == pytest.approx(expected, abs=1e-6)
 
 
-def test_the_clearance_of_links_side_by_side_and_across_is_known():
-    checker = CollisionChecker(Scenario(FOLDING, ()))
-    np.testing.assert_allclose(checker.clearance([BESIDE, ACROSS, [0.0, 0.0, 0.0]]), [0.8, -0.2, 0.8])
-    assert checker.valid_batch([BESIDE, ACROSS]).tolist() == [True, False]
-    problem = Problem(checker.scenario, np.asarray(BESIDE), np.asarray(ACROSS))
-    simulator = simulator_of(checker.scenario.world)
-    assert simulator.obstruction(problem) == "the goal is 0.200 m deep in collision"
-
-
 @given(angles, st.integers(3, 6))
 @settings(deadline=None, max_examples=60)
 def test_a_stretched_arm_is_clear_of_itself_whatever_rounding_makes_of_its_line(heading, count):
@@ -52,28 +39,6 @@ def test_a_stretched_arm_is_clear_of_itself_whatever_rounding_makes_of_its_line(
     q = np.concatenate([[heading], np.zeros(count - 1)])
     least = min(arm.link_lengths_m[1:-1]) - 0.2
     assert CollisionChecker(Scenario(arm, ())).clearance([q])[0] == pytest.approx(least, abs=1e-9)
-
-
-def test_an_arm_that_is_not_said_to_do_so_passes_through_itself():
-    checker = CollisionChecker(Scenario(PlanarArm((2.0, 1.0, 2.0), 0.1), ()))
-    assert checker.valid(ACROSS)
-    assert np.isinf(checker.clearance([ACROSS])[0])
-
-
-def test_neighbours_share_a_joint_and_never_count():
-    # The second link lies on the first one; the third one is 0.5 m beyond the first one's end.
-    arm = PlanarArm((0.5, 1.0, 1.0), 0.1, self_collision=True)
-    assert CollisionChecker(Scenario(arm, ())).valid([0.0, np.pi, 0.0])
-
-
-@pytest.mark.parametrize("links", [(2.0,), (0.1, 0.1)])
-def test_arms_of_one_or_two_links_never_meet_themselves(links):
-    rng = np.random.default_rng(0)
-    one, other = (PlanarArm(links, 0.1, self_collision=flag) for flag in (True, False))
-    rows = rng.uniform(-np.pi, np.pi, (500, one.dim))
-    discs = (Disc(1.5, 1.5), Disc(-2.0, 0.0))
-    clearances = [CollisionChecker(Scenario(arm, discs)).clearance(rows) for arm in (one, other)]
-    np.testing.assert_array_equal(*clearances)
 
 
 @pytest.mark.parametrize("links", [(1.0, 0.2, 1.0), (1.0, 1.0, 0.1, 1.0)])
@@ -110,18 +75,6 @@ def test_no_tree_and_no_path_passes_through_the_arm_itself(planner):
             q = first + share * FOLDING.space.difference(first, second)
             # Links that cross are 0.2 m deep; between the states that a check looks at they move by less.
             assert self_clearance_by_hand(FOLDING, q) > -0.05
-
-
-@pytest.mark.parametrize("arm", [THREE_LINK, PlanarArm((1.0, 1.0), 0.1, (None, (-1.0, 2.0)))])
-def test_only_where_it_is_true_is_it_written(arm):
-    assert "self_collision" not in arm.to_dict()
-    given = PlanarArm.from_dict(arm.to_dict() | {"self_collision": False})
-    assert (given, given.to_dict()) == (arm, arm.to_dict())
-    folding = PlanarArm(arm.link_lengths_m, arm.half_width_m, arm.joint_limits_rad, self_collision=True)
-    values = json.loads(json.dumps(folding.to_dict()))
-    assert values == json.loads(json.dumps(arm.to_dict())) | {"self_collision": True}
-    assert PlanarArm.from_dict(values) == folding
-    assert robot_digest(PlanarWorld(folding)) != robot_digest(PlanarWorld(arm))
 
 
 def test_the_digests_of_robots_are_what_they_were():

@@ -52,14 +52,6 @@ def test_no_sphere_is_beyond_the_reach() -> None:
     assert 0.8 * PANDA.reach_m < reached < PANDA.reach_m
 
 
-def test_joints_without_limits_are_circles() -> None:
-    assert PANDA.space.lower[3] == -3.1416
-    assert not any(PANDA.space.periodic)
-    mixed = replace(ELBOW, joints=(ELBOW.joints[0], replace(ELBOW.joints[1], limits_rad=(-2, 2))))
-    assert mixed.space.periodic == (True, False)
-    assert mixed.space.upper == (pi, 2.0)
-
-
 def test_what_is_written_is_read_again_and_equal_arms_are_one() -> None:
     again = SerialArm.from_dict(json.loads(json.dumps(PANDA.to_dict())))
     assert again == PANDA
@@ -101,17 +93,7 @@ def test_joints_that_cannot_be_are_refused(values: dict[str, object], message: s
         Joint(**({"name": "one"} | values))
 
 
-def test_configurations_of_another_robot_are_refused() -> None:
-    with pytest.raises(ScenarioError, match=r"expected shape \(N, 7\); got \(1, 6\)"):
-        PANDA.link_frames(np.zeros((1, 6)))
-
-
 @pytest.mark.parametrize("pitch", [0.3, -pi / 2])
 def test_a_frame_is_its_matrix(pitch: float) -> None:
     matrix = Frame((1.0, 2.0, 3.0), (0.4, pitch, -2.5)).matrix()
     np.testing.assert_allclose(Frame.of(matrix).matrix(), matrix, atol=1e-12)
-
-
-def test_yaw_comes_after_roll() -> None:
-    turned = Frame(rpy_rad=(pi / 2, 0.0, pi / 2)).matrix()
-    np.testing.assert_allclose(turned[:3, 1], [0.0, 0.0, 1.0], atol=1e-12)

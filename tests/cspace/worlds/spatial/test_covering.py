@@ -5,7 +5,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from cspace.errors import ScenarioError
 from cspace.worlds.spatial.arm import grouped
 from tests.cspace.worlds.spatial.test_robots import PANDA
 
@@ -33,9 +32,3 @@ def test_more_groups_are_smaller_and_as_many_as_spheres_are_these():
     assert sizes[0] > sizes[1] > sizes[2]
     whole = groups_of(PANDA.sphere_count)
     assert np.allclose(whole.spheres_m[whole.groups], PANDA.spheres_m(), atol=1e-9)
-
-
-@pytest.mark.parametrize("count", [10, 268])
-def test_a_count_that_cannot_be_is_refused(count):
-    with pytest.raises(ScenarioError, match="11 to 267 groups"):
-        grouped(PANDA, count)

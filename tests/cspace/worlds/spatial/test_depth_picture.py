@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cspace.errors import ImageError
-from cspace.worlds.spatial.camera import decode_depth, encode_depth, resize_depth, to_m, to_mm
+from cspace.worlds.spatial.camera import decode_depth, encode_depth, resize_depth
 from tests.cspace.png_files import GREY, GREY_ALPHA, PALETTE, RGB, RGBA, chunk, file, header, pixels
 
 RNG = np.random.default_rng(2)
@@ -86,19 +86,6 @@ def test_a_bomb_costs_no_more_than_its_header_says():
     assert not decoded.any()
     with pytest.raises(ImageError, match="decompression bomb"):
         decode_depth(file(chunk(b"IHDR", struct.pack(">IIBBBBB", 40000, 40000, 16, 0, 0, 0, 0)), END))
-
-
-@pytest.mark.parametrize("depth", [DEPTH.astype(np.int32), DEPTH[0], np.zeros((0, 3), np.uint16)])
-def test_other_arrays_are_not_encoded(depth):
-    with pytest.raises(ImageError):
-        encode_depth(depth)
-
-
-def test_metres_become_millimetres_and_what_none_can_hold_no_reading():
-    depth = [0.0, 0.0004, 0.0006, 1.2344, 1.2346, 65.535, 65.54, -1.0, np.nan, np.inf]
-    assert to_mm(depth).tolist() == [0, 0, 1, 1234, 1235, 65535, 0, 0, 0, 0]
-    np.testing.assert_allclose(to_m(to_mm([1.234, 0.0])), [1.234, 0.0], atol=1e-6)
-    np.testing.assert_array_equal(to_mm(to_m(DEPTH)), DEPTH)
 
 
 def test_shrinking_takes_the_nearest_reading_of_a_cell_and_never_a_mean():

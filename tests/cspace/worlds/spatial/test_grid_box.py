@@ -5,32 +5,8 @@ import pytest
 
 from cspace.errors import ScenarioError
 from cspace.worlds import usual_world
-from cspace.worlds.spatial.arm import Joint, Part, SerialArm
-from cspace.worlds.spatial.poses import Frame
-from cspace.worlds.spatial.sensor import MAX_VOXELS, GridBox, grid_of, shoulder_reach_m
+from cspace.worlds.spatial.sensor import MAX_VOXELS, grid_of, shoulder_reach_m
 from tests.cspace.worlds.spatial.test_robots import PANDA
-
-GRID = GridBox((-0.1, 0.0, 0.2), 0.05, (2, 3, 4))
-
-
-def test_centres_by_hand():
-    centres = GRID.centres_m()
-    assert centres.shape == (2, 3, 4, 3)
-    np.testing.assert_allclose(centres[0, 0, 0], (-0.075, 0.025, 0.225))
-    np.testing.assert_allclose(centres[1, 2, 3], (-0.025, 0.125, 0.375))
-    np.testing.assert_allclose(GRID.high_m, (0.0, 0.15, 0.4))
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"voxel_m": 0.0}, {"voxel_m": 1.0}, {"low_m": (0, 0)}, {"low_m": (0.0, 0.0, 1e6)},
-        {"counts": (2, 3)}, {"counts": (2, 3, 0)}, {"counts": (2, 3, 513)}, {"counts": (512, 512, 512)},
-    ],
-)  # fmt: skip
-def test_grids_that_cannot_be_are_refused(change):
-    with pytest.raises(ScenarioError):
-        replace(GRID, **change)
 
 
 def test_the_pandas_grid_holds_all_that_it_can_touch_and_little_more():
@@ -61,16 +37,3 @@ def test_networks_can_halve_the_grid_of_an_arm_of_any_size_four_times(size):
 def moved(origin, size):
     """A frame whose origin lies ``size`` times as far away."""
     return replace(origin, xyz_m=tuple(size * place for place in origin.xyz_m))
-
-
-def test_reach_by_hand():
-    """A link of 0.3 that turns about itself, then one of 0.4 at a right angle to it, and a ball of 0.1."""
-    joints = (
-        Joint("a", Frame((0.0, 0.0, 0.5))),
-        Joint("b", Frame((0.0, 0.0, 0.3))),
-    )
-    arm = SerialArm(
-        "two", joints, (Part("hand", 2, ((0.4, 0.0, 0.0, 0.1),)), Part("foot", 0, ((0, 0, 0, 0.05),)))
-    )
-    assert shoulder_reach_m(arm) == pytest.approx(0.6)
-    assert shoulder_reach_m(replace(arm, parts=arm.parts[1:])) == pytest.approx(0.55)

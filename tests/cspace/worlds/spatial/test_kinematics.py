@@ -1,10 +1,7 @@
-from dataclasses import replace
 from math import pi
 
 import numpy as np
-import pytest
 
-from cspace.errors import ScenarioError
 from cspace.worlds.spatial.arm import Joint, Part, SerialArm
 from cspace.worlds.spatial.checks import CollisionChecker
 from cspace.worlds.spatial.kinematics import (
@@ -56,25 +53,6 @@ def test_self_distance_is_that_of_the_closest_spheres_of_a_pair() -> None:
     assert (found > 0.0).any()
 
 
-def test_nothing_touches_where_no_pair_can() -> None:
-    alone = replace(PANDA, touching=())
-    assert np.isinf(self_distance_batch(np.zeros((1, 7)), arm_arrays(alone))).all()
-    bare = arm_arrays(SLANTED)
-    assert np.isinf(self_distance_batch(np.zeros((1, 2)), bare)).all()
-    assert sphere_centres_batch(np.zeros((1, 2)), bare).shape == (1, 0, 3)
-
-
-def test_a_folded_arm_runs_into_itself() -> None:
-    arm = SerialArm(
-        "folding",
-        (Joint("base"), Joint("elbow", Frame((1.0, 0.0, 0.0)))),
-        (Part("upper", 1, ((0.5, 0.0, 0.0, 0.1),)), Part("lower", 2, ((0.5, 0.0, 0.0, 0.2),))),
-        (("upper", "lower"),),
-    )
-    distances = self_distance_batch(np.array([[0.3, 0.0], [0.3, pi], [0.3, pi / 2]]), arm_arrays(arm))
-    np.testing.assert_allclose(distances, [0.7, -0.3, np.sqrt(0.5) - 0.3], atol=1e-12)
-
-
 def test_spheres_of_two_parts_may_overlap_by_what_both_allow() -> None:
     def arm(*overlaps_m: float | None) -> SerialArm:
         sizes = zip(("upper", "lower"), (0.1, 0.2), overlaps_m, strict=True)
@@ -92,5 +70,3 @@ def test_spheres_of_two_parts_may_overlap_by_what_both_allow() -> None:
         np.testing.assert_allclose(self_distance_batch(q, arm_arrays(allowed)), found, atol=1e-9)
         clear = CollisionChecker(allowed, Obstacles((), ())).valid_batch(q)
         assert clear.tolist() == [one > 0.0 for one in found]
-    with pytest.raises(ScenarioError, match="overlap_m for all of them or none"):
-        arm(0.004, None).own_radii_m()

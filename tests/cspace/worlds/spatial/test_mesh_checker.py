@@ -1,4 +1,3 @@
-import sys
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, files
 from math import pi
@@ -64,19 +63,6 @@ def test_clearance_is_the_distance_of_the_shapes(meshes: RobotMeshes) -> None:
         assert checker.valid_batch([[0.0, 0.0]])[0] == (expected > 0.0)
 
 
-def test_a_turned_arm_meets_what_is_beside_it(meshes: RobotMeshes) -> None:
-    checker = meshes.among(Obstacles.of([block(0.9, 0.1, 0.05)]))
-    # The gripper ends 0.85 m from the shoulder; bent by the elbow it is out of the way.
-    assert checker.valid_batch([[0.0, 0.0], [pi / 2, 0.0], [pi / 2, pi / 2], [pi / 2, 2 * pi]]).tolist() == [
-        *(True, False, True, False)
-    ]
-
-
-def test_what_the_base_stands_in_is_no_collision(meshes: RobotMeshes) -> None:
-    stands = meshes.among(Obstacles.of([block(0.0, -0.3, 0.32)]))
-    assert stands.valid_batch([[0.0, 0.0], [2.0, 0.0]]).tolist() == [True, False]
-
-
 def test_pairs_that_can_touch_are_held_apart(tmp_path: Path, meshes: RobotMeshes) -> None:
     folded = [[0.0, 0.0], [0.0, pi], [0.0, -pi]]
     assert meshes.among(Obstacles()).valid_batch(folded).tolist() == [True, False, False]
@@ -104,24 +90,6 @@ def test_descriptions_of_another_arm_are_refused(
     pytest.importorskip("pinocchio", reason=REASON)
     with pytest.raises(ScenarioError, match=f"does not fit the arm.*{message}"):
         RobotMeshes(TWO, Description(described(tmp_path, text), **options))
-
-
-def test_joints_that_are_held_are_where_they_are_held(tmp_path: Path) -> None:
-    pytest.importorskip("pinocchio", reason=REASON)
-    ball = '<link name="finger"><collision><geometry><sphere radius="0.01"/></geometry></collision></link>'
-    urdf = described(tmp_path, with_more(SLIDING.replace('<link name="finger"/>', ball)))
-    obstacles = Obstacles.of([block(-0.2, 0.9, 0.05)])
-    # The finger slides to where the base's -x is; elsewhere the gripper, of radius 0.03, is the closest.
-    for value, expected in ((0.0, 0.12), (0.1, 0.04), (-0.1, 0.12)):
-        checker = RobotMeshes(TWO, Description(urdf, {"slide": value})).among(obstacles)
-        assert checker.clearance_m([[0.0, 0.0]])[0] == pytest.approx(expected, abs=1e-4)
-
-
-def test_without_the_libraries_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pinocchio", None)
-    monkeypatch.setitem(sys.modules, "coal", None)
-    with pytest.raises(ScenarioError, match=r"the extra spatial; got no coal; pip install"):
-        RobotMeshes(TWO, Description(described(tmp_path)))
 
 
 def published(urdf: str) -> Path:

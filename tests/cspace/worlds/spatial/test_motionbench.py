@@ -1,5 +1,4 @@
 import gzip
-import json
 from collections import Counter
 from pathlib import Path
 
@@ -12,13 +11,11 @@ from cspace.worlds.spatial.benchmark import (
     BENCH_FAMILIES,
     LIMITS_RAD,
     SHIPPED,
-    BenchProblem,
     problems,
     write_problems,
 )
 from cspace.worlds.spatial.distances import clearance_m
 from cspace.worlds.spatial.kinematics import arm_arrays, self_distance_batch
-from cspace.worlds.spatial.obstacles import Obstacles
 from tests.cspace.worlds.spatial.test_robots import PANDA
 
 # By how much spheres that stick out by 10 mm reach into a shelf beside goals, mm.
@@ -56,15 +53,6 @@ def test_starts_and_goals_that_ship_are_free_but_for_two_tight_ones() -> None:
     assert collides == TIGHT_GOALS
 
 
-def test_cameras_look_where_the_goals_tool_is() -> None:
-    problem = problems(Split.VALIDATION)[0]
-    layout, tool = problem.layout(PANDA), PANDA.tool_frames([problem.goal])[0]
-    assert layout.obstacles is problem.obstacles
-    np.testing.assert_allclose(layout.focus, tool[:3, 3])
-    np.testing.assert_allclose(layout.regions[0].approach, tool[:3, 2])
-    assert layout.regions[0].box.pose[0][3] == layout.focus[0]
-
-
 def test_what_is_written_reads_back_and_is_what_ships(tmp_path: Path) -> None:
     found = problems(Split.VALIDATION)
     path = write_problems(tmp_path / "new", Split.VALIDATION, found)
@@ -85,33 +73,3 @@ def test_test_problems_are_asked_for_with_a_folder(tmp_path: Path) -> None:
         problems(Split.TRAIN)
     with pytest.raises(ScenarioError, match=r"families are unknown.*'kitchen'"):
         problems(Split.VALIDATION, families=["box", "kitchen"])
-
-
-@pytest.mark.parametrize(
-    "data",
-    [
-        b"no gzip",
-        (SHIPPED / "validation.json.gz").read_bytes()[:-50],
-        gzip.compress(b"{"),
-        gzip.compress(b'{"problems": 3}'),
-        gzip.compress(b'{"problems": [{"family": "box"}]}'),
-        gzip.compress(
-            json.dumps({"problems": [BenchProblem("box", 1, Obstacles(), (0,), (1,)).to_dict()] * 2}).encode()
-        ),
-    ],
-    ids=["no gzip", "cut off", "no JSON", "no list", "no problem", "one twice"],
-)
-def test_a_file_that_holds_something_else_is_refused(tmp_path: Path, data: bytes) -> None:
-    path = tmp_path / "validation.json.gz"
-    path.write_bytes(data)
-    with pytest.raises(DatasetError):
-        problems(Split.VALIDATION, tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("family", "number", "goal"),
-    [("kitchen", 1, (0.0,)), ("box", 101, (0.0,)), ("box", 1, ())],
-)
-def test_problems_that_cannot_be_are_refused(family: str, number: int, goal: tuple[float, ...]) -> None:
-    with pytest.raises(ScenarioError):
-        BenchProblem(family, number, Obstacles(), (0.0,), goal)

@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 
 from cspace.simulator import Split
-from cspace.worlds.spatial import distance_field
 from cspace.worlds.spatial.camera import DepthCamera, looking, to_mm
 from cspace.worlds.spatial.distance_field import TRUNCATION_M
 from cspace.worlds.spatial.distances import distance_m
@@ -13,7 +12,6 @@ from cspace.worlds.spatial.rendering import render_depth
 from cspace.worlds.spatial.scenes import draw_cameras, draw_layout
 from cspace.worlds.spatial.sensor import (
     BEHIND_STEP_M,
-    DISTANCE_STEP_M,
     FREE,
     MOST_BEHIND,
     NO_READING,
@@ -49,16 +47,6 @@ def slab(top_m, half_m=(3.0, 3.0), tilt=0.0):
 def seen(obstacles, *cameras, grid=GRID, spheres=None):
     pictures = [to_mm(render_depth(obstacles, camera, spheres).depth_m) for camera in cameras]
     return fused([observe(*one, grid, spheres) for one in zip(pictures, cameras, strict=True)])
-
-
-def test_a_plane_seen_head_on_is_as_far_as_it_is():
-    found = seen(slab(PLANE_M), ABOVE)
-    away = np.abs(CENTRES[..., 2] - PLANE_M)
-    near = away < TRUNCATION_M - 0.005
-    error = distances_m(found)[near] - away[near]
-    assert np.abs(error).max() < 0.004
-    assert np.median(np.abs(error)) < 0.001
-    assert (found[away > TRUNCATION_M + 0.005, 0] == 255).all()
 
 
 @pytest.mark.parametrize("tilt_deg", [40.0, 65.0])
@@ -175,28 +163,6 @@ def test_codes_are_those_of_the_definition(seed):
     assert (found == expected).mean() > 0.998, "but for roundings"
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_distances_to_pixels_that_stand_alone_are_those_to_their_points(seed):
-    rng = np.random.default_rng(seed)
-    camera = DepthCamera.of_field(32, 32, 60.0, looking((0.5, 0.6, 0.9), (0.0, 0.0, 0.4), 0.3))
-    picture = np.zeros(camera.picture_shape, dtype=np.uint16)
-    picture[::4, ::4] = rng.integers(500, 1200, (8, 8))
-    found = distances_m(observe(picture, camera, GRID))
-    points = camera.points_m(picture * 1e-3)[picture > 0]
-    expected = np.linalg.norm(CENTRES[..., None, :] - points, axis=-1).min(axis=-1)
-    near = expected < TRUNCATION_M - DISTANCE_STEP_M
-    assert near.sum() > 500
-    assert np.abs(found - expected)[near].max() < 0.001
-    assert (found[expected > TRUNCATION_M] > TRUNCATION_M - 2 * DISTANCE_STEP_M).all()
-
-
-def test_patches_in_turns_are_as_near(monkeypatch):
-    at_once = seen(slab(PLANE_M, (0.2, 0.2)), ABOVE)
-    monkeypatch.setattr(distance_field, "_AT_ONCE", 100)
-    in_turns = seen(slab(PLANE_M, (0.2, 0.2)), ABOVE)
-    assert np.abs(distances_m(at_once) - distances_m(in_turns)).max() < 0.001
-
-
 def test_between_a_thing_and_what_is_behind_it_is_no_surface():
     """A pole before a wall: the rays between their edges show neither."""
     pole = Box(pose_of(make_pose(np.eye(3), (0.0, 0.0, 0.55))), (0.02, 0.3, 0.02))
@@ -229,15 +195,6 @@ def test_in_scenes_of_the_families_no_obstacle_is_free_and_no_surface_is_made_up
     assert (under > 0.005).mean() < 1e-4
 
 
-def test_a_large_picture_is_reduced_and_says_the_same_within_a_pixel():
-    large = ABOVE.resized(640, 480)
-    obstacles = slab(PLANE_M, (0.2, 0.2))
-    found, small = seen(obstacles, large), seen(obstacles, ABOVE.resized(160, 120))
-    assert np.abs(distances_m(found) - distances_m(small)).max() < 0.02
-    both_free = (found[..., 1] == FREE) == (small[..., 1] == FREE)
-    assert both_free.mean() > 0.98
-
-
 def test_lookup_at_centres_and_between_and_outside():
     rng = np.random.default_rng(0)
     grid = GridBox((-0.1, 0.2, 0.3), 0.05, (4, 5, 6))
@@ -253,17 +210,3 @@ def test_lookup_at_centres_and_between_and_outside():
     np.testing.assert_allclose(outside.distance_m, TRUNCATION_M)
     assert (outside.codes == OUT_OF_VIEW).all()
     assert outside.unseen.all()
-
-
-def test_lookup_of_a_linear_field_is_linear():
-    grid = GridBox((0.0, 0.0, 0.0), 0.1, (5, 6, 7))
-    x, y, z = np.meshgrid(np.arange(5), np.arange(6), np.arange(7), indexing="ij")
-    found = np.zeros((5, 6, 7, 2), dtype=np.uint8)
-    found[..., 0] = 3 * x + 5 * y + 7 * z + 4
-    points = np.random.default_rng(0).uniform((0.05, 0.05, 0.05), (0.45, 0.55, 0.65), (200, 3))
-    expected = (points / 0.1 - 0.5) @ (3.0, 5.0, 7.0) + 4.0
-    np.testing.assert_allclose(lookup(found, grid, points).distance_m / DISTANCE_STEP_M, expected, atol=1e-3)
-    flat = GridBox((0.0, 0.0, 0.0), 0.1, (1, 1, 1))
-    assert lookup(found[:1, :1, :1], flat, (0.02, 0.09, 0.05)).distance_m == pytest.approx(
-        4 * DISTANCE_STEP_M
-    )

@@ -5,13 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cspace.errors import ScenarioError
 from cspace.simulator import ProblemRequest, Split, Taken
-from cspace.worlds import checker_of, default_world, examples, partly_seen, picture_file_of, picture_of
-from cspace.worlds.spatial.benchmark import LIMITS_RAD, UR5, level_face, middle
+from cspace.worlds import checker_of, examples, partly_seen, picture_file_of, picture_of
+from cspace.worlds.spatial.benchmark import level_face
 from cspace.worlds.spatial.checks import CollisionChecker
-from cspace.worlds.spatial.obstacles import Box, Obstacles
-from cspace.worlds.spatial.poses import make_pose, pose_of
 from cspace.worlds.spatial.visibility import lookup
 
 REQUEST = ProblemRequest(Split.VALIDATION)
@@ -21,23 +18,6 @@ SETS = partly_seen(examples()["panda"])
 @pytest.fixture(scope="module")
 def problem():
     return SETS.problem(REQUEST, "motionbench_table_pick", 1, 2)
-
-
-def test_worlds_that_are_seen_whole_have_none():
-    with pytest.raises(ScenarioError, match="hide nothing"):
-        partly_seen(default_world())
-
-
-def test_the_sets_are_of_the_panda_and_of_the_ur5_with_its_gripper():
-    ur5 = examples()["ur5"]
-    gripping = partly_seen(replace(ur5, body=replace(ur5.body, name=UR5)))
-    assert list(gripping.sources) == ["MotionBenchMaker", "own families"]
-    assert list(SETS.sources) == ["MotionBenchMaker", "own families"]
-    assert list(partly_seen(examples()["ur5"]).sources) == ["own families"]
-    assert SETS.count("motionbench_box", Split.VALIDATION) == 30
-    assert SETS.count("motionbench_box", Split.TEST) == 70
-    assert SETS.count("shelf", Split.TEST) is None
-    assert set(SETS.hard) < set(SETS.sources["MotionBenchMaker"])
 
 
 def test_two_cameras_stand_on_either_side_and_draws_are_the_same_again(problem):
@@ -112,23 +92,3 @@ def test_what_the_goal_grasps_is_carried_there_and_the_table_is_known(problem):
         for image in (scene.world.examined(view).known.seen, scene.world.observed(view))
     )
     assert without < 0.05 < with_it
-
-
-def test_own_problems_are_drawn_anew_for_another_seed():
-    found = [SETS.problem(ProblemRequest(Split.VALIDATION, seed, "scene"), "table", 0, 1) for seed in (0, 1)]
-    assert not np.array_equal(found[0].start, found[1].start)
-
-
-def test_the_middle_is_that_of_the_box_round_everything():
-    turned = pose_of(make_pose([[0, -1, 0], [1, 0, 0], [0, 0, 1]], (1.0, 0.0, 0.0)))
-    flat = pose_of(make_pose(np.eye(3), (-1.0, 0.0, 2.0)))
-    boxes = (Box(turned, (0.5, 0.1, 0.1)), Box(flat, (0.2, 0.2, 0.2)))
-    np.testing.assert_allclose(middle(Obstacles(boxes, ())), (-0.05, 0.0, 1.05), atol=1e-9)
-
-
-def test_the_benchmarks_problems_have_its_limits_and_own_ones_the_makers(problem):
-    assert problem.space.upper == tuple(high for _, high in LIMITS_RAD)
-    own = SETS.problem(REQUEST, "table", 0, 1)
-    assert own.space.upper == examples()["panda"].space.upper == SETS.world.space.upper
-    checkers = SETS.checkers(problem, picture_of(problem.scenario), Taken.KNOWN)
-    assert {checker.space for checker in checkers} == {problem.space}

@@ -3,15 +3,12 @@
 import numpy as np
 import pytest
 
-from cspace.errors import ScenarioError
 from cspace.simulator import Split
 from cspace.worlds.spatial import problems
 from cspace.worlds.spatial.checks import CollisionChecker
 from cspace.worlds.spatial.furniture import FAMILIES, SpatialScenes
 from cspace.worlds.spatial.problems import CONE_RAD, KINDS, PathLimits, draw_problem
-from cspace.worlds.spatial.scenes import draw_layout
 from tests.cspace.worlds.spatial.test_robots import PANDA, READY, UR5
-from tests.cspace.worlds.spatial.test_ways import TWO_LINKS
 
 # Compiling the kernels takes longer than the tests.
 pytestmark = pytest.mark.slow
@@ -81,18 +78,6 @@ def test_a_hand_that_reaches_in_is_within_a_region(drawn):
     assert [kind for place, kind in enumerate(kinds) if place % 4] == list(KINDS) * len(FAMILIES)
 
 
-def test_split_seed_and_index_alone_tell_a_problem():
-    keys = [(Split.VALIDATION, 0, 0), (Split.TRAIN, 0, 0), (Split.VALIDATION, 1, 0), (Split.VALIDATION, 0, 1)]
-    first = [draw_problem(PANDA, SCENES, *one, limits=QUICK) for one in keys]
-    again = [draw_problem(PANDA, SCENES, *one, limits=QUICK) for one in reversed(keys)][::-1]
-    for one, other in zip(first, again, strict=True):
-        assert one.layout == other.layout
-        assert (one.kind, one.rejected) == (other.kind, other.rejected)
-        assert np.array_equal(one.path, other.path)
-    assert len({str(one.layout.to_dict()) for one in first}) == len(keys)
-    assert len({one.start.tobytes() for one in first}) == len(keys)
-
-
 @pytest.mark.parametrize("family", FAMILIES)
 def test_another_arm_has_problems_of_every_family_too(family):
     found = draw_problem(UR5, SCENES, Split.VALIDATION, 0, 0, family, limits=QUICK)
@@ -100,19 +85,3 @@ def test_another_arm_has_problems_of_every_family_too(family):
     assert checker.edge_batch(found.path[:-1], found.path[1:], 0.01).all()
     ends = np.stack([found.start, found.goal])
     assert any(reaches_into(UR5, ends, region).any() for region in found.layout.regions)
-
-
-def test_a_problem_of_any_kind_has_the_scene_of_its_index_where_that_has_one():
-    for kind in KINDS:
-        found = _problem_of(kind, PANDA, SCENES, Split.TEST, 3, 0, "table")
-        assert found.kind == kind
-        assert found.layout == draw_layout(SCENES, Split.TEST, 3, 0, "table")
-
-
-def test_where_there_is_no_problem_an_error_says_so(monkeypatch):
-    monkeypatch.setattr(problems, "MAX_DRAWS", 2)
-    with pytest.raises(ScenarioError, match="no problem of the kind between was found; expected one in 2"):
-        # Its tool points along z for ever, and shelves are reached into along x.
-        _problem_of("between", TWO_LINKS, SCENES, Split.TRAIN, 0, 0, "shelf")
-    with pytest.raises(ScenarioError, match="family of scenes is unknown"):
-        draw_problem(PANDA, SCENES, Split.TRAIN, 0, 0, "garden")

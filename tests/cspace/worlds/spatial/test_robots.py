@@ -1,12 +1,11 @@
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 import cspace.worlds.spatial
-from cspace.worlds.spatial.arm import SerialArm, ready_rad
-from cspace.worlds.spatial.benchmark import LIMITS_RAD, is_benchmarked
+from cspace.worlds.spatial.arm import SerialArm
+from cspace.worlds.spatial.benchmark import LIMITS_RAD
 from cspace.worlds.spatial.kinematics import arm_arrays, self_distance_batch
 
 ROBOTS = Path(cspace.worlds.spatial.__file__).with_name("robots")
@@ -14,11 +13,6 @@ PANDA = SerialArm.from_dict(json.loads((ROBOTS / "panda.json").read_bytes()))
 # Of KavrakiLab/vamp, Apache-2.0.
 VAMP = SerialArm.from_dict(json.loads(Path(__file__).with_name("vamp_panda.json").read_bytes()))
 UR5 = SerialArm.from_dict(json.loads((ROBOTS / "ur5.json").read_bytes()))
-# https://frankaemika.github.io/docs/control_parameters.html, and its description in example-robot-data.
-MAKERS_RAD = (
-    *((-2.8973, 2.8973), (-1.7628, 1.7628), (-2.8973, 2.8973), (-3.0718, -0.0698)),
-    *((-2.8973, 2.8973), (-0.0175, 3.7525), (-2.8973, 2.8973)),
-)
 READY = [[0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785]]
 
 
@@ -51,17 +45,3 @@ def test_the_ur5_has_the_geometry_of_its_makers_table() -> None:
     np.testing.assert_allclose(up[:3, 3], [0.0, 0.19145, 0.08916 + 0.425 + 0.39225 + 0.09465], atol=2e-4)
     np.testing.assert_allclose(ready[:3, 3], [0.39225 + 0.09465, 0.10915, 0.43186], atol=2e-4)
     assert self_distance_batch(np.asarray([UR5.ready_rad]), arm_arrays(UR5))[0] > 0.0
-
-
-def test_the_pandas_limits_are_its_makers() -> None:
-    assert tuple(joint.limits_rad for joint in PANDA.joints) == MAKERS_RAD
-
-
-def test_a_name_is_a_label_and_decides_nothing() -> None:
-    joints = tuple(replace(joint, limits_rad=(-1.0, 2.0)) for joint in PANDA.joints[:3])
-    arm = SerialArm("panda", joints)
-    np.testing.assert_array_equal(ready_rad(arm), [0.5, 0.5, 0.5])
-    assert not is_benchmarked(arm)
-    renamed = replace(PANDA, name="left_arm")
-    np.testing.assert_array_equal(ready_rad(renamed), READY[0])
-    assert is_benchmarked(renamed)

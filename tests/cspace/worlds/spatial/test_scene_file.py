@@ -57,15 +57,6 @@ def test_a_file_says_what_stands_where_and_who_looks(tmp_path):
     np.testing.assert_allclose(problem.goal, SCENE["goal"])
 
 
-def test_without_cameras_there_is_one_and_without_a_state_no_arm_in_its_picture(tmp_path):
-    found = read(tmp_path, cameras=None, start=None, goal=None)
-    assert len(found.scene.cameras) == 1
-    assert found.scene.state is None
-    assert read(tmp_path, state=SCENE["goal"]).scene.state == tuple(SCENE["goal"])
-    # The robot may be described in the file.
-    assert read(tmp_path, robot=PANDA.body.to_dict()).world == PANDA
-
-
 @pytest.mark.parametrize(
     ("changes", "words"),
     [

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cspace.worlds.spatial.distances import clearance_m, distance_m, sets_are_free
+from cspace.worlds.spatial.distances import distance_m
 from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles
 from cspace.worlds.spatial.poses import HERE, make_pose, pose_of, turned
 
@@ -75,37 +75,3 @@ def test_distances_by_hand():
     np.testing.assert_allclose(distance_m(box, points), [-1, 3, 5, np.sqrt(34), -0.1], atol=1e-12)
     points = [(0, 0, 0), (0, 3, 0), (0, 0, 5), (0, 4, 6), (0, 0, 1.8)]
     np.testing.assert_allclose(distance_m(cylinder, points), [-1, 2, 3, 5, -0.2], atol=1e-12)
-
-
-def many(rng, count):
-    shapes = []
-    for _ in range(count):
-        pose = pose_of(make_pose(turned(*rng.uniform(-3, 3, 3)), rng.uniform(-1, 1, 3)))
-        sizes = rng.uniform(0.02, 0.4, 3)
-        shapes.append(Box(pose, tuple(sizes)) if rng.random() < 0.5 else Cylinder(pose, *sizes[:2]))
-    return shapes
-
-
-def test_the_least_of_many_is_that_of_each_alone():
-    """Shapes that cannot be nearest are skipped, which changes nothing."""
-    rng = np.random.default_rng(2)
-    shapes, points = many(rng, 25), rng.uniform(-1.5, 1.5, (300, 3))
-    alone = np.array([distance_m(Obstacles.of((shape,)), points) for shape in shapes])
-    np.testing.assert_array_equal(distance_m(Obstacles.of(shapes), points), alone.min(axis=0))
-
-
-def test_a_set_of_spheres_has_the_clearance_of_its_nearest_one():
-    rng = np.random.default_rng(3)
-    obstacles = Obstacles.of(many(rng, 12))
-    centres, radii = rng.uniform(-1.5, 1.5, (200, 9, 3)), rng.uniform(0.01, 0.1, 9)
-    expected = (distance_m(obstacles, centres) - radii).min(axis=1)
-    np.testing.assert_allclose(clearance_m(obstacles, centres, radii), expected, atol=1e-12)
-    arrays = obstacles.arrays
-    free = sets_are_free(centres, radii, arrays.boxes, arrays.cylinders)
-    np.testing.assert_array_equal(free, expected > 0.0)
-    assert 0.1 < free.mean() < 0.9
-
-
-def test_without_obstacles_everything_is_infinitely_far():
-    assert np.isinf(distance_m(Obstacles(), np.zeros((2, 3)))).all()
-    assert np.isinf(clearance_m(Obstacles(), np.zeros((2, 4, 3)), np.ones(4))).all()

@@ -7,15 +7,13 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from cspace.errors import ConfigError, DatasetError, ScenarioError
+from cspace.errors import ScenarioError
 from cspace.simulator import UNIFORM, Simulator, Split
 from cspace.strict_json import parse_json
 from cspace.world import World
 from cspace.worlds import read_world
 from cspace.worlds.planar.world import PlanarWorld
 from cspace.worlds.spatial.furniture import SpatialScenes
-from cspace.worlds.spatial.obstacles import obstacles_of, rows_of
-from cspace.worlds.spatial.sensor import CameraViews, DepthSensor
 from cspace.worlds.spatial.simulator import open_simulator
 from cspace.worlds.spatial.world import SpatialWorld, shipped, usual
 
@@ -60,51 +58,6 @@ def test_a_scene_s_file_is_read_as_its_picture(scenes):
         assert (picture[..., 0] < 255).mean() > 0.01
 
 
-def test_pictures_have_holes_and_noise_and_are_the_same_each_time(scenes):
-    whole = replace(scenes[1], holes=0.0)
-    holed = replace(whole, holes=1.0)
-    for before, after in zip(whole.view().pictures, holed.view().pictures, strict=True):
-        assert after.any()
-        assert ((after > 0) <= (before > 0)).all()
-    read = [sum(int((picture > 0).sum()) for picture in one.view().pictures) for one in (whole, holed)]
-    assert read[1] < read[0]
-    assert np.array_equal(SIMULATOR.render(holed), SIMULATOR.render(holed))
-    assert scenes[0].noise in WORLD.sensor.noise
-    assert not np.array_equal(SIMULATOR.render(scenes[0]), SIMULATOR.render(replace(scenes[0], noise=None)))
-    assert {scene.holes for scene in scenes} == {WORLD.sensor.holes}
-    with pytest.raises(ScenarioError, match="holes does not fit"):
-        replace(WORLD.sensor, holes=1.5)
-
-
-def test_a_picture_of_nothing_is_free_where_it_looks():
-    picture = WORLD.read_picture(WORLD.blank_picture())
-    assert (picture[..., 0] == 255).all()
-    assert 0.1 < (picture[..., 1] == 0).mean() < 0.9
-
-
-def test_networks_take_channels_first(scenes):
-    picture = SIMULATOR.render(scenes[0])
-    found = WORLD.sensor.to_network(np.stack([picture, picture]))
-    assert found.shape == (2, 2, *WORLD.sensor.grid.counts)
-    assert found.dtype == np.float32
-    assert found.min() >= 0.0
-    assert found.max() == pytest.approx(1.0)
-    assert np.array_equal(np.round(found[0, 1] * 255.0), picture[..., 1])
-
-
-def test_obstacles_are_kept_as_rows(scenes):
-    for scene in scenes:
-        rows = SIMULATOR.arrays_of(scene)
-        assert obstacles_of(rows["boxes"], rows["cylinders"]) == scene.obstacles
-    stacked = {
-        name: np.stack([rows_of(scene.obstacles)[name] for scene in scenes]) for name in WORLD.scene_files
-    }
-    WORLD.check_scenes(stacked, len(scenes))
-    WORLD.check_scenes({}, len(scenes))
-    with pytest.raises(DatasetError, match=r"boxes\.npy does not fit"):
-        WORLD.check_scenes({"boxes": stacked["boxes"][..., :3]}, len(scenes))
-
-
 def test_every_family_has_problems_whose_names_are_known():
     assert SIMULATOR.families.names[0] == UNIFORM
     SIMULATOR.require("shelf")
@@ -131,28 +84,12 @@ def test_a_problem_is_seen_from_where_the_arm_starts():
     assert "the goal is" in SIMULATOR.obstruction(buried)
 
 
-def test_where_nobody_knows_the_scenes_none_are_drawn():
-    with pytest.raises(ScenarioError, match="nobody knows"):
-        open_simulator(replace(WORLD, scenes=None)).scenes(Split.TEST, 0, 1)
-
-
 def test_another_data_set_lends_its_scenes():
     own = replace(WORLD, scenes=SpatialScenes(floor=1.0))
     assert WORLD.among(own, {}).scenes == own.scenes
     for other in (replace(WORLD, scenes=None), PlanarWorld()):
         with pytest.raises(ScenarioError):
             WORLD.among(other, {})
-
-
-def test_what_a_sensor_cannot_be_is_refused():
-    with pytest.raises(ScenarioError, match=r"count\.1 does not fit; expected less than or equal to 4"):
-        DepthSensor(WORLD.sensor.grid, CameraViews(count=(1, 5)))
-    with pytest.raises(ScenarioError, match=r"noise\.0 does not fit; expected 'structured_light'"):
-        DepthSensor(WORLD.sensor.grid, noise=("rain",))
-    with pytest.raises(ScenarioError, match="robot is unknown"):
-        shipped("r2d2")
-    with pytest.raises(ConfigError, match="not read along links"):
-        WORLD.levers(3, 0.0)
 
 
 def test_scene_and_robot_are_drawn(scenes):

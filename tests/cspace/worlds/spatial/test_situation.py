@@ -17,7 +17,7 @@ from cspace.worlds.spatial.arm import ready_rad
 from cspace.worlds.spatial.bodies import points_to_bodies
 from cspace.worlds.spatial.checks import CollisionChecker
 from cspace.worlds.spatial.obstacles import Obstacles
-from cspace.worlds.spatial.planning_scene import PlanningScene, read_planning_scene, read_stl
+from cspace.worlds.spatial.planning_scene import read_planning_scene, read_stl
 from cspace.worlds.spatial.sensor import FREE
 from cspace.worlds.spatial.situation import Situation, bodies_of, cover
 from cspace.worlds.spatial.view import write_view
@@ -185,21 +185,6 @@ def test_known_bodies_are_in_the_picture_once_and_ignored_volumes_are_free():
     assert WORLD.examine_picture(view_of({"scene": []})).images[0].tobytes() == plain.tobytes()
 
 
-@pytest.mark.slow
-def test_fine_meshes_are_looked_at_in_small_parts():
-    calls = []
-    some = {"name": "soup", "mesh": {"file": "a"}}
-    corners = np.random.default_rng(0).uniform(-1.0, 1.0, (6000, 3))
-    soup = trimesh.Trimesh(corners, np.arange(6000).reshape(-1, 3), process=False)
-    known = {"scene": [some], "meshes": {"a": stl_of(soup)}}
-    picture = WORLD.examine_picture(view_of(known), lambda: calls.append("picture"))
-    # Each layer that the mesh is in.
-    assert len(calls) > GRID.counts[0]
-    calls.clear()
-    picture.known.free(np.tile(READY, (100, 1)), lambda: calls.append("rows"))
-    assert len(calls) > 10
-
-
 def tetrahedron(count=4, value=0.0):
     corners = np.zeros((count, 3, 3), "<f4")
     corners[:, 1:, :2] = np.eye(2)
@@ -263,21 +248,3 @@ def test_a_scene_that_is_none_is_refused_with_the_place(fields, words):
 def test_names_that_stand_for_nothing_are_refused(fields, words):
     with pytest.raises(InputError, match=words):
         Situation(ARM, scene_of(**fields))
-
-
-def test_meshes_are_bounded_together_and_count_in_memory():
-    sphere = stl_of(trimesh.creation.icosphere(subdivisions=4))
-    fine = [{"name": str(at), "mesh": {"file": "m"}} for at in range(4)]
-    for bodies in ({"scene": fine}, {"ignore": fine}, {"scene": fine[:2], "attached": fine[2:]}):
-        with pytest.raises(InputError, match=r"too fine ones.*20000 triangles"):
-            Situation(ARM, scene_of(**bodies, meshes={"m": sphere}))
-    coarse = stl_of(trimesh.creation.box((0.1, 0.1, 0.1)))
-    many = [{"name": str(at), "mesh": {"file": "m"}} for at in range(33)]
-    with pytest.raises(InputError, match="too many meshes"):
-        Situation(ARM, scene_of(scene=many, meshes={"m": coarse}))
-    held = Situation(ARM, scene_of(scene=fine[:3], meshes={"m": sphere}))
-    assert held.size_bytes > 3 * 5120 * 9 * 8 + len(sphere)
-
-
-def test_nothing_known_is_in_the_way_of_nothing():
-    assert Situation(ARM, PlanningScene()).free(ROWS).all()

@@ -1,11 +1,6 @@
-from dataclasses import replace
-
 import numpy as np
-import pytest
 
-from cspace.errors import ScenarioError
 from cspace.simulator import Split
-from cspace.worlds.spatial.camera import camera_place
 from cspace.worlds.spatial.distances import distance_m
 from cspace.worlds.spatial.furniture import SpatialScenes
 from cspace.worlds.spatial.scenes import draw_cameras, draw_layout
@@ -13,13 +8,6 @@ from cspace.worlds.spatial.sensor import CameraViews
 
 VIEWS = CameraViews()
 LAYOUTS = [draw_layout(SpatialScenes(), Split.TRAIN, 11, index) for index in range(30)]
-
-
-def test_places_by_hand():
-    """The scene is a metre ahead of the base, which lies behind it: to its left is the base's right."""
-    np.testing.assert_allclose(camera_place((1, 0, 0.5), 0.0, 0.0, 0.4), (0.6, 0, 0.5), atol=1e-12)
-    np.testing.assert_allclose(camera_place((1, 0, 0.5), np.pi / 2, 0.0, 0.4), (1.0, -0.4, 0.5), atol=1e-12)
-    np.testing.assert_allclose(camera_place((1, 0, 0.5), 0.3, np.pi / 2, 0.4), (1.0, 0, 0.9), atol=1e-12)
 
 
 def test_cameras_are_as_far_and_as_high_and_as_wide_as_set_on_both_sides():
@@ -44,20 +32,3 @@ def test_cameras_are_as_far_and_as_high_and_as_wide_as_set_on_both_sides():
     assert (np.abs(sides) >= 14.9).all()
     assert (np.abs(sides) <= 75.1).all()
     assert 0.3 < (sides > 0).mean() < 0.7
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"count": (0, 2)}, {"count": (2, 1)}, {"side_deg": (10.0, 190.0)}, {"distance_m": (0.0, 1.0)},
-        {"field_deg": (50.0, 175.0)}, {"aim_m": -0.1}, {"width": 8},
-    ],
-)  # fmt: skip
-def test_views_that_cannot_be_are_refused(change):
-    with pytest.raises(ScenarioError):
-        replace(VIEWS, **change)
-
-
-def test_a_camera_without_room_is_told():
-    with pytest.raises(ScenarioError, match="no camera has room"):
-        draw_cameras(replace(VIEWS, clear_m=9.0), np.random.default_rng(0), LAYOUTS[0])

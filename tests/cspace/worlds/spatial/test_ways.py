@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cspace.errors import ScenarioError
 from cspace.planning.paths import length_rad, spaced
 from cspace.planning.rrt_connect import Growth, grow_connect
 from cspace.simulator import Split
@@ -104,48 +103,3 @@ def test_without_a_door_no_way_is_found():
     assert shut.valid(THROUGH)
     assert shut.valid(ASIDE)
     assert find_path(shut, THROUGH, ASIDE, np.random.default_rng(0), replace(LIMITS, states=2000)) is None
-
-
-def test_the_straight_way_is_taken_where_it_is_free():
-    checker = CollisionChecker(PANDA, Obstacles())
-    start, goal = np.asarray(READY[0]), np.asarray(READY[0]) + 0.3
-    path = find_path(checker, start, goal, np.random.default_rng(0), LIMITS)
-    assert length_rad(path, PANDA.space) == pytest.approx(0.3 * np.sqrt(7))
-    steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
-    assert np.allclose(steps, steps[0])
-    assert len(path) == 9
-    assert len(find_path(checker, start, start, np.random.default_rng(0))) == 2
-
-
-def test_a_way_goes_round_the_shorter_side_of_a_circle():
-    checker = CollisionChecker(TWO_LINKS, Obstacles())
-    path = find_path(checker, np.array([3.0, 0.0]), np.array([-3.0, 0.0]), np.random.default_rng(0))
-    assert length_rad(path, circles(2)) == pytest.approx(2.0 * np.pi - 6.0)
-    bent = np.array([[3.0, 0.0], [3.1, 0.5], [-3.0, 0.0]])
-    short = checker.shortened(bent, np.random.default_rng(0), 200, 0.01)
-    assert length_rad(short, circles(2)) == pytest.approx(2.0 * np.pi - 6.0, rel=0.02)
-
-
-def test_even_steps_keep_the_corners():
-    path = np.array([[0.0, 0.0], [0.25, 0.0], [0.25, 0.1]])
-    expected = [[0.0, 0.0], [0.25 / 3, 0.0], [0.5 / 3, 0.0], [0.25, 0.0], [0.25, 0.1]]
-    assert np.allclose(spaced(path, circles(2), 0.11), expected)
-    across = spaced(np.array([[3.1, 0.0], [-3.1, 0.0]]), circles(2), 0.05)
-    assert len(across) == 3
-    assert abs(across[1, 0]) == pytest.approx(np.pi)
-
-
-def test_a_seed_gives_the_same_way(ends):
-    checker, start, goals = ends
-    first, second = (find_path(checker, start, goals[0], np.random.default_rng(5), LIMITS) for _ in range(2))
-    assert np.array_equal(first, second)
-
-
-def test_what_does_not_fit_is_refused():
-    checker = CollisionChecker(PANDA, Obstacles())
-    rng = np.random.default_rng(0)
-    with pytest.raises(ScenarioError, match="do not fit the robot"):
-        find_path(checker, READY[0], np.zeros(6), rng)
-    for path, resolution in ((np.zeros((1, 7)), 0.01), (np.zeros((3, 6)), 0.01), (np.zeros((3, 7)), 0.0)):
-        with pytest.raises(ScenarioError, match="path does not fit"):
-            checker.shortened(path, rng, 10, resolution)
