@@ -69,20 +69,7 @@ def call(
     error: type[CspaceError],
     remedy: str | None = None,
 ) -> Any:
-    """The function's result; what it prints is printed here.
-
-    Args:
-        function: of a module. It is imported by its name in the worker.
-        arguments: plain values of JSON, as the result is.
-        limits: of the worker.
-        what: is read, for the message of a limit that was reached.
-        error: to raise where a limit was reached.
-        remedy: what to do then.
-
-    Raises:
-        CspaceError: as the function raises it, or ``error`` where it reached a limit.
-        ServiceError: the worker does not start, which says nothing of the file.
-    """
+    """The function's result; what it prints is printed here."""
     environment = {name: os.environ[name] for name in _ENVIRONMENT if name in os.environ} | _THREADS
     environment["PYTHONPATH"] = os.pathsep.join(place for place in sys.path if place)
     name = f"{_module_of(function)}:{function.__qualname__}"

@@ -34,11 +34,7 @@ def check_arrays(
     required: Sequence[str],
     optional: Sequence[str],
 ) -> None:
-    """Check names, shapes, types, offsets and angles.
-
-    Raises:
-        DatasetError: something does not fit; says which file, what was expected and what came.
-    """
+    """Check names, shapes, types, offsets and angles."""
     optional = (*optional, *world.scene_files)
     missing, unknown = set(required) - set(arrays), set(arrays) - set(required) - set(optional)
     if missing or unknown:
@@ -154,9 +150,6 @@ class Manifest:
     """A data set's description.
 
     Args:
-        world: robot and sensor.
-        counts: scenarios, configurations and so on, for people.
-        generator: how the data were made; any JSON values.
         files: SHA-256 of each file by its name.
     """
 
@@ -172,23 +165,14 @@ class Manifest:
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
     def to_json(self) -> str:
-        """The text of ``manifest.json``.
-
-        Raises:
-            DatasetError: the generator holds something that JSON does not.
-        """
+        """The text of ``manifest.json``."""
         content = adapter_of(Manifest).dump_python(self)
         content |= {"schema_version": SCHEMA_VERSION, "digest": self.digest}
-        return json_text(content, MANIFEST_FILE, "generator", DatasetError)
+        return json_text(content, MANIFEST_FILE, DatasetError)
 
     @classmethod
     def read(cls, folder: Path) -> "Manifest":
-        """Read and check a folder's manifest.
-
-        Raises:
-            DatasetError: none there, not JSON, another schema, or keys that do not fit.
-            DamagedFileError: its digest is not that of its content.
-        """
+        """Read and check a folder's manifest."""
         path = folder / MANIFEST_FILE
         members = _read_members(path)
         digest = members.pop("digest", None)
@@ -210,7 +194,7 @@ def _read_members(path: Path) -> dict[str, Any]:
     remedy = "see docs/data.md for the format, python -m training.data import for own data"
     data = read_bounded(path, MAX_MANIFEST_BYTES, DatasetError, remedy=remedy)
     try:
-        values = parse_json(data, whole=int)
+        values = parse_json(data)
     except ValueError as error:
         raise DatasetError(f"{path} is not JSON", expected="a manifest", got=str(error)[:200]) from error
     members = read_object(dict[str, Any], values, str(path), DatasetError)
@@ -244,13 +228,7 @@ Arrays = Mapping[str, NDArray[Any]]
 
 @dataclass(frozen=True)
 class Dataset:
-    """An opened data set; its arrays are memory-mapped and read-only.
-
-    Args:
-        folder: where it lies.
-        manifest: its description.
-        arrays: by file name without ending.
-    """
+    """An opened data set; its arrays are memory-mapped and read-only."""
 
     folder: Path
     manifest: Manifest
@@ -317,11 +295,7 @@ class Dataset:
         return self.free[self.free_offsets[scenario] : self.free_offsets[scenario + 1]]
 
     def collision_of(self, scenario: int) -> NDArray[np.float32]:
-        """Configurations in collision of one scenario, (n, d) rad.
-
-        Raises:
-            DatasetError: the data set holds none.
-        """
+        """Configurations in collision of one scenario, (n, d) rad."""
         if self.collision is None or self.collision_offsets is None:
             raise DatasetError("the data set holds no configurations in collision", got=str(self.folder))
         return self.collision[self.collision_offsets[scenario] : self.collision_offsets[scenario + 1]]
@@ -341,12 +315,7 @@ def open_dataset(folder: Path, *, verify: bool = True) -> Dataset:
     """Open a data-set folder.
 
     Args:
-        folder: generated, imported or written by hand to the format.
         verify: whether every file's digest is computed and compared.
-
-    Raises:
-        DatasetError: the folder does not follow the format.
-        DamagedFileError: a file's digest is not the manifest's; the file is named.
     """
     folder = Path(folder)
     manifest = Manifest.read(folder)
@@ -379,20 +348,11 @@ def write_dataset(
     """Write a data set beside its place and rename it, so that it appears whole or not at all.
 
     Args:
-        folder: must not exist.
-        world: robot and sensor.
         images: (S, P, P, 3).
         free: one (n_i, d) rad array a scenario.
-        collision: the same for configurations in collision.
         attributes: what is told of each configuration, one (n_i,) array a scenario, by the file's name.
         paths: (scenario, waypoints (t, d) rad) each.
-        scenes: the geometry of all scenarios, where it is known, as the world's arrays.
         extra_images: (E, P, P, 3).
-        generator: how the data were made; JSON values.
-
-    Raises:
-        DatasetError: the arrays do not fit each other or the robot.
-        StorageError: the folder exists, the disk is too full, or it cannot be written.
     """
     arrays: dict[str, NDArray[Any]] = {"images": images, **_rows("free", free, world.space)}
     if collision is not None:

@@ -2,14 +2,7 @@
 
 
 class CspaceError(Exception):
-    """Base of every error of the project.
-
-    Args:
-        what: what is wrong, in one clause.
-        expected: what would have been right.
-        got: what came instead.
-        remedy: what the reader can do.
-    """
+    """Base of every error of the project."""
 
     def __init__(
         self,

@@ -1,9 +1,8 @@
 """Files: bounded reads, atomic writes, lock files, and untrusted .npy files."""
 
 import fcntl
+import io
 import json
-import math
-import re
 import secrets
 import shutil
 import time
@@ -26,17 +25,7 @@ IGNORE_FILE, IGNORE_ALL = ".gitignore", "*\n"
 def read_bounded(
     path: Path, most_bytes: int, error: type[CspaceError], *, remedy: str | None = None
 ) -> bytes:
-    """What a file, a pipe or a device holds, where it is not too much.
-
-    Args:
-        path: of what somebody else may have written.
-        most_bytes: that are read.
-        error: what is raised.
-        remedy: what helps where it cannot be read.
-
-    Raises:
-        CspaceError: ``error``; it cannot be read, or holds more.
-    """
+    """What a file, a pipe or a device holds, where it is not too much."""
     try:
         with path.open("rb") as file:
             data = file.read(most_bytes + 1)
@@ -55,10 +44,6 @@ def replacing(path: Path, what: str | None = None) -> Iterator[Path]:
 
     Args:
         path: where it is to be; a file there is replaced, a folder that is not empty is not.
-        what: is written, for the message.
-
-    Raises:
-        StorageError: it cannot be written; without ``what`` an OSError is passed on as it is.
     """
     # Processes on several machines may write the same file at the same time.
     beside = path.with_name(f"{HALF_PREFIX}{path.name}-{secrets.token_hex(4)}{HALF_SUFFIX}")
@@ -78,11 +63,7 @@ def replacing(path: Path, what: str | None = None) -> Iterator[Path]:
 
 
 def write_json(path: Path, values: Mapping[str, Any], indent: int | None = None) -> None:
-    """Write plain values as JSON, whole or not at all.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
+    """Write plain values as JSON, whole or not at all."""
     with replacing(path) as beside:
         beside.write_text(json.dumps(values, indent=indent), encoding="utf-8")
 
@@ -92,16 +73,6 @@ def holding(path: Path, busy: CspaceError, wait_s: float = 0.0, look_every_s: fl
     """Hold a lock file, which is made when it is not there and stays; threads exclude each other, too.
 
     The system frees it when the process ends, however it ends.
-
-    Args:
-        path: of the file; its folder must be there.
-        busy: raised where somebody else holds it for longer.
-        wait_s: for whoever holds it.
-        look_every_s: between two looks.
-
-    Raises:
-        CspaceError: ``busy``.
-        OSError: the file cannot be opened.
     """
     until_s = time.monotonic() + wait_s
     with path.open("a", encoding="utf-8") as handle:
@@ -120,9 +91,6 @@ def make_output_folder(folder: Path) -> None:
     """Make a folder for output that ignores itself, with its parents.
 
     A folder that holds something already is left as it is: it may be the user's own.
-
-    Raises:
-        OSError: it cannot be made or written.
     """
     folder.mkdir(parents=True, exist_ok=True)
     if not any(folder.iterdir()):
@@ -130,11 +98,7 @@ def make_output_folder(folder: Path) -> None:
 
 
 def ignore(folder: Path) -> None:
-    """Write a ``.gitignore`` into a folder so that Git and ``ray job submit --working-dir`` leave it out.
-
-    Raises:
-        OSError: it cannot be written.
-    """
+    """Write a ``.gitignore`` into a folder so that Git and ``ray job submit --working-dir`` leave it out."""
     (folder / IGNORE_FILE).write_text(IGNORE_ALL, encoding="utf-8")
 
 
@@ -147,52 +111,25 @@ def discard(path: Path) -> None:
             path.unlink()
 
 
-_HEADER = re.compile(
-    rb"\{'descr': '([<|][a-z][0-9])', 'fortran_order': (True|False), 'shape': \(([0-9, ]{0,40})\), \} *\n"
-)
-_MAGIC = b"\x93NUMPY\x01\x00"
-_LONGEST_HEADER = 512
-
-
 def read_npy(data: bytes, types: tuple[str, ...], axes: int | tuple[int, ...]) -> NDArray[Any]:
-    """An untrusted ``.npy`` file of version 1.0, as NumPy writes it.
-
-    The header is matched: NumPy evaluates it as a Python literal, which takes time and memory of a server.
+    """An untrusted ``.npy`` file of version 1.0; the array shares its memory.
 
     Args:
-        data: the file; the array shares its memory.
         types: that the array may have, as ``.npy`` writes them: ``<f4``.
         axes: number of the array's axes, or those that it may have.
-
-    Raises:
-        ValueError: it is no such file.
     """
-    start = len(_MAGIC) + 2
-    length = int.from_bytes(data[len(_MAGIC) : start], "little")
-    match = _HEADER.fullmatch(data, start, start + min(length, _LONGEST_HEADER))
-    if not data.startswith(_MAGIC) or length > _LONGEST_HEADER or match is None:
-        raise ValueError("an array with another header")
-    descr = match[1].decode()
-    shape = tuple(int(size) for size in match[3].decode().split(",") if size.strip())
-    if descr not in types or len(shape) not in ((axes,) if isinstance(axes, int) else axes):
-        raise ValueError(f"an array of type {descr} and shape {shape}")
-    kind = np.dtype(descr)
-    if math.prod(shape) * kind.itemsize != len(data) - start - length:
-        raise ValueError("an array whose shape does not fit its size")
-    found = np.frombuffer(data, dtype=kind, offset=start + length)
-    return found.reshape(shape, order="F" if match[2] == b"True" else "C")
+    stream = io.BytesIO(data)
+    if np.lib.format.read_magic(stream) != (1, 0):
+        raise ValueError("an array of another version")
+    shape, is_fortran, kind = np.lib.format.read_array_header_1_0(stream, max_header_size=512)
+    if kind.str not in types or len(shape) not in ((axes,) if isinstance(axes, int) else axes):
+        raise ValueError(f"an array of type {kind} and shape {shape}")
+    found = np.frombuffer(data, dtype=kind, offset=stream.tell())
+    return found.reshape(shape, order="F" if is_fortran else "C")
 
 
 def map_npy(path: Path, error: type[CspaceError]) -> NDArray[Any]:
-    """A ``.npy`` file as a read-only array that is mapped, so that no shape is larger than its file.
-
-    Args:
-        path: of the file.
-        error: what is raised.
-
-    Raises:
-        CspaceError: ``error``; it cannot be read, holds objects, or is no ``.npy`` file; an ``.npz`` is none.
-    """
+    """A ``.npy`` file as a read-only array that is mapped, so that no shape is larger than its file."""
     try:
         mapped: NDArray[Any] = np.lib.format.open_memmap(path, mode="r")
     except Exception as problem:

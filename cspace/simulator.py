@@ -32,13 +32,10 @@ class Problem:
     """A planning problem.
 
     Args:
-        scenario: the robot among its obstacles.
         start: (d,) rad.
         goal: (d,) rad.
-        family: what it is like.
         bottleneck_rad: largest clearance at which start and goal stay connected; 0 without a path, NaN where
             nobody looked.
-        seed: that it was drawn from.
         rejected: draws before it that were not of the family.
     """
 
@@ -85,12 +82,7 @@ def scenario_rng(split: Split, seed: int, index: int) -> np.random.Generator:
 
 
 def derived_seed(seed: int, *use: str) -> int:
-    """A seed of 63 bits for one use of a seed; independent over seeds and uses.
-
-    Args:
-        seed: that a user gave.
-        use: names of what it is for.
-    """
+    """A seed of 63 bits for one use of a seed; independent over seeds and uses."""
     key = np.frombuffer(hashlib.sha256("/".join(use).encode()).digest()[:16], dtype=np.uint32)
     sequence = np.random.SeedSequence(entropy=seed, spawn_key=tuple(int(word) for word in key))
     return int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(1))
@@ -105,13 +97,7 @@ PathSearch = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.flo
 
 
 class Checker:
-    """Compiled collision checks of one scene. Edges are straight, on the shorter side of a circle.
-
-    Args:
-        space: the robot's joint space.
-        scene: the scene's arrays, as the kernels take them.
-        kernels: the simulator's :class:`cspace.planning.kernels.SceneKernels`.
-    """
+    """Compiled collision checks of one scene. Edges are straight, on the shorter side of a circle."""
 
     def __init__(self, space: JointSpace, scene: Any, kernels: Any) -> None:
         self.space, self.scene, self.kernels = space, scene, kernels
@@ -134,11 +120,7 @@ class Checker:
         return bool(self.edge_batch(first, second, resolution_rad)[0])
 
     def edge_batch(self, starts: ArrayLike, ends: ArrayLike, resolution_rad: float) -> NDArray[np.bool_]:
-        """Which of the edges between (N, d) and (N, d) rad are free, both ends included, (N,).
-
-        Raises:
-            ScenarioError: the shapes differ or the resolution is not positive.
-        """
+        """Which of the edges between (N, d) and (N, d) rad are free, both ends included, (N,)."""
         first, second = self._rows(starts), self._rows(ends)
         if first.shape != second.shape or not resolution_rad > 0.0:
             raise ScenarioError(
@@ -200,9 +182,6 @@ class Checker:
             counts: (2,) nodes in use.
             checks: (2,) counts on: edges, and states within them and alone.
             states: sampled ones, in order.
-            side: whose turn it is.
-            range_rad: longest step, the sum over the joints.
-            resolution_rad: largest distance between checked states in any joint.
 
         Returns:
             Iterations done, whose turn it is, and the node that both trees share, -1 twice without one.
@@ -218,15 +197,9 @@ class Checker:
 
         Args:
             path: (k, d) rad, k at least 2.
-            rng: samples the points.
-            shortcuts: how many are proposed, one after the other.
-            resolution_rad: between the states that are checked, the largest over the joints.
 
         Returns:
             (n, d) rad with the same ends, no longer than before.
-
-        Raises:
-            ScenarioError: the path is of another shape, or the resolution is not above 0.
         """
         rows = np.array(path, dtype=np.float64)
         if rows.ndim != 2 or len(rows) < 2 or rows.shape[1] != self.space.dim or not resolution_rad > 0.0:
@@ -273,15 +246,7 @@ class ToolConstraints(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Families:
-    """The families of planning problems that a world has.
-
-    Args:
-        names: all, that of training first.
-        solvable: those whose problems have a solution.
-        decisive: the one of them by which samplers are compared.
-        note: for readers, what scenes have that are not of the uniform family.
-        uniform_obstacles: for readers, what stands in scenes of the uniform family.
-    """
+    """The families of planning problems that a world has."""
 
     names: tuple[str, ...]
     solvable: tuple[str, ...]
@@ -300,17 +265,12 @@ class Measures:
     """Numbers that fit one world: how samples and plans are measured there, and what its training assumes.
 
     Args:
-        coverage_radius_rad: how near a sample has to be to a free configuration that counts as covered.
-        near_contact_m: clearance, on either side, up to which a configuration is near contact.
         range_rad: longest step of a planner's tree, the sum over the joints; it decides how strong the
             uniform baseline is.
-        resolution_rad: largest distance between checked states in any joint.
         coverage_share: of what as many real samples cover; a sampler of configurations that covers less is
             not promoted. None where samples cover nothing that could be told by balls.
         margins: the metrics by which a version is compared with champions that were not measured beside it,
             and how much worse than the best of them it may be.
-        path_margins: the same for path models.
-        free_share: of the joint space, on average over scenes of training.
     """
 
     coverage_radius_rad: float
@@ -344,15 +304,7 @@ class Proposals:
 def near_contact(
     checker: Checker, rng: np.random.Generator, count: int, within_m: float, sigma_rad: float
 ) -> NDArray[np.float64]:
-    """Configurations near to touching something: uniform ones that are, and some way off, (count, d) rad.
-
-    Args:
-        checker: of the scene.
-        rng: of all draws.
-        count: how many.
-        within_m: clearance on either side.
-        sigma_rad: of what is added in each joint.
-    """
+    """Configurations near to touching something: uniform ones that are, and some way off, (count, d) rad."""
     space = checker.space
     anywhere = space.sample_uniform(rng, max(256, 8 * count))
     near = anywhere[np.abs(checker.clearance(anywhere)) <= within_m]
@@ -412,12 +364,7 @@ class Simulator(ABC):
         """Which groups of the robot's spheres touch an obstacle, (N, G); see :meth:`World.grid_arm`.
 
         Args:
-            arrays: a scene as a row of a data set's arrays, by their names.
             configurations: (N, d) rad.
-            groups: of all spheres.
-
-        Raises:
-            ConfigError: the robot has no spheres.
         """
         del arrays, configurations
         raise ConfigError(
@@ -427,11 +374,7 @@ class Simulator(ABC):
         )
 
     def require(self, family: str) -> None:
-        """Refuse a family that the robot has no problems of.
-
-        Raises:
-            ScenarioError: there is no such family, or its problems cannot be told here.
-        """
+        """Refuse a family that the robot has no problems of."""
         names = self.families.names
         if family not in names:
             raise ScenarioError(
@@ -453,10 +396,7 @@ class Simulator(ABC):
         """Starts and goals as problems of a scene have them, at most so many, each (2, d) rad and free.
 
         Args:
-            scene: as it is.
             free: (n, d) rad, uniform ones that are free.
-            rng: of all draws.
-            count: how many are tried.
         """
 
     @abstractmethod
@@ -465,11 +405,7 @@ class Simulator(ABC):
 
     @abstractmethod
     def problem(self, family: str, split: Split, seed: int, index: int = 0) -> Problem:
-        """A planning problem.
-
-        Raises:
-            ScenarioError: there is no such family, or none of its problems was found.
-        """
+        """A planning problem."""
 
     def obstruction(self, problem: Problem) -> str | None:
         """Why a problem has no solution, in words; None where that is not known."""
@@ -516,8 +452,6 @@ class ProblemRequest:
     """Which problems are requested, and how they are seen.
 
     Args:
-        split: of the problems.
-        seed: of those that are drawn.
         aim: what cameras look at: ``goal``, or ``scene`` for the middle of all obstacles.
         folder: of problems that do not ship; None where none are needed.
         held: whether the robot holds what its goal grasps, and planners know this and the table.
@@ -556,12 +490,7 @@ class PartlySeen(Protocol):
         """How many problems a family has; None where they are drawn without end."""
 
     def problem(self, request: ProblemRequest, family: str, index: int, pictures: int) -> Problem | None:
-        """A problem, seen in so many pictures; None where an end collides or nothing in reach is seen.
-
-        Raises:
-            DatasetError: problems that do not ship are not in the folder.
-            ScenarioError: there is no such family, or none of its problems was found.
-        """
+        """A problem, seen in so many pictures; None where an end collides or nothing in reach is seen."""
 
     def checkers(self, problem: Problem, image: Image, taken: Taken) -> Sequence[Checker]:
         """Checks by what a picture shows and what the rest is taken to be, the most careful first."""
@@ -570,9 +499,4 @@ class PartlySeen(Protocol):
         """Share of the robot that a picture does not show to be free, at (N, d) rad, (N,)."""
 
     def mesh_checker(self, problem: Problem, folder: Path | None = None) -> ValidityChecker | None:
-        """The mesh checker of a problem; None where meshes or checker are not installed.
-
-        Args:
-            problem: whose obstacles.
-            folder: of problems that do not ship, where some robots' meshes are.
-        """
+        """The mesh checker of a problem; None where meshes or checker are not installed."""

@@ -182,13 +182,9 @@ class JointSpace:
         Args:
             configurations: (d,) or (n, d) rad.
             what: the clause of the error's message, as "start lies outside the robot's limits".
-            error: its type.
 
         Returns:
             The same, clamped.
-
-        Raises:
-            InputError: of the given type; a value is not finite, or farther outside. The joint is named.
         """
         values = np.asarray(configurations, dtype=np.float64)
         low = np.where(self.periodic, -MAX_CIRCLE_RAD, self.lower)
@@ -224,10 +220,6 @@ class JointSpace:
         Args:
             limits: for each joint low and high, rad, or None where it stays as it is. A circle with a range
                 is a limited joint: its angles are the numbers from low to high, at any turn.
-
-        Raises:
-            InputError: there are not as many as joints, or a range is empty or leads beyond the joint's own,
-                which of a circle is three turns either way. The joint is named.
         """
         if len(limits) != self.dim:
             raise InputError(
@@ -300,9 +292,6 @@ class Standardisation:
     Args:
         mean: (d,) rad.
         std: (d,) rad, positive.
-
-    Raises:
-        ScenarioError: a standard deviation is not positive.
     """
 
     mean: tuple[float, ...]

@@ -17,10 +17,10 @@ from dataclasses import dataclass
 from itertools import accumulate, pairwise
 from typing import Annotated
 
-from pydantic import NonNegativeInt
+from pydantic import NonNegativeInt, ValidationError
 
 from cspace.errors import ImageError, InputError
-from cspace.strict_json import LEFT_OUT, parse_json, read_object, validated
+from cspace.strict_json import LEFT_OUT, adapter_of, refused, validated
 
 MAX_PICTURES = 4
 # Of what is known beside pictures.
@@ -38,8 +38,6 @@ class View:
     """Untrusted pictures of one scene, and what was sent beside them.
 
     Args:
-        pictures: files.
-        cameras: plain values of JSON, one for each picture.
         state: likewise, for all pictures or a list with one for each; None where the robot is in no picture.
         depth_scale_m: likewise, metres per unit of the pictures; None for mm.
         known: JSON of a planning scene; None without one.
@@ -86,11 +84,7 @@ def pack_view(
     depth_scale_m: object = None,
     known: bytes | None = None,
 ) -> bytes:
-    """A view file of what a :class:`View` holds.
-
-    Raises:
-        ImageError: the counts do not fit.
-    """
+    """A view file of what a :class:`View` holds."""
     _check_parts(len(pictures), len(cameras), known)
     header = {"pictures": [len(one) for one in pictures], "cameras": list(cameras), "state": state}
     # Readers of files in mm need not know the key.
@@ -104,29 +98,36 @@ def pack_view(
     return b"".join((_MAGIC, line, b"\n", *pictures, known or b""))
 
 
-def unpack_view(data: bytes) -> View:
-    """What an untrusted view file holds, as :func:`pack_view` takes it.
+@validated(ImageError)
+class _Line:
+    pictures: tuple[NonNegativeInt, ...]
+    cameras: list[object]
+    state: object
+    depth_scale_m: Annotated[object, LEFT_OUT] = None
+    known: Annotated[NonNegativeInt | None, LEFT_OUT] = None
 
-    Raises:
-        ImageError: it is none, or the counts do not fit.
-    """
-    if not is_view(data):
-        raise no_view(f"a file that begins with {_MAGIC.decode()!r}", data[:20])
-    header, rest = _line_of(data)
+
+def unpack_view(data: bytes) -> View:
+    """What an untrusted view file holds, as :func:`pack_view` takes it."""
+    line, _, rest = data.removeprefix(_MAGIC).partition(b"\n")
+    if not is_view(data) or len(line) > _MAX_LINE_BYTES:
+        raise ImageError(
+            "the file is no view", expected=f"a file that begins with {_MAGIC!r}", got=repr(data[:20])
+        )
+    try:
+        header = adapter_of(_Line).validate_json(line)
+    except ValidationError as problem:
+        raise refused(problem, ImageError, "the view") from problem
     _check_parts(len(header.pictures), len(header.cameras), header.known)
     sizes = [*header.pictures, header.known or 0]
     if sum(sizes) != len(rest):
-        raise no_view(f"parts of {sizes!r} bytes"[:200], f"{len(rest)} bytes")
+        raise ImageError("the file is no view", expected=f"{sum(sizes)} bytes of parts", got=f"{len(rest)}")
     *files, known = (rest[begin:end] for begin, end in pairwise(accumulate(sizes, initial=0)))
     return View(files, header.cameras, header.state, header.depth_scale_m, known or None)
 
 
 def unstamped(cameras: Sequence[object]) -> tuple[list[object], list[float | None]]:
-    """Cameras without ``stamp_s``, and these: seconds since the epoch, None where a camera has none.
-
-    Raises:
-        ImageError: a stamp is no finite number.
-    """
+    """Cameras without ``stamp_s``, and these: seconds since the epoch, None where a camera has none."""
     bare, stamps = list[object](), list[float | None]()
     for camera in cameras:
         if not isinstance(camera, Mapping) or _STAMP not in camera:
@@ -147,12 +148,6 @@ def check_ages(stamps_s: Sequence[float | None], max_age_s: float, now_s: float)
 
     Args:
         stamps_s: when each picture was taken, seconds since the epoch; None where that is not known.
-        max_age_s: the oldest that is taken.
-        now_s: seconds since the epoch.
-
-    Raises:
-        ImageError: a picture is older, or more than 1 s ahead of this clock.
-        InputError: a picture has no stamp.
     """
     for number, stamp in enumerate(stamps_s):
         if stamp is None:
@@ -180,11 +175,7 @@ def check_ages(stamps_s: Sequence[float | None], max_age_s: float, now_s: float)
 
 
 def check_counts(pictures: int, cameras: int) -> None:
-    """Refuse numbers of pictures and cameras that do not fit.
-
-    Raises:
-        ImageError: they do not.
-    """
+    """Refuse numbers of pictures and cameras that do not fit."""
     if not 1 <= pictures <= MAX_PICTURES or pictures != cameras:
         raise ImageError(
             "the depth pictures do not fit",
@@ -197,28 +188,3 @@ def _check_parts(pictures: int, cameras: int, known: object) -> None:
     # A picture of a plane has no camera.
     if (pictures, cameras) != (1, 0) or known is None:
         check_counts(pictures, cameras)
-
-
-def no_view(expected: str, got: object) -> ImageError:
-    """The error for a file that is none."""
-    return ImageError("the file is no view", expected=expected, got=repr(got)[:200])
-
-
-@validated(ImageError)
-class _Line:
-    pictures: tuple[NonNegativeInt, ...]
-    cameras: list[object]
-    state: object
-    depth_scale_m: Annotated[object, LEFT_OUT] = None
-    known: Annotated[NonNegativeInt | None, LEFT_OUT] = None
-
-
-def _line_of(data: bytes) -> tuple[_Line, bytes]:
-    end = data.find(b"\n", 0, len(_MAGIC) + _MAX_LINE_BYTES + 1)
-    if end < 0:
-        raise no_view("a line that ends", data[:20])
-    try:
-        values = parse_json(data[len(_MAGIC) : end])
-    except ValueError as error:
-        raise no_view("a line in JSON", error) from error
-    return read_object(_Line, values, "the view", ImageError), data[end + 1 :]

@@ -79,10 +79,6 @@ class Finding:
     """Something about a picture that makes answers from it worse or wrong; answers carry it as a warning.
 
     Args:
-        code: a name that never changes.
-        seen: what was found, in words.
-        effect: what it does to the answer.
-        remedy: what to do.
         pictures: numbers of the pictures that it is about, from 0; none where it is about all.
     """
 
@@ -105,9 +101,6 @@ class Contact:
     Args:
         kind: ``known`` body, ``self``, ``seen`` surface, or space that is ``hidden`` behind a surface,
             ``unread``, or ``out of view``.
-        link: the part of the robot, or the name of what is attached to it.
-        other: the body or part that it touches; nothing for what pictures show.
-        position_m: of the place on the robot, in the base frame.
         depth_m: how deep, 0 or more; 0 for space that nobody saw.
     """
 
@@ -155,10 +148,8 @@ class Examined:
 
     Args:
         images: uint8 (b, ...).
-        findings: that answers carry.
         without_state: whether it is not known where the robot stands in them.
         known: beside the pictures; None where they are all.
-        pictures: that an image is from.
     """
 
     images: Image
@@ -175,8 +166,6 @@ class SuggestedPose:
     Args:
         picture: number of its picture, from 0.
         pose: rows of a 4 x 4 matrix, of the optical frame in the base frame, m.
-        offset_m: how far it is from the pose that was told.
-        turn_deg: how far it is turned from there.
     """
 
     picture: int
@@ -187,13 +176,7 @@ class SuggestedPose:
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """What a close look at pictures finds.
-
-    Args:
-        findings: what is wrong, or may be.
-        notes: what was seen and is not wrong, in words.
-        poses: of cameras whose pose is wrong and where a better one is clear.
-    """
+    """What a close look at pictures finds."""
 
     findings: tuple[Finding, ...] = ()
     notes: tuple[str, ...] = ()
@@ -216,7 +199,6 @@ class NextView:
     """A camera that would see more.
 
     Args:
-        camera: as plain values.
         sees: share of the cost along a path that lies on space it would see, 0 to 1.
     """
 
@@ -255,10 +237,7 @@ class GridArm:
         group_links: (G,) their frames.
         members: (G, most) numbers of the spheres in each group, the first repeated behind the last.
         low_m: (3,) lowest corner of the grid in the base frame.
-        voxel_m: side of a voxel.
-        distance_step_m: of the first channel's codes.
         no_reading: code of the second channel; 0 is seen free, what is between is behind a surface.
-        out_of_view: likewise.
     """
 
     origins: NDArray[np.float64]
@@ -281,9 +260,6 @@ class World(ABC):
     """A robot and how it is seen; each kind is a frozen dataclass of these fields.
 
     Attributes:
-        kind: its name among the kinds.
-        body: the robot.
-        sensor: how scenes are seen.
         scenes: where they come from: a family, or given ones; None where nobody knows.
         scene_files: names of a data set's arrays that hold scenes, where their geometry is known.
     """
@@ -306,33 +282,15 @@ class World(ABC):
         return self.body.dim
 
     def read_picture(self, data: bytes | View, check_cancelled: CheckCancelled | None = None) -> Image:
-        """An untrusted picture, or several with their cameras, as the array that models take.
-
-        Args:
-            data: a file, or what a view file holds.
-            check_cancelled: called between the parts of the work; may raise to stop, which passes through.
-
-        Raises:
-            ImageError: it is none that is accepted.
-            InputError: what is known beside it does not fit.
-        """
+        """An untrusted picture, or several with their cameras, as the array that models take."""
         return np.asarray(self.examine_picture(data, check_cancelled).images[0])
 
     @abstractmethod
     def examine_picture(self, data: bytes | View, check_cancelled: CheckCancelled | None = None) -> Examined:
-        """:meth:`read_picture`, one image, with its findings.
-
-        Raises:
-            ImageError: as there.
-            InputError: likewise.
-        """
+        """:meth:`read_picture`, one image, with its findings."""
 
     def diagnosis(self, data: bytes | View, check_cancelled: CheckCancelled | None = None) -> Diagnosis:
-        """A closer look at a picture than :meth:`examine_picture` takes, some 100 ms.
-
-        Raises:
-            ImageError: it is none that can be read.
-        """
+        """A closer look at a picture than :meth:`examine_picture` takes, some 100 ms."""
         self.examine_picture(data, check_cancelled)
         return Diagnosis()
 
@@ -351,9 +309,7 @@ class World(ABC):
         """What an answer to pictures without the robot's state shows of a state that is missing.
 
         Args:
-            image: with ``start``.
             start: (d,) rad, of a plan.
-            colliding: share of many configurations that are held to collide.
         """
         del image, start, colliding
         return ()
@@ -375,11 +331,7 @@ class World(ABC):
         """Where K points of the robot lie in its pictures.
 
         Args:
-            points_per_link: along each link, from its first joint to its tip.
             side_m: distance of the two rows of points beside each link, m; with 0 the middle row is alone.
-
-        Raises:
-            ConfigError: pictures of this world are no pictures of a plane.
         """
         raise ConfigError(
             f"pictures of the {self.kind} world are not read along links",
@@ -388,15 +340,7 @@ class World(ABC):
         )
 
     def grid_arm(self, groups: int) -> GridArm:
-        """What a network that reads arrays of space has to know of the robot.
-
-        Args:
-            groups: of all spheres; those that do not move are left out.
-
-        Raises:
-            ConfigError: pictures of this world are no arrays of space.
-            ScenarioError: no such number of groups is possible, or networks cannot halve the grid so often.
-        """
+        """What a network that reads arrays of space has to know of the robot."""
         raise ConfigError(
             f"pictures of the {self.kind} world are no arrays of space",
             expected="a head that reads along links",
@@ -405,21 +349,13 @@ class World(ABC):
 
     @abstractmethod
     def check_scenes(self, arrays: Arrays, count: int) -> None:
-        """Check those of the arrays that hold scenes.
-
-        Raises:
-            DatasetError: they do not fit ``count`` scenarios.
-        """
+        """Check those of the arrays that hold scenes."""
 
     def among(self, data: "World", arrays: Arrays) -> Self:
         """The same robot and sensor in the scenes of a data set.
 
         Args:
-            data: the data set's world.
             arrays: of the data set; all scenes in them count as held out where ``data`` knows none.
-
-        Raises:
-            ScenarioError: the data set holds no scenes, or its robot is another.
         """
         if data.kind != self.kind or data.body != self.body:
             raise ScenarioError(

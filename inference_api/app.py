@@ -17,6 +17,7 @@ from fastapi.middleware.cors import CORSMiddleware
 
 from cspace.bundle import Bundle, verification
 from inference_api.auth import ApiKeys, RequireKey
+from inference_api.kernels import SearchKernels
 from inference_api.limits import (
     HEALTH,
     WORKBENCH_FILES,
@@ -25,6 +26,7 @@ from inference_api.limits import (
     LimitRequests,
 )
 from inference_api.models import ModelStore
+from inference_api.pictures import PictureCache
 from inference_api.problems import add_problem_handlers
 from inference_api.routes import belief, doctor, models, outcomes, plan, sample, validity
 from inference_api.routes.documentation import add_docs_page, add_guide, document
@@ -69,6 +71,7 @@ def create_app(settings: ApiSettings | None = None, registry: "ModelRegistry | N
     store.on_reload = metrics.reloaded
     app.state.settings, app.state.models, app.state.metrics = settings, store, metrics
     app.state.places = ComputePlaces(settings.api_threads, metrics.waiting)
+    app.state.kernels, app.state.pictures = SearchKernels(), PictureCache(settings.cached_pictures)
     app.state.spool = app.state.receipts = None
     if settings.outcomes is not None:
         app.state.receipts = Receipts.of(settings.outcomes, settings.receipt_key)
@@ -123,14 +126,14 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     await to_thread.run_sync(store.load_shipped)
     await to_thread.run_sync(looked.wait, FIRST_LOOK_S, abandon_on_cancel=True)
     if app.state.loads_planner:
-        store.planner.begin()
+        app.state.kernels.begin()
     # What the start has made stays anyway: later collections, which stop all threads, leave it out.
     gc.collect()
     gc.freeze()
     uri = app.state.settings.registry_uri or ""
     expiring = None if spool is None else asyncio.create_task(_expire(spool, uri))
     yield
-    store.close()
+    store.ended.set()
     if expiring is not None:
         expiring.cancel()
     if app.state.traces is not None:

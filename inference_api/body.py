@@ -1,6 +1,7 @@
 """The body of a request as a pydantic model: a form, or JSON with the same names."""
 
 import base64
+import re
 from collections.abc import Awaitable, Callable
 from functools import cache
 from typing import Any, TypeVar
@@ -23,8 +24,9 @@ FORM, JSON = "multipart/form-data", "application/json"
 MAX_FIELDS, MAX_FILES, MAX_FIELD_BYTES = 1_100, 48, 64 * 1024
 # Reading it takes longer than to hand it to a thread.
 _LONG_JSON_BYTES = 64 * 1024
-# Parsed, it takes up to 27 times as much memory, and all other threads wait meanwhile.
+# Of JSON beside its pictures: parsed, it takes up to 27 times as much memory, while other threads wait.
 MAX_JSON_BYTES = 2 * 1024 * 1024
+_PICTURE = re.compile(rb'"[A-Za-z0-9+/=]{1024,}"')
 Fields = TypeVar("Fields", bound=BaseModel)
 
 
@@ -41,7 +43,7 @@ def body_of(kind: type[Fields], *media_types: str) -> Callable[[Request], Awaita
         media_type, options = _media_type(request, media_types or (FORM, JSON))
         if media_type == FORM:
             return validated(kind, await _form_values(request, kind, options.get(b"boundary", b"")))
-        body = await _json_text(request)
+        body = await request.body()
         if len(body) > _LONG_JSON_BYTES:
             return await to_thread.run_sync(_of_json, kind, body, limiter=request.app.state.places.parsing)
         return _of_json(kind, body)
@@ -57,21 +59,14 @@ def validated(kind: type[Fields], values: object) -> Fields:
         raise RequestValidationError(error.errors(include_url=False, include_context=False)) from error
 
 
-async def _json_text(request: Request) -> bytes:
-    body = bytearray()
-    async for piece in request.stream():
-        body += piece
-        if len(body) > MAX_JSON_BYTES:
-            raise RequestError(
-                BODY_TOO_LARGE,
-                "the JSON body is too large",
-                expected=f"at most {MAX_JSON_BYTES} bytes",
-                remedy="send a form, with pictures as files and configurations as .npy",
-            )
-    return bytes(body)
-
-
 def _of_json(kind: type[Fields], body: bytes) -> Fields:
+    if len(body) > MAX_JSON_BYTES and len(_PICTURE.sub(b"", body)) > MAX_JSON_BYTES:
+        raise RequestError(
+            BODY_TOO_LARGE,
+            "the JSON body is too large",
+            expected=f"at most {MAX_JSON_BYTES} bytes beside pictures in base64",
+            remedy="send configurations as .npy in a form",
+        )
     values = _json("the body", body)
     if not isinstance(values, dict):
         raise _malformed("the body is no JSON object", "an object", type(values).__name__)

@@ -1,11 +1,13 @@
-"""Models that answer: versions of the registry, those that ship with the server, and prepared pictures.
+"""Models that answer: versions of the registry, and those that ship with the server.
 
-One thread polls the registry: for the champion, and for what requests have named lately. A promotion is thus
-served without a restart, and no request waits for it. A champion that is refused, or a registry that is away,
-leaves the one in service. With no champion at all the shipped model of the same robot answers, and says so.
+One thread polls the registry for the champion. A promotion is thus served without a restart, and no request
+waits for it. A champion that is refused, or a registry that is away, leaves the one in service. With no
+champion at all the shipped model of the same robot answers, and says so. What other references stand for is
+asked when a request names them, at most once in a poll.
 """
 
 import logging
+import math
 import os
 import re
 import shutil
@@ -15,21 +17,19 @@ from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequenc
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from threading import Event, Lock, Thread
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from threading import Event, Lock
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 from anyio import CapacityLimiter, to_thread
 from cachetools import LRUCache, TTLCache
 from fastapi import Depends, Request
 from pydantic import TypeAdapter, ValidationError
 
-from cspace.bundle import Bundle, BundleSpec, Picture
+from cspace.bundle import Bundle, BundleSpec
 from cspace.bundle.files import SPEC_FILE, read_files
 from cspace.errors import (
     BundleError,
     BundleIntegrityError,
-    CspaceError,
-    GoldenMismatchError,
     ModelNotFoundError,
     RegistryError,
     RegistryUnavailableError,
@@ -37,10 +37,8 @@ from cspace.errors import (
     StorageError,
 )
 from cspace.files import read_bounded, replacing
-from cspace.plan import load_examples
-from cspace.world import Finding, World
 from cspace.worlds import robot_digest
-from inference_api.problems import STARTING, ModelNotReadyError, RequestError
+from inference_api.problems import ModelNotReadyError
 from inference_api.settings import ApiSettings
 from services.names import (
     ALIAS_CHAMPION,
@@ -59,20 +57,14 @@ if TYPE_CHECKING:
     from services.registry.models import ModelRegistry
 
 _Answer = TypeVar("_Answer")
-# What became of a champion: it was put into service or taken away, or it is refused because its bundle is
-# damaged or not the registered one, its golden case gives other answers here, the registry is away, or the
-# cache cannot be written.
-Reload = Literal["served", "removed", "bundle", "golden", "registry", "storage"]
+# What became of a champion; the log says why one is refused.
+Reload = Literal["served", "refused", "removed"]
 PRETRAINED_VERSION = 0
 # A request waits so long while another one loads a version.
 LOAD_WAIT_S = 30.0
 # A refused bundle is not looked at again for so long: equal sums are equal bytes.
 REFUSED_S = 300.0
-# For how long after a request named it a reference is followed.
-IN_USE_S = 60.0
 REMEMBERED, LISTED_MODELS, LOOKUPS = 1024, 100, 16
-# Of pictures that are kept: a dozen arrays of space, or all the flat ones.
-MAX_PICTURES_BYTES = 20 * 2**20
 MAX_DESCRIPTION_BYTES = 2**20
 _CHAMPION, _TEMPORARY, _LEFT_OVER_S = "champion.json", ".download-", 3600.0
 _DESCRIPTION = TypeAdapter(ModelVersion)
@@ -87,24 +79,16 @@ def _key_of(version: ModelVersion) -> _Key:
 
 @dataclass(frozen=True, slots=True)
 class ServedModel:
-    """A loaded bundle with the name under which it answers.
-
-    Args:
-        bundle: the bundle.
-        name: of the registered model, or ``pretrained``.
-        version: its number in the registry, 0 for a shipped model.
-        alias: by which it was found, None when it was not.
-        run_id: the training run, None for a shipped model.
-        fallback: whether a shipped model stands in for a champion.
-        confirmed: whether the registry, asked last, says that the alias stands for this version.
-    """
+    """A loaded bundle with the name under which it answers; ``version`` is 0 for a shipped model."""
 
     bundle: Bundle
     name: str
     version: int
     alias: str | None = None
     run_id: str | None = None
+    # Whether a shipped model stands in for a champion.
     fallback: bool = False
+    # Whether the registry, asked last, says that the alias stands for this version.
     confirmed: bool = True
 
     def __str__(self) -> str:
@@ -160,7 +144,7 @@ class ShippedModels:
         return None if found is None else found.loaded
 
     def get(self, name: str) -> ServedModel:
-        """The same, loaded now where it was not; raises ModelNotReadyError where it cannot be."""
+        """The same, loaded now where it was not."""
         # One at a time: two requests at once would have the memory of two.
         with self._lock:
             found = self.peek(name)
@@ -183,9 +167,7 @@ class ShippedModels:
 class BundleFolders:
     """Downloaded bundles, each in ``<folder>/<name>/<number>-<digest>/``; processes may share the folder.
 
-    Args:
-        folder: made when first needed.
-        stored: versions of each model that are kept beside its last champion, at least 1.
+    ``stored`` versions of each model are kept beside its last champion, at least 1.
     """
 
     def __init__(self, folder: Path, stored: int) -> None:
@@ -272,71 +254,11 @@ def _delete(place: Path) -> None:
         shutil.rmtree(gone, ignore_errors=True)
 
 
-@dataclass(frozen=True, slots=True)
-class Prepared:
-    """A decoded and encoded picture for a bundle, what that took, and what answers say of the picture.
-
-    Both times are 0 for a known picture. Without state nobody knows where the robot stands in it.
-    """
-
-    picture: Picture
-    decode_ms: float = 0.0
-    encode_ms: float = 0.0
-    findings: tuple[Finding, ...] = ()
-    without_state: bool = False
-
-    def findings_with(self, world: World, **answer: Any) -> tuple[Finding, ...]:
-        """With those that an answer shows, which :meth:`cspace.world.World.state_findings` tells of."""
-        return self.findings + (world.state_findings(**answer) if self.without_state else ())
-
-
-class PlannerStart:
-    """The compiled search of plans: loaded in the background by servers, else with the first plan."""
-
-    def __init__(self) -> None:
-        self.state: Literal["on demand", "loading", "loaded"] = "on demand"
-
-    def begin(self) -> None:
-        """Start to load or compile it; nothing waits for that."""
-        self.state = "loading"
-        Thread(target=self._load, name="planner-start", daemon=True).start()
-
-    def require(self) -> None:
-        """Raise RequestError while the search is being loaded."""
-        if self.state == "loading":
-            remedy = "ask again in some seconds; without kernels on disk compiling takes about a minute"
-            raise RequestError(STARTING, "the search of plans is being loaded", remedy=remedy)
-
-    def _load(self) -> None:
-        try:
-            load_examples()
-        except ImportError:
-            _LOG.info("this server does not plan: the packages of the extra plan are not installed")
-        finally:
-            # Samples can be asked for all the same, and plans try again.
-            self.state = "loaded"
-
-
-@dataclass(slots=True)
-class _Known:
-    """What a reference stands for, and when a request named it last, s.
-
-    It is overtaken while the version that took its place cannot be loaded.
-    """
-
-    version: ModelVersion
-    used_s: float
-    overtaken: bool = False
-
-
 class ModelStore:
     """Bundles by reference; safe to share between threads.
 
-    Args:
-        settings: of the API.
-        registry: opens it when it is first asked; None serves the shipped models only.
-        verify: takes a bundle's folder and its digest; raises BundleError for one that is not sound, and
-            ServiceError where nobody could look at it.
+    ``registry`` opens it when it is first asked; None serves the shipped models only. ``verify`` takes a
+    bundle's folder and digest, and raises BundleError, or ServiceError where nobody could look at it.
     """
 
     def __init__(
@@ -347,31 +269,23 @@ class ModelStore:
     ) -> None:
         # Told of each champion that was put into service, refused or removed.
         self.on_reload: Callable[[Reload], None] = lambda _: None
-        self.planner, self.shipped = PlannerStart(), ShippedModels(settings.shipped_folders)
+        self.shipped = ShippedModels(settings.shipped_folders)
         self.model_name, self._poll_s = settings.model_name, settings.model_poll_s
         self._registry, self._verify, self._trusted_key = registry, verify, settings.trusted_key
         self._disk = BundleFolders(settings.model_cache, settings.stored_models)
         self._bundles: MutableMapping[_Key, Bundle] = LRUCache(settings.loaded_models)
-        self._known: MutableMapping[ModelReference, _Known] = LRUCache(REMEMBERED)
-        self._unknown: MutableMapping[ModelReference, bool] = TTLCache(REMEMBERED, self._poll_s)
+        # What references stood for, if anything, and when the registry was asked, s.
+        self._known: MutableMapping[ModelReference, tuple[ModelVersion | None, float]] = LRUCache(REMEMBERED)
         self._refused: MutableMapping[_Key, BundleError] = TTLCache(REMEMBERED, REFUSED_S)
         self._listed: MutableMapping[str, list[ModelVersion]] = TTLCache(1, self._poll_s)
-        self._pictures: MutableMapping[tuple[str, bytes], Prepared] = LRUCache(
-            MAX_PICTURES_BYTES, lambda prepared: prepared.picture.size_bytes
-        )
-        self._most_pictures = settings.cached_pictures
-        # By digest: what was verified once need not be again.
-        self._verified: set[str] = set()
         self._lock, self._loading, self._lookups = Lock(), Lock(), CapacityLimiter(LOOKUPS)
         self._champion: ServedModel | None = None
         self._stand_in: ServedModel | None = None
+        # Whether there is a champion that is not in service: it is being fetched, or could not follow.
         self.successor: Literal["none", "pending", "refused"] = "none"
-        """Whether there is a champion that is not in service: it is being fetched, or could not follow."""
-        self._noted: tuple[_Key, Reload] | None = None
+        self._refused_champion: _Key | None = None
         self._away_until: float | None = None
-        self._ended = Event()
-
-    # What a server shows.
+        self.ended = Event()
 
     @property
     def registry_state(self) -> Literal["none", "reachable", "unreachable"]:
@@ -401,14 +315,12 @@ class ModelStore:
             with suppress(RegistryError):
                 names = self._ask(lambda registry: registry.names())
             found = self._versions(self.model_name)
-            for other in [one for one in names if self._is_listed(one)][:LISTED_MODELS]:
+            others = [one for one in names if one not in (self.model_name, SCENE_MODEL_NAME)]
+            for other in [one for one in others if is_model_name(one)][:LISTED_MODELS]:
                 found += [version for version in self._versions(other) if version.aliases]
             with self._lock:
                 self._listed[self.model_name] = found
         return found
-
-    def _is_listed(self, name: str) -> bool:
-        return is_model_name(name) and name not in (self.model_name, SCENE_MODEL_NAME)
 
     def _versions(self, name: str) -> list[ModelVersion]:
         try:
@@ -424,28 +336,6 @@ class ModelStore:
             return champion.bundle
         with self._lock:
             return self._bundles.get(_key_of(version))
-
-    def prepared(self, bundle: Bundle, key: bytes, make: Callable[[], Prepared]) -> Prepared:
-        """A picture for a bundle: one of those asked for last, or else what ``make`` reads and encodes.
-
-        A robot that replans thus pays once. ``key`` is a digest of the picture and all that was sent with it.
-        """
-        with self._lock:
-            known = self._pictures.get((bundle.digest, key))
-        if known is not None:
-            # A copy: the pixels for the graphs go with the request.
-            return replace(known, picture=replace(known.picture))
-        made = make()
-        # Without the pixels for the graphs, and without the request's body, of which the image may be a view.
-        picture = replace(made.picture, image=made.picture.image.copy())
-        # One that alone is larger than all may be is not kept.
-        with self._lock, suppress(ValueError):
-            self._pictures[bundle.digest, key] = replace(made, picture=picture, decode_ms=0.0, encode_ms=0.0)
-            while len(self._pictures) > self._most_pictures:
-                self._pictures.popitem()
-        return made
-
-    # What requests ask for.
 
     async def resolve(self, reference: ModelReference) -> ServedModel:
         """As :meth:`get`, off the event loop where it has to wait."""
@@ -470,42 +360,38 @@ class ModelStore:
             return default
         if self._champion is not None and reference == ModelReference(self.model_name, ALIAS_CHAMPION):
             return self.default
+        if self._registry is None:
+            return self._instead(reference, self.shipped.peek)
         with self._lock:
-            known = self._known.get(reference)
-            if known is not None and time.monotonic() - known.used_s < IN_USE_S:
-                known.used_s = time.monotonic()
-                bundle = self._bundles.get(_key_of(known.version))
-                return None if bundle is None else self._served(bundle, reference, known)
-            is_unknown = self._registry is None or reference in self._unknown
-        return self._instead(reference, self.shipped.peek) if is_unknown else None
+            version, asked_s = self._known.get(reference, (None, -math.inf))
+            bundle = None if version is None else self._bundles.get(_key_of(version))
+        found = None
+        if time.monotonic() - asked_s < self._poll_s:
+            if version is None:
+                found = self._instead(reference, self.shipped.peek)
+            elif bundle is not None:
+                found = self._served(bundle, reference, version)
+        return found
 
     def get(self, reference: ModelReference) -> ServedModel:
-        """The model that a reference names; may ask the registry and load a bundle.
-
-        Raises:
-            ModelNotFoundError: there is no such model.
-            RegistryError: the registry is needed and does not answer.
-            StorageError: the cache cannot be written.
-            ModelNotReadyError: the model cannot be served, or others are being loaded.
-        """
+        """The model that a reference names; may ask the registry and load a bundle."""
         found = self.peek(reference)
         if found is not None:
             return found
         if reference.name in self.shipped:
             return self.shipped.get(reference.name)
         try:
-            known = self._know(reference)
+            version = self._know(reference)
         except ModelNotFoundError:
             found = self._instead(reference, self.shipped.get)
             if found is None:
                 raise
             return found
-        return self._served(self._loaded(known.version, LOAD_WAIT_S), reference, known)
+        return self._served(self._loaded(version), reference, version)
 
-    def _served(self, bundle: Bundle, reference: ModelReference, known: _Known) -> ServedModel:
-        version, is_away = known.version, self._away_until is not None
+    def _served(self, bundle: Bundle, reference: ModelReference, version: ModelVersion) -> ServedModel:
         # A number never moves.
-        confirmed = reference.version is not None or not (known.overtaken or is_away)
+        confirmed = reference.version is not None or self._away_until is None
         alias = ALIAS_CHAMPION if reference.is_bare else reference.alias
         return ServedModel(
             bundle, version.name, version.number, alias, version.run_id or None, confirmed=confirmed
@@ -521,8 +407,6 @@ class ModelStore:
         found = find(name)
         return None if found is None else replace(found, fallback=True)
 
-    # The thread that polls.
-
     def load_shipped(self) -> None:
         """Load what is shipped; without a usable bundle the reason is logged and the store goes on."""
         self.shipped.look()
@@ -535,40 +419,19 @@ class ModelStore:
             self._stand_in = None if name is None else replace(self.shipped.get(name), fallback=True)
 
     def follow(self, looked: Event) -> None:
-        """Look the registry up until :meth:`close`; ``looked`` is set after the first time."""
-        while not self._ended.is_set():
+        """Look the registry up until ``ended`` is set; ``looked`` is set after the first time."""
+        while not self.ended.is_set():
             try:
                 self.refresh()
             except Exception:  # noqa: BLE001 - a loop that has ended would never serve another promotion
                 _LOG.exception("looking the champion up failed")
             looked.set()
-            self._ended.wait(self._poll_s)
-
-    def close(self) -> None:
-        """End the polling."""
-        self._ended.set()
+            self.ended.wait(self._poll_s)
 
     def refresh(self) -> None:
-        """Look up the champion and what requests named lately, and load what is new."""
+        """Look up the champion, and load it where it is new."""
         if self._registry is None:
             return
-        self._follow_champion()
-        now_s = time.monotonic()
-        with self._lock:
-            lately = [item for item in self._known.items() if now_s - item[1].used_s < IN_USE_S]
-        for reference, known in lately:
-            try:
-                version = self._look_up(reference)
-                if _key_of(version) != _key_of(known.version):
-                    known.overtaken = True
-                    self._loaded(version, 0.0)
-                known.version, known.overtaken = version, False
-            except ModelNotFoundError:
-                self._forget(reference)
-            except CspaceError as error:
-                _LOG.debug("%s stays as it is: %s", reference, error)
-
-    def _follow_champion(self) -> None:
         try:
             version: ModelVersion | None = self._look_up(ModelReference(self.model_name, ALIAS_CHAMPION))
         except ModelNotFoundError:
@@ -584,55 +447,50 @@ class ModelStore:
         if version is None or self._is_champion(version):
             self.successor = "none"
             return
-        if self._noted is None or self._noted[0] != _key_of(version):
+        is_refused = self._refused_champion == _key_of(version)
+        if not is_refused:
             self.successor = "pending"
         try:
             bundle = self._load(version)
         except (RegistryError, BundleError, StorageError) as error:
             self.successor = "refused"
-            self._note(version, error)
+            # Once as long as that stays so.
+            if not is_refused:
+                self._refused_champion = _key_of(version)
+                reason = anonymous(str(error))
+                _LOG.warning("what is in service stays, %s cannot follow: %s", version, reason)
+                self.on_reload("refused")
             return
         self._champion = ServedModel(
             bundle, version.name, version.number, ALIAS_CHAMPION, version.run_id or None
         )
-        self.successor, self._noted = "none", None
+        self.successor, self._refused_champion = "none", None
         self._choose_stand_in(bundle.robot)
         _LOG.info("in service: %s", version)
         self.on_reload("served")
         self._disk.remember_champion(version)
 
-    def _note(self, version: ModelVersion, error: CspaceError) -> None:
-        """Logs and counts why a champion cannot follow, once as long as that stays so."""
-        reason: Reload = "golden" if isinstance(error, GoldenMismatchError) else "bundle"
-        if isinstance(error, StorageError | RegistryError):
-            reason = "storage" if isinstance(error, StorageError) else "registry"
-        if self._noted != (_key_of(version), reason):
-            self._noted = _key_of(version), reason
-            _LOG.warning("what is in service stays, %s cannot follow: %s", version, anonymous(str(error)))
-            self.on_reload(reason)
-
     def _is_champion(self, version: ModelVersion) -> bool:
         champion, known = self._champion, (version.number, version.digest)
         return champion is not None and (champion.version, champion.bundle.digest) == known
 
-    # What references stand for.
-
-    def _know(self, reference: ModelReference) -> _Known:
+    def _know(self, reference: ModelReference) -> ModelVersion:
         """What a reference stands for; the last known version while the registry is away."""
         try:
             version = self._look_up(reference)
         except ModelNotFoundError:
-            self._forget(reference)
+            with self._lock:
+                self._known[reference] = None, time.monotonic()
             raise
         except RegistryError:
             with self._lock:
-                known = self._known.get(reference)
+                known, _ = self._known.get(reference, (None, 0.0))
             if known is None:
                 raise
-            version = known.version
+            version = known
         with self._lock:
-            found = self._known[reference] = _Known(version, time.monotonic())
-        return found
+            self._known[reference] = version, time.monotonic()
+        return version
 
     def _look_up(self, reference: ModelReference) -> ModelVersion:
         found = self._ask(lambda registry: registry.look_up(reference))
@@ -642,11 +500,6 @@ class ModelStore:
                 "the model registry answers with another model than it was asked for", expected=str(reference)
             )
         return found
-
-    def _forget(self, reference: ModelReference) -> None:
-        with self._lock:
-            self._known.pop(reference, None)
-            self._unknown[reference] = True
 
     def _ask(self, question: "Callable[[ModelRegistry], _Answer]") -> _Answer:
         """The registry's answer; one that is away is left alone, or requests would queue up behind it."""
@@ -668,15 +521,13 @@ class ModelStore:
         self._away_until = None
         return answer
 
-    # How bundles get into memory.
-
-    def _loaded(self, version: ModelVersion, wait_s: float) -> Bundle:
+    def _loaded(self, version: ModelVersion) -> Bundle:
         """A version's bundle for a request; one is loaded at a time, beside the champion."""
         with self._lock:
             bundle = self._bundles.get(_key_of(version))
         if bundle is not None:
             return bundle
-        if not self._loading.acquire(timeout=wait_s):
+        if not self._loading.acquire(timeout=LOAD_WAIT_S):
             raise ModelNotReadyError("other models are being loaded", remedy="ask again in some seconds")
         try:
             return self._load(version)
@@ -717,15 +568,12 @@ class ModelStore:
     def _checked(self, version: ModelVersion) -> Bundle:
         folder = self._disk.fetch(version, self._download)
         try:
-            if version.digest not in self._verified:
-                self._verify(folder, version.digest)
+            self._verify(folder, version.digest)
             if self._trusted_key is not None:
                 require_signature(folder, version, self._trusted_key)
         except ServiceError as error:
             raise RegistryUnavailableError(f"{version} cannot be verified", got=error.got) from None
-        bundle = Bundle.load(folder, digest=version.digest, check=False)
-        self._verified.add(version.digest)
-        return bundle
+        return Bundle.load(folder, digest=version.digest, check=False)
 
     def _download(self, version: ModelVersion, folder: Path) -> Path:
         if self._registry is None:

@@ -4,8 +4,7 @@ import io
 import json
 import re
 import time
-from collections.abc import Awaitable, Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Awaitable, Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import cache, lru_cache
 from typing import Annotated, Any, Self
@@ -16,11 +15,10 @@ from fastapi.responses import Response
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field, WithJsonSchema, model_validator
 
-from cspace.bundle import Bundle
 from cspace.errors import InputError
 from cspace.query import is_digest
 from cspace.view_file import View, check_ages, unstamped
-from cspace.world import CheckCancelled, Finding
+from cspace.world import Finding
 from cspace_client.wire import (
     DIGEST,
     MAX_EXPLAINED,
@@ -39,8 +37,8 @@ from cspace_client.wire import (
     ViewFields,
 )
 from inference_api.body import body_of
-from inference_api.models import Models, ModelStore, Prepared, ServedModel
-from inference_api.problems import SAMPLE_PROBLEMS, NoKernelsError, problem_responses
+from inference_api.models import Models, ServedModel
+from inference_api.problems import SAMPLE_PROBLEMS, problem_responses
 from services.names import model_of
 from services.registry.entities import ModelReference
 
@@ -180,46 +178,6 @@ def view_of(request: SceneFields) -> View:
     if request.max_age_s is not None:
         check_ages(stamps or [None], request.max_age_s, time.time())
     return replace(view, cameras=cameras)
-
-
-def prepare(models: ModelStore, bundle: Bundle, view: View, check_cancelled: CheckCancelled) -> Prepared:
-    """Pictures decoded and encoded for a bundle, from memory where they were before.
-
-    Raises:
-        ImageError: a picture or a camera is none that is accepted.
-        InputError: what is known does not fit.
-    """
-
-    def make() -> Prepared:
-        began = time.perf_counter()
-        examined = bundle.spec.world.examine_picture(view, check_cancelled)
-        decoded = time.perf_counter()
-        check_cancelled()
-        picture = bundle.prepare(examined)
-        encoded = time.perf_counter()
-        return Prepared(
-            picture,
-            decode_ms=1e3 * (decoded - began),
-            encode_ms=1e3 * (encoded - decoded),
-            findings=examined.findings,
-            without_state=examined.without_state,
-        )
-
-    return models.prepared(bundle, view.digest(), make)
-
-
-@contextmanager
-def needs_kernels() -> Iterator[None]:
-    """Answers 501 where a search needs the compiler of the checks, and it is not installed."""
-    try:
-        yield
-    except ImportError as error:
-        raise NoKernelsError(
-            "this server does not plan",
-            expected="the packages of the extra plan",
-            got=f"no {error.name or 'compiler'}",
-            remedy="ask a server that has them, or sample here and plan elsewhere",
-        ) from error
 
 
 def about(served: ServedModel, novelty: float | None, warnings: list[PictureWarning]) -> dict[str, Any]:

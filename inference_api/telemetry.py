@@ -139,9 +139,7 @@ class Metrics:
         self._scored = counter("cspace_configurations_scored", "Configurations scored by POST /validity.")
         self._plans = counter("cspace_plans", "Answers of POST /plan, by status.", ("status",))
         self._fallbacks = counter("cspace_fallback_answers", "Answers of a shipped model in another's stead.")
-        self._reloads = counter(
-            "cspace_model_reloads", "Champions served, refused or removed.", ("outcome", "reason")
-        )
+        self._reloads = counter("cspace_model_reloads", "Champions served, refused or removed.", ("outcome",))
         self._outcomes = counter("cspace_outcomes", "Outcomes written to disk, or lost.", ("result",))
         # Else a rate over the first event of a kind would see no rise.
         for problem in PROBLEMS:
@@ -151,7 +149,7 @@ class Metrics:
         for result in RESULTS:
             self._outcomes.labels(result)
         for reload in get_args(Reload):
-            self._reloads.labels(*_reload_labels(reload))
+            self._reloads.labels(reload)
         ProcessCollector(registry=registry)
         registry.register(self._model)
 
@@ -177,7 +175,7 @@ class Metrics:
 
     def reloaded(self, reload: Reload) -> None:
         """Counts a champion that was put into service, refused, or removed."""
-        self._reloads.labels(*_reload_labels(reload)).inc()
+        self._reloads.labels(reload).inc()
 
     def outcomes(self, result: str, count: int) -> None:
         """Counts outcomes that were written, or are lost."""
@@ -191,10 +189,6 @@ class Metrics:
         MultiProcessCollector(together, path=str(self._shared))  # type: ignore[no-untyped-call]
         together.register(self._model)
         return generate_latest(together)
-
-
-def _reload_labels(reload: Reload) -> tuple[str, str]:
-    return (reload, "none") if reload in ("served", "removed") else ("refused", reload)
 
 
 class _ModelCollector(Collector):

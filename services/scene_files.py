@@ -1,28 +1,27 @@
 """Scene files: a robot, how it is seen, its obstacles, start and goal, as YAML or JSON.
 
-Errors name the file's line. :func:`schema` is a JSON Schema, for editors and for other programs.
+:func:`schema` is a JSON Schema, for editors and for other programs.
 """
 
 import json
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 from pydantic.json_schema import GenerateJsonSchema
 
-from cspace.errors import CspaceError, InputError, ScenarioError
+from cspace.errors import InputError, ScenarioError
 from cspace.simulator import Problem
-from cspace.strict_json import first_of, refused
+from cspace.strict_json import refused
 from cspace.world import Scene, World
 from cspace.worlds import FIRST, KINDS, named_world
-from cspace.yaml_file import YamlDocument, read_yaml, read_yaml_file
-
-_T = TypeVar("_T")
+from cspace.yaml_file import read_yaml, read_yaml_file
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,14 +69,13 @@ def read_scene_file(path: Path) -> SceneFile:
     """Read a scene file; ``robot`` may be the path of a robot's file, from the scene file's folder.
 
     Raises:
-        ScenarioError: it cannot be read, is no YAML, or a value does not fit; the line is named.
+        ScenarioError: it cannot be read, is no YAML, or a value does not fit.
     """
-    document = read_yaml_file(path, ScenarioError)
-    values = document.values
+    values = read_yaml_file(path, ScenarioError)
     if isinstance(values, dict) and str(values.get("robot")).endswith(".json"):
-        place = str(path.parent / values["robot"])
-        values["robot"] = _located(path, document, "robot", lambda: named_world(place)).body.to_dict()
-    return _read(path, document)
+        with _naming(path):
+            values["robot"] = named_world(str(path.parent / values["robot"])).body.to_dict()
+    return _read(path, values)
 
 
 def read_scene_text(data: bytes, path: Path, kinds: Sequence[str] = tuple(KINDS)) -> SceneFile:
@@ -94,20 +92,21 @@ def read_scene_text(data: bytes, path: Path, kinds: Sequence[str] = tuple(KINDS)
     return _read(path, read_yaml(data, str(path), ScenarioError), kinds)
 
 
-def _read(path: Path, document: YamlDocument, kinds: Sequence[str] = tuple(KINDS)) -> SceneFile:
-    values = document.values
+def _read(path: Path, values: Any, kinds: Sequence[str] = tuple(KINDS)) -> SceneFile:
     kind = values.get("world", FIRST) if isinstance(values, Mapping) else FIRST
     if kind not in kinds:
-        unknown = ScenarioError("the world is unknown", expected=" or ".join(kinds), got=repr(kind)[:200])
-        raise _at(path, document, ("world",), unknown)
-    try:
-        parsed = _part(kind).Values.model_validate_json(json.dumps(values), strict=True)
-    except ValidationError as error:
-        refusal = refused(error, ScenarioError, "the file")
-        raise _at(path, document, first_of(error)["loc"], refusal) from error
-    world = _located(path, document, "robot", lambda: cast("World", _part(kind).read_world(parsed)))
-    scene = _part(kind).read_scene(world, parsed) if "obstacles" in parsed.model_fields_set else None
-    ends = [_end(path, document, world, getattr(parsed, name), name) for name in ("start", "goal")]
+        raise ScenarioError(
+            f"{path}: the world is unknown", expected=" or ".join(kinds), got=repr(kind)[:200]
+        )
+    part = _part(kind)
+    with _naming(path):
+        try:
+            parsed = part.Values.model_validate_json(json.dumps(values, default=repr), strict=True)
+        except ValidationError as error:
+            raise refused(error, ScenarioError, "the file") from error
+        world: World = part.read_world(parsed)
+        scene = part.read_scene(world, parsed) if "obstacles" in parsed.model_fields_set else None
+        ends = [_end(world, getattr(parsed, name), name) for name in ("start", "goal")]
     return SceneFile(path, parsed.name or None, world, scene, *ends)
 
 
@@ -125,28 +124,23 @@ def given_scenes(world: World, files: Sequence[SceneFile]) -> Any:
     return _part(world.kind).given([one.scene for one in files])
 
 
-def _end(
-    path: Path, document: YamlDocument, world: World, angles: tuple[float, ...], name: str
-) -> NDArray[np.float64] | None:
+def _end(world: World, angles: tuple[float, ...], name: str) -> NDArray[np.float64] | None:
     if not angles:
         return None
     if len(angles) != (dim := world.dim):
-        unfit = ScenarioError(f"{name} does not fit", expected=f"{dim} angles", got=str(len(angles)))
-        raise _at(path, document, (name,), unfit)
-    what = f"{name} lies outside the robot's limits"
-    return _located(path, document, name, lambda: world.space.admitted(angles, what, ScenarioError))
+        raise ScenarioError(f"{name} does not fit", expected=f"{dim} angles", got=str(len(angles)))
+    return world.space.admitted(angles, f"{name} lies outside the robot's limits", ScenarioError)
 
 
-def _located(path: Path, document: YamlDocument, part: str, read: Callable[[], _T]) -> _T:
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Put the file's name before what is wrong with it."""
     try:
-        return read()
+        yield
     except InputError as error:
-        raise _at(path, document, (part,), error) from error
-
-
-def _at(path: Path, document: YamlDocument, place: tuple[Hashable, ...], error: CspaceError) -> ScenarioError:
-    what = f"{path}:{document.line(place)}: {error.what}"
-    return ScenarioError(what, expected=error.expected, got=error.got, remedy=error.remedy)
+        raise ScenarioError(
+            f"{path}: {error.what}", expected=error.expected, got=error.got, remedy=error.remedy
+        ) from error
 
 
 def _part(kind: str) -> Any:

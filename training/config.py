@@ -43,7 +43,7 @@ def _set(values: dict[str, Any], override: str) -> None:
             raise ConfigError(
                 f"{key!r} is no section", expected="a section's name before the dot", got=parent
             )
-    values[last] = read_yaml(text, f"the value of {key!r}", ConfigError).values
+    values[last] = read_yaml(text, f"the value of {key!r}", ConfigError)
 
 
 # Settings that tell which networks there are and what their weights fit, in whatever section they stand.
@@ -84,15 +84,7 @@ class JobConfig(Section):
 
     @classmethod
     def load(cls, preset: str, overrides: Sequence[str] = ()) -> Self:
-        """A preset with ``key.sub=value`` overrides, validated.
-
-        Args:
-            preset: name of a file in ``PRESETS`` without its ending.
-            overrides: YAML scalars by dotted key, such as ``global.steps=200``.
-
-        Raises:
-            ConfigError: an unknown preset or key, or a value of the wrong type or range.
-        """
+        """A preset with ``key.sub=value`` overrides, validated."""
         values = cls._read(preset)
         values["preset"] = preset
         for override in overrides:
@@ -109,17 +101,13 @@ class JobConfig(Section):
         path = cls.PRESETS / f"{preset}.yaml"
         if not path.is_file() or path.parent != cls.PRESETS:
             raise ConfigError("the preset is unknown", expected=", ".join(cls.presets()), got=repr(preset))
-        values: dict[str, Any] = read_yaml_file(path, ConfigError).values or {}
+        values: dict[str, Any] = read_yaml_file(path, ConfigError) or {}
         base = values.pop("base", None)
         return values if base is None else _merged(cls._read(base), values)
 
     @property
     def world(self) -> World:
-        """Robot and sensor of the data.
-
-        Raises:
-            InputError: the data do not fit.
-        """
+        """Robot and sensor of the data."""
         return self.data.world if self.data_folder is None else Manifest.read(self.data_folder).world
 
     @property

@@ -59,10 +59,6 @@ def read_files(folder: Path) -> BundleFiles:
     Only plain files straight in the folder are ever opened, only under the names of the schema, and no more
     of them is read than a bundle may hold. What was opened is what is looked at: nothing that is exchanged
     meanwhile is followed.
-
-    Raises:
-        BundleIntegrityError: a file is missing, extra, a link, changed, too large, or the sums are not
-            readable.
     """
     try:
         place = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)

@@ -43,22 +43,14 @@ _GRAPHS = (onnx.AttributeProto.GRAPH, onnx.AttributeProto.GRAPHS)
 
 
 def check_graphs(contents: Mapping[str, bytes]) -> None:
-    """Check all graphs of a bundle, by the names of their files.
-
-    Raises:
-        BundleIntegrityError: a file is no ONNX graph, or more than a bundle's graph may be.
-    """
+    """Check all graphs of a bundle, by the names of their files."""
     for name, data in contents.items():
         if name.endswith(".onnx"):
             check_graph(name, data)
 
 
 def check_graph(name: str, data: bytes) -> None:
-    """Check one graph.
-
-    Raises:
-        BundleIntegrityError: it is no ONNX graph, or more than a bundle's graph may be.
-    """
+    """Check one graph."""
     try:
         model = onnx.load_from_string(data)
     except (DecodeError, ValueError, RecursionError) as error:

@@ -98,16 +98,10 @@ class Bundle:
         bundle of others is verified in a process of its own (:mod:`cspace.bundle.verification`).
 
         Args:
-            folder: of the bundle.
             digest: that the bundle has to have; any when None.
             check: False where the graphs of this digest were checked, or come with the program.
             replay: whether the golden case is replayed; as ``check`` when None.
             run_limit_s: how long one run of one graph may take, above 0.
-
-        Raises:
-            BundleIntegrityError: sums, schema, files or graphs are wrong.
-            GoldenMismatchError: the golden case gives other answers here.
-            BundleError: a graph fails or does not end in time.
         """
         files = read_files(Path(folder))
         if digest not in (None, files.digest):
@@ -136,9 +130,6 @@ class Bundle:
         Args:
             world: with the same robot but for the limits. Beyond those that the graphs were trained for they
                 know nothing.
-
-        Raises:
-            InputError: its robot has another number of joints.
         """
         if world.dim != self.spec.dim:
             raise InputError(
@@ -158,12 +149,7 @@ class Bundle:
         return self._validity is not None
 
     def encode(self, image: NDArray[np.uint8]) -> Encoding:
-        """Mean and standard deviation of the latent for a picture, uint8 (P, P, 3).
-
-        Raises:
-            InputError: the picture has another size or type.
-            BundleError: the graph fails.
-        """
+        """Mean and standard deviation of the latent for a picture, uint8 (P, P, 3)."""
         return self.prepare(image).encoding
 
     def prepare(self, picture: NDArray[np.uint8] | Examined) -> Picture:
@@ -171,10 +157,6 @@ class Bundle:
 
         Args:
             picture: decoded, from one camera; or what :meth:`cspace.world.World.examine_picture` read.
-
-        Raises:
-            InputError: the picture has another size or type.
-            BundleError: the graph fails.
         """
         image = picture.images[0] if isinstance(picture, Examined) else picture
         pixels = self._network_image(image)
@@ -213,12 +195,7 @@ class Bundle:
         check_cancelled: CheckCancelled | None = None,
         **options: Unpack[QueryOptions],
     ) -> SampleSet:
-        """:meth:`answer` to the query of these arguments, which :class:`cspace.query.SampleQuery` tells of.
-
-        Raises:
-            InputError: an argument is out of range or does not fit the model.
-            BundleError: a graph fails.
-        """
+        """:meth:`answer` to the query of these arguments, a :class:`cspace.query.SampleQuery`."""
         query = SampleQuery.checked(n, seed, **options)
         return self.answer(image, query, report_confidence=report_confidence, check_cancelled=check_cancelled)
 
@@ -240,14 +217,7 @@ class Bundle:
 
         Args:
             image: uint8 (P, P, 3), or one that :meth:`prepare` made.
-            query: what is asked.
             report_confidence: whether samples are scored that are not filtered; the samples are the same.
-            check_cancelled: called between the parts of a request, every few ms; what it raises passes
-                through.
-
-        Raises:
-            InputError: the query does not fit the model.
-            BundleError: a graph fails.
         """
         request = fitted(query, self.spec, has_validity=self.has_validity)
         began = time.perf_counter()
@@ -284,15 +254,7 @@ class Bundle:
 
         Args:
             image: uint8 (P, P, 3), or one that :meth:`prepare` made.
-            query: the problem.
-            check_cancelled: called now and then; may raise to stop, which passes through.
             calibration: (a, b) in place of the bundle's for so many pictures.
-
-        Raises:
-            InputError: the bundle has no validity head, start, goal or a constraint does not fit the robot,
-                or a view is no camera.
-            BundleError: a graph fails.
-            ImportError: the compiler of the checks is not installed.
         """
         head, picture = self._head(), self._prepared(image)
         ends = fitted_problem(self.spec, query)
@@ -308,12 +270,7 @@ class Bundle:
         path: NDArray[np.float64],
         check_cancelled: CheckCancelled | None = None,
     ) -> float:
-        """How confident the model is that a whole path, (k, d) rad, is free; whoever planned it.
-
-        Raises:
-            InputError: the bundle has no validity head, or the picture does not fit.
-            BundleError: a graph fails.
-        """
+        """How confident the model is that a whole path, (k, d) rad, is free; whoever planned it."""
         head, picture = self._head(), self._prepared(image)
         return path_confidence(head.seen(self.spec, picture, check_cancelled), path)
 
@@ -353,11 +310,6 @@ class Bundle:
         Args:
             image: uint8 (P, P, 3), or one that :meth:`prepare` made.
             configurations: float32 (n, d) rad, at least one.
-            check_cancelled: as :meth:`answer` has it.
-
-        Raises:
-            InputError: the bundle has no validity head, or picture or configurations do not fit.
-            BundleError: the graph fails.
         """
         head, picture = self._head(), self._prepared(image)
         shape = np.shape(configurations)
@@ -376,11 +328,6 @@ class Bundle:
 
         Args:
             image: uint8 (X, Y, Z, 2), or one that :meth:`prepare` made.
-            check_cancelled: as :meth:`answer` has it.
-
-        Raises:
-            InputError: the bundle cannot tell, or the picture does not fit.
-            BundleError: the graph fails, or gives what is no probability.
         """
         graph, grid = self.require_belief()
         picture, cell_m, counts = self._prepared(image), 2.0 * grid.voxel_m, [n // 2 for n in grid.counts]
@@ -403,11 +350,7 @@ class Bundle:
         return self._graphs.belief is not None
 
     def require_belief(self) -> tuple[Graph, Any]:
-        """What :meth:`belief` asks, and the grid of the pictures.
-
-        Raises:
-            InputError: as there.
-        """
+        """What :meth:`belief` asks, and the grid of the pictures."""
         graph, grid = self._graphs.belief, getattr(self.spec.world.sensor, "grid", None)
         if graph is None or grid is None:
             raise InputError(
@@ -470,18 +413,12 @@ def write_bundle(
     """Write a bundle beside its place, load it there as any reader would, and rename it.
 
     Args:
-        folder: where the bundle is to be; must not exist.
-        spec: its description.
         graphs: ``encoder``, and as the description asks for ``generator``, ``validity``, ``novelty``, ``map``
             and ``belief``, to ONNX bytes.
         golden: the golden case; computed from a fixed picture and seed when None.
 
     Returns:
         The folder.
-
-    Raises:
-        BundleError: the parts do not make a bundle; nothing is left behind.
-        StorageError: the folder exists or cannot be written.
     """
     folder = Path(folder)
     contents = {SPEC_FILE: spec.to_json(), **_graph_files(graphs)}

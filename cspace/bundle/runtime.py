@@ -67,11 +67,7 @@ def share_arena() -> None:
 
 
 def container_bytes(root: Path = Path("/")) -> int | None:
-    """The memory limit of the control groups that this process is in; None without one.
-
-    Args:
-        root: of the file system, for tests.
-    """
+    """The memory limit of the control groups that this process is in; None without one."""
     groups, lines = root / "sys/fs/cgroup", ""
     with suppress(OSError):
         lines = (root / "proc/self/cgroup").read_text(encoding="utf-8")
@@ -119,9 +115,7 @@ class Deadlines:
         """Call ``end`` once ``limit_s`` have passed, unless :meth:`done` was called before.
 
         Args:
-            key: of this entry, and of no other at the same time.
             limit_s: above 0.
-            end: quick, and must not raise; called in another thread.
         """
         self._ends[key] = (time.monotonic() + limit_s, end)
         thread = self._thread
@@ -178,10 +172,7 @@ def chunked(
     """What ``run`` gives for all rows, in their order.
 
     Args:
-        run: called with the rows of each part.
         rows: at least 1.
-        check_cancelled: called between two parts; what it raises passes through.
-        chunk_rows: of each part but the last.
     """
     parts = []
     for at in range(0, rows, chunk_rows):
@@ -199,19 +190,7 @@ _FULL = "Available memory of"
 
 
 class Graph:
-    """One opened graph with fixed names.
-
-    Args:
-        name: the file's name, for messages.
-        model: the file's bytes, which have been checked.
-        inputs: the names that it must take, no more and no fewer.
-        outputs: the names that it must give.
-        run_limit_s: how long opening it and a run may take.
-        optional: names of inputs that it may take, too.
-
-    Raises:
-        BundleIntegrityError: onnxruntime does not open it, or it has other names.
-    """
+    """One opened graph with fixed names."""
 
     def __init__(
         self,
@@ -237,11 +216,7 @@ class Graph:
             )
 
     def fixed_shape(self, output: str) -> tuple[int, ...]:
-        """The shape of an output that is the same for every feed.
-
-        Raises:
-            BundleIntegrityError: it depends on what is fed, or is too large to be kept.
-        """
+        """The shape of an output that is the same for every feed."""
         found = self._shapes[output]
         is_fixed = all(isinstance(size, int) and size >= 0 for size in found)
         if not is_fixed or math.prod(found) > MAX_OUTPUT_ELEMENTS:
@@ -257,16 +232,8 @@ class Graph:
     ) -> dict[str, NDArray[np.float32]]:
         """Evaluate the graph.
 
-        Args:
-            feeds: input name to array.
-            outputs: output name to the shape that it must have.
-
         Returns:
             Output name to float32 array.
-
-        Raises:
-            BundleError: the graph fails, does not end, or needs more memory than all graphs may have; or an
-                output has another shape or is not finite.
         """
         try:
             found = self._run(list(outputs), dict(feeds), self._new_run())
@@ -355,16 +322,7 @@ class GraphSet:
 
 
 def open_graphs(spec: BundleSpec, files: BundleFiles, run_limit_s: float) -> GraphSet:
-    """Open them.
-
-    Args:
-        spec: what they have to fit.
-        files: their bytes.
-        run_limit_s: how long one run of one graph may take.
-
-    Raises:
-        BundleIntegrityError: one does not fit, is missing, or is more than the description says.
-    """
+    """Open them."""
 
     def opened(
         name: str,

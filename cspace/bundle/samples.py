@@ -34,14 +34,9 @@ class Picture:
     """A picture that a bundle has encoded; what it costs is paid once. Make one with :meth:`Bundle.prepare`.
 
     Args:
-        digest: of the bundle.
         image: uint8, decoded.
-        sensor: of the bundle's world.
-        encoding: the encoder's view of it.
         novelty: how unlike the training scenarios it is, 0 to 1; None for a bundle that does not tell.
         map: float32, what the bundle's map graph makes of it; None for a bundle without.
-        known: of the scene beside the picture; what touches it has no confidence.
-        pictures: of cameras that it is from.
     """
 
     digest: str
@@ -70,8 +65,6 @@ class Belief:
     """What a model takes a scene to be, seen or not, on a grid of cells in the base frame.
 
     Args:
-        low_m: lowest corner of the grid.
-        cell_m: side of a cell.
         occupied: float32 (X, Y, Z), the probability that a ball of the cell's width in its middle touches
             something.
     """
@@ -99,9 +92,7 @@ class Sampled:
         samples: float32 (n', d) rad.
         scores: float32 (n', k), the validity head's confidence, then the unseen share where it gives that;
             no columns where the head was not asked.
-        acceptance: share of the proposals that reached the confidence asked for.
         ways: int64 (n',), see :class:`SampleSet`.
-        proposals: see :class:`SampleSet`.
     """
 
     samples: NDArray[np.float32]
@@ -123,10 +114,8 @@ class SampleSet:
     Args:
         samples: float32 (n', d) rad, circles in [-pi, pi), others within their limits, as real numbers.
         confidence: float32 (n',), None without a validity head.
-        shortfall: how many of those asked for are missing, n - n'.
         acceptance: share of what was drawn that reached the confidence asked for; 1 where none was.
         encode_ms: time in the encoder; 0 for a picture that was prepared.
-        generate_ms: time from the latents to the samples, the validity head included.
         unseen: float32 (n',), share of the robot where no picture shows what is there; None where that is not
             told.
         ways: int64 (n',), the path that each sample lies along, 0 for the one with the lowest cost; None for
@@ -146,11 +135,7 @@ class SampleSet:
 
 
 def require_inside(samples: NDArray[np.float32], space: JointSpace) -> None:
-    """Raise where a configuration (n, d) is outside the joint space, which no sampler's may be.
-
-    Raises:
-        BundleError: one is.
-    """
+    """Raise where a configuration (n, d) is outside the joint space, which no sampler's may be."""
     if not space.is_torus and not np.all(space.contains(samples)):
         raise BundleError(
             "a sample lies outside the limits of the robot's joints",
@@ -171,12 +156,7 @@ def fitted(query: SampleQuery, spec: BundleSpec, *, has_validity: bool) -> Fitte
     Whoever prepares a picture for it fits it before that, so that nothing is computed for one that does not.
 
     Args:
-        query: valid in itself; one that was fitted to this bundle is not checked again.
-        spec: of the bundle.
         has_validity: whether the bundle scores its samples.
-
-    Raises:
-        InputError: the query does not fit; of this kind, OtherRobotError: it is for another robot.
     """
     if isinstance(query, FittedQuery):
         return query
@@ -197,11 +177,7 @@ def fitted(query: SampleQuery, spec: BundleSpec, *, has_validity: bool) -> Fitte
 
 
 def require_robot(robot: str | None, spec: BundleSpec) -> None:
-    """Refuse a robot that the model is not of; None is any.
-
-    Raises:
-        OtherRobotError: it is another one.
-    """
+    """Refuse a robot that the model is not of; None is any."""
     if robot is not None and robot != (found := robot_digest(spec.world)):
         raise OtherRobotError(
             "the model is of another robot",
@@ -244,13 +220,8 @@ def fitted_end(
     """A start or goal as a bundle takes it: circles wrapped, in single precision.
 
     Args:
-        spec: of the bundle.
-        name: of the end, for messages.
         angles: finite, rad.
         space: with narrower limits than the robot's; None for these.
-
-    Raises:
-        InputError: there are not as many as joints, or they lie outside the limits of the robot's joints.
     """
     if len(angles) != spec.dim:
         raise InputError(
@@ -265,12 +236,7 @@ def fitted_end(
 
 
 def fitted_problem(spec: BundleSpec, query: PlanQuery) -> NDArray[np.float64]:
-    """Start and goal of a query as a search takes them, (2, d) rad; (1, d) where a pose is the goal.
-
-    Raises:
-        InputError: an end, or a constraint, does not fit the robot, or there is not one goal.
-        ImportError: a constraint needs the compiler of the checks, and it is not installed.
-    """
+    """Start and goal of a query as a search takes them, (2, d) rad; (1, d) where a pose is the goal."""
     if (query.goal is None) == (query.goal_pose is None):
         raise InputError(
             "there is not one goal",
@@ -289,10 +255,6 @@ def fitted_configurations(values: ArrayLike, spec: BundleSpec) -> NDArray[np.flo
 
     Args:
         values: (n, d) finite rad, at least one row.
-        spec: of the bundle.
-
-    Raises:
-        InputError: the shape is another, or a row lies outside the limits of the robot's joints.
     """
     rows, space = np.asarray(values), spec.world.space
     if rows.ndim != 2 or not len(rows) or rows.shape[1] != spec.dim or rows.dtype.kind not in "fiu":

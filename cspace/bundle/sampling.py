@@ -52,11 +52,7 @@ class Head:
     def scores(
         self, picture: Picture, configurations: NDArray[np.float32], check_cancelled: CheckCancelled | None
     ) -> NDArray[np.float32]:
-        """Confidence in (n, d) rad, and the unseen share where the head gives that, (n, 1) or (n, 2).
-
-        Raises:
-            BundleError: the graph fails, or gives what is no probability.
-        """
+        """Confidence in (n, d) rad, and the unseen share where the head gives that, (n, 1) or (n, 2)."""
         fixed = {"image": picture.pixels}
         if picture.map is not None and self.looks_at_map:
             fixed[MAP] = picture.map
@@ -142,7 +138,6 @@ class Proposals:
     """Which samples of a turn are uniform, and these.
 
     Args:
-        learned: how many the generator has to draw for each value of the schedule.
         uniform: bool (m,), the samples in their order.
         angles: float32 (u, d) rad, the uniform ones.
     """
@@ -163,9 +158,6 @@ def propose(spec: BundleSpec, counts: Sequence[int], seed: int, turn: int) -> Pr
     """The uniform samples of one turn of a request that filters.
 
     Args:
-        spec: the joint space and the kind of model.
-        counts: samples for each value of the schedule.
-        seed: unsigned 64 bit.
         turn: 0 for the first.
     """
     total, space = sum(counts), spec.world.space
@@ -194,12 +186,8 @@ def random_numbers(
     """Everything random in one turn of a request.
 
     Args:
-        spec: names, shapes and distributions.
         mu: (L,) the encoder's mean.
         sigma: (L,) its standard deviation.
-        counts: samples for each value of ``epsilon_sigma``.
-        seed: unsigned 64 bit.
-        epsilon_sigma: what sigma is raised by, one or more values.
         turn: 0 for the first.
     """
     per_latent = spec.samples_per_latent
@@ -250,10 +238,8 @@ def rejection_sample(
     Args:
         propose_scored: counts by share and the turn's number to samples (m, d), those of the first share
             first, and (m, k) whose first column is their confidence.
-        shares: how many are wanted of each.
         threshold: the least confidence, 0 to 1.
         expected: share that is likely to pass, above 0 to 1; a further turn costs more than a few too many.
-        check_cancelled: called between two turns; what it raises passes through.
     """
     left = max(BUDGET * sum(shares), BUDGET_AT_LEAST)
     found: list[tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.intp]]] = []
@@ -311,8 +297,6 @@ class GeneratorSampler:
     limits is rejected, and sampled again.
 
     Args:
-        spec: of the bundle.
-        generator: its graph.
         head: that scores; None for a bundle without.
     """
 
@@ -330,13 +314,7 @@ class GeneratorSampler:
         """Samples for a picture; the same request gives bit-equal ones on one machine.
 
         Args:
-            picture: that the bundle has prepared.
-            request: fitted to the bundle.
             report_confidence: whether samples are scored that are not filtered; the samples are the same.
-            check_cancelled: called now and then in a large request; what it raises passes through.
-
-        Raises:
-            BundleError: a graph fails.
         """
         spec, head, space = self._spec, self._head, self._spec.world.space
 
@@ -468,10 +446,6 @@ class PathSampler:
     Nothing is trained on paths: of several paths the head predicts which are most likely free, and the
     samples lie along them in order, with a confidence to reach those alone that reach it. The latent and
     ``epsilon_sigma`` are not used. A picture through which no path is found gives no samples.
-
-    Args:
-        spec: of the bundle.
-        head: that chooses among paths and scores.
     """
 
     def __init__(self, spec: BundleSpec, head: Head) -> None:
@@ -485,11 +459,7 @@ class PathSampler:
         report_confidence: bool,
         check_cancelled: CheckCancelled | None,
     ) -> Sampled:
-        """As :meth:`GeneratorSampler.sample`; no time ends the search, its effort does.
-
-        Raises:
-            ImportError: the compiler of the checks is not installed.
-        """
+        """As :meth:`GeneratorSampler.sample`; no time ends the search, its effort does."""
         spec, head, space = self._spec, self._head, self._spec.world.space
         ends = np.asarray([request.start, request.goal], dtype=np.float64)
         searched = search_paths(
@@ -527,11 +497,7 @@ class PathSampler:
 def sampler_of(
     spec: BundleSpec, generator: Graph | None, head: Head | None
 ) -> GeneratorSampler | PathSampler:
-    """The sampler of a bundle.
-
-    Raises:
-        BundleIntegrityError: samples lie along paths, and there is no head to choose among these.
-    """
+    """The sampler of a bundle."""
     if generator is not None:
         return GeneratorSampler(spec, generator, head)
     if head is None:

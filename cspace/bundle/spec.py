@@ -43,14 +43,9 @@ class RandomInput:
     """One random input of the generator graph, drawn for every latent.
 
     Args:
-        name: the graph's name for it.
         distribution: ``uniform`` in [low, high) or ``normal`` with mean 0 and variance 1.
-        shape: its shape behind the axis of the latents.
         low: lower end of a uniform input, None for a normal one.
         high: upper end of a uniform input, None for a normal one.
-
-    Raises:
-        BundleIntegrityError: the fields do not fit each other.
     """
 
     name: Annotated[str, Field(min_length=1, max_length=64)]
@@ -75,14 +70,9 @@ class Provenance:
     """How a bundle was made; plain JSON values throughout.
 
     Args:
-        git_commit: commit of the training code.
         git_dirty: whether the tree held changes beside that commit.
         data_digest: SHA-256 digest of the data set.
-        seeds: seed of each stage.
-        config: the whole training configuration.
-        metrics: what was measured.
         created: ISO 8601 time in UTC.
-        command: the command that made it.
     """
 
     git_commit: str | None = None
@@ -101,13 +91,11 @@ class BundleSpec:
 
     Args:
         world: whose configurations are sampled, and how it is seen; its pixels are the encoder's input size.
-        latent_dim: L, size of the encoder's mean and standard deviation.
         kind: ``configuration`` (free configurations) or ``path`` (conditioned on start and goal).
         model_kind: ``generator`` or ``mixture``, both one graph with the same inputs and outputs; or
             ``ways``, a path sampler that searches and has no such graph.
         looks_at_picture: whether the generator takes the picture itself beside its latent.
         looks_at_map: whether it takes what the map graph makes of the picture, once for all its requests.
-        samples_per_latent: K, samples that the generator draws from one latent.
         random_inputs: what the generator takes beside the latent, in the order in which it is drawn.
         standardisation: of the angles inside the graph, for information; the graph's output is in rad.
         confidence_threshold: the validity head's threshold that training recommends, None without one.
@@ -115,10 +103,6 @@ class BundleSpec:
             without one.
         plan_calibration: (a, b) for one picture, for two and so on, the last for more: a path of cost D is
             free with exp(-exp(a + b log D)), b above 0; see :mod:`cspace.planning`. None for (0, 1).
-        provenance: how the bundle was made.
-
-    Raises:
-        BundleIntegrityError: a value cannot be.
     """
 
     world: WorldField
@@ -199,23 +183,15 @@ class BundleSpec:
         }
 
     def to_json(self) -> bytes:
-        """``bundle.json``, UTF-8.
-
-        Raises:
-            BundleIntegrityError: the provenance holds something that JSON does not.
-        """
+        """``bundle.json``, UTF-8."""
         values = adapter_of(BundleSpec).dump_python(self) | {"schema_version": SCHEMA_VERSION} | self._derived
         for name in _LOOKS:
             del values[name]
-        return json_text(values, "the bundle's description", "provenance", BundleIntegrityError).encode()
+        return json_text(values, "the bundle's description", BundleIntegrityError).encode()
 
     @classmethod
     def from_json(cls, data: bytes) -> "BundleSpec":
-        """Parse and validate ``bundle.json``; every key is required and no other is allowed.
-
-        Raises:
-            BundleIntegrityError: not JSON, or not this schema.
-        """
+        """Parse and validate ``bundle.json``; every key is required and no other is allowed."""
         members = _members(data)
         derived = {name: members.pop(name, None) for name in _DERIVED}
         seen = derived["conditions"] if isinstance(derived["conditions"], list) else ()

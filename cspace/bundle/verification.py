@@ -22,16 +22,10 @@ def verify(folder: Path, digest: str | None = None, limit_s: float = VERIFY_S) -
     """Hold a bundle against its sums, its digest, the checks of its graphs and its golden case.
 
     Args:
-        folder: of the bundle.
         digest: that it has to have; any when None.
-        limit_s: for all of it, s.
 
     Returns:
         Its digest, for :meth:`cspace.bundle.Bundle.load` to open the same bundle without checking it again.
-
-    Raises:
-        BundleError: it is not sound, or needs more time or memory than it may have.
-        ServiceError: the worker does not start, which says nothing of the bundle.
     """
     limits = bounded.Limits(memory_bytes(), math.ceil(limit_s), limit_s)
     found: str = bounded.call(
@@ -52,12 +46,7 @@ def checked_digest(folder: str, digest: str | None) -> str:
 
 
 def load_verified(folder: Path, digest: str | None = None) -> Bundle:
-    """Verify a bundle in a worker process, then open it here.
-
-    Raises:
-        BundleError: it is not sound, or has another digest.
-        ServiceError: the worker does not start.
-    """
+    """Verify a bundle in a worker process, then open it here."""
     return Bundle.load(folder, digest=verify(folder, digest), check=False)
 
 

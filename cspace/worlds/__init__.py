@@ -32,11 +32,7 @@ FIRST = "planar"
 
 
 def read_world(values: object) -> World:
-    """The inverse of :meth:`cspace.world.World.to_dict`.
-
-    Raises:
-        ScenarioError: the kind is unknown, or a value does not fit it.
-    """
+    """The inverse of :meth:`cspace.world.World.to_dict`."""
     members = read_object(dict[str, Any], values, "the world", ScenarioError)
     kind = members.pop("kind", FIRST)
     if kind not in KINDS:
@@ -65,12 +61,7 @@ def examples() -> dict[str, World]:
 
 
 def named_world(text: str) -> World:
-    """The world of an example by its name, or of a robot's file, which ``python -m training.robots`` writes.
-
-    Raises:
-        ConfigError: the file cannot be read.
-        ScenarioError: there is neither an example nor a file, or the file's robot cannot be.
-    """
+    """The world of an example by its name, or of a robot's file."""
     known = examples()
     if text in known:
         return known[text]
@@ -101,7 +92,6 @@ def usual_world(robot: Body, **parts: Any) -> World:
     """A robot that is seen, and stands in scenes, as those of its type usually are.
 
     Args:
-        robot: of any kind.
         parts: ``sensor`` and ``scenes`` instead of the usual ones, where they are not None.
     """
     example: Any = next(world for world in examples().values() if type(world.body) is type(robot))
@@ -116,12 +106,7 @@ def add_world_options(parser: ArgumentParser, *, sensor: bool) -> None:
 
 
 def described_world(options: Namespace) -> World:
-    """The world that parsed options describe: of the last kind whose options are given, else of the first.
-
-    Raises:
-        ConfigError: an option does not fit.
-        ScenarioError: the world cannot be.
-    """
+    """The world that parsed options describe: of the last kind whose options are given, else of the first."""
     worlds = (_part(kind, "world").described(options) for kind in reversed(KINDS))
     return cast("World", next(world for world in worlds if world is not None))
 
@@ -133,11 +118,7 @@ def simulator_of(world: World) -> Simulator:
 
 
 def partly_seen(world: World) -> PartlySeen:
-    """Planning problems of a world that no picture shows whole.
-
-    Raises:
-        ScenarioError: pictures show the world whole.
-    """
+    """Planning problems of a world that no picture shows whole."""
     if world.kind not in _PARTLY_SEEN:
         raise ScenarioError(
             "the world's pictures hide nothing",
@@ -155,13 +136,7 @@ def seen_checkers(
     Of the compiled code of a world only what checks is loaded, at the first call: nothing that draws.
 
     Args:
-        world: whose.
-        picture: of it.
         ends: (k, d) rad, where the robot is taken to be free: of what seems to stand there nothing is kept.
-        known: beside the picture, as :attr:`cspace.world.Examined.known` has it.
-
-    Raises:
-        ImportError: the compiler of the checks is not installed.
     """
     options = {} if known is None else {"known": known}
     found = _part(world.kind, "checks").seen_checkers(world, picture, ends, **options)
@@ -177,17 +152,7 @@ def load_known(world: World) -> None:
 def tool_constraints(
     world: World, goal_pose: Mapping[str, Any] | None, upright: Mapping[str, Any] | None
 ) -> ToolConstraints | None:
-    """What a plan asks of the tool; None where that is nothing.
-
-    Args:
-        world: whose.
-        goal_pose: see :class:`cspace.query.PlanQuery`, and so the other.
-        upright: likewise.
-
-    Raises:
-        InputError: the world's robot has no tool, or values do not fit.
-        ImportError: the compiler of the checks is not installed.
-    """
+    """What a plan asks of the tool; None where that is nothing."""
     if goal_pose is None and upright is None:
         return None
     if world.kind not in WITH_TOOL:
@@ -217,20 +182,13 @@ def best_view(
     Of those from where nobody has looked yet; of the others where none of these sees any.
 
     Args:
-        world: whose.
-        picture: of it.
         states: (n, d) rad along the path.
         costs: (n,) of each, 0 or more.
         given: cameras to choose from, as plain values; none for some about the uncertain places.
-        check_cancelled: called before each camera; may raise to stop, which passes through.
-        seen_by: the cameras that have seen the picture, where they are known.
         seen_state: where the robot was then, as a view file has it; needed for cameras on a link.
 
     Returns:
         None where no camera would see any, and in worlds that are seen whole.
-
-    Raises:
-        InputError: one of the given ones is no camera, or one that has seen the picture has no pose.
     """
     if world.kind not in _PARTLY_SEEN:
         return None

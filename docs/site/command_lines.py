@@ -46,7 +46,7 @@ COMMANDS = (
     Command("python -m training.untrained", "training.untrained"),
     Command("python -m training.data", "training.data.__main__"),
     Command("python -m training.robots", "training.robots.__main__"),
-    Command("python -m training.motionbench", "training.motionbench.__main__"),
+    Command("python -m training.motionbench", "training.motionbench"),
     Command("python -m services.evaluator", "services.evaluator.__main__"),
     Command("python -m services.evaluator compare", "services.evaluator.__main__", leading=("compare",)),
     Command(

@@ -12,13 +12,13 @@ from cspace.bundle.samples import require_robot
 from cspace_client.wire import BeliefAnswer, ScoreTimingMs
 from inference_api.body import body_of, both_bodies
 from inference_api.limits import ComputePlace
-from inference_api.models import Models, ServedModel
+from inference_api.models import ServedModel
+from inference_api.pictures import PreparedPictures
 from inference_api.scene import (
     BeliefRequest,
     about,
     answer_responses,
     json_response,
-    prepare,
     robot_of,
     served_for,
     view_of,
@@ -39,7 +39,7 @@ def belief(
     request: Annotated[BeliefRequest, Depends(body_of(BeliefRequest))],
     served: Annotated[ServedModel, Depends(served_for(BeliefRequest))],
     place: ComputePlace,
-    models: Models,
+    pictures: PreparedPictures,
     metrics: Metered,
 ) -> Response:
     """How likely something is in each cell of space, also where no camera looks. Of arms in space alone."""
@@ -47,7 +47,7 @@ def belief(
     bundle, spec = served.bundle, served.bundle.spec
     require_robot(robot_of(request), spec)
     bundle.require_belief()
-    prepared = prepare(models, bundle, view_of(request), place.check_cancelled)
+    prepared = pictures.prepare(bundle, view_of(request), place.check_cancelled)
     asked = time.perf_counter()
     found = bundle.belief(prepared.picture, place.check_cancelled)
     ended = time.perf_counter()

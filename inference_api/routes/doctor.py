@@ -11,13 +11,13 @@ from cspace.errors import ImageError
 from cspace_client.wire import DoctorAnswer, DoctorTimingMs, ScenarioInfo, SuggestedPose, Verdict
 from inference_api.body import body_of, both_bodies
 from inference_api.limits import ComputePlace
-from inference_api.models import Models, ServedModel
+from inference_api.models import ServedModel
+from inference_api.pictures import PreparedPictures
 from inference_api.scene import (
     DoctorRequest,
     answer_responses,
     json_response,
     model_info,
-    prepare,
     robot_of,
     served_for,
     view_of,
@@ -37,7 +37,7 @@ def doctor(
     request: Annotated[DoctorRequest, Depends(body_of(DoctorRequest))],
     served: Annotated[ServedModel, Depends(served_for(DoctorRequest))],
     place: ComputePlace,
-    models: Models,
+    pictures: PreparedPictures,
     metrics: Metered,
 ) -> Response:
     """Warnings of other answers, and tests that take longer: the arm rendered at `state` against the picture.
@@ -50,7 +50,7 @@ def doctor(
     found = bundle.spec.world.diagnosis(view, place.check_cancelled)
     diagnosed = time.perf_counter()
     try:
-        novelty = prepare(models, bundle, view, place.check_cancelled).picture.novelty
+        novelty = pictures.prepare(bundle, view, place.check_cancelled).picture.novelty
     except ImageError:
         # Nothing in reach, which is among the verdicts.
         novelty = None

@@ -13,6 +13,7 @@ from cspace.strict_json import parse_json
 from cspace.world import World
 from cspace.worlds import read_world, robot_digest
 from cspace_client.wire import Answer, JointSpaceInfo, ModelInfo
+from inference_api.kernels import Kernels
 from inference_api.models import PRETRAINED_VERSION, Models, ModelStore, ServedModel, Shipped
 from inference_api.problems import (
     GUARD_PROBLEMS,
@@ -114,9 +115,9 @@ async def live() -> Live:
     summary="Whether the server can answer",
     responses=problem_responses(NO_MODEL, STARTING),
 )
-async def ready(store: Models) -> Ready:
+async def ready(store: Models, kernels: Kernels) -> Ready:
     """The model that answers requests that name none; 503 at the start, or without one."""
-    store.planner.require()
+    kernels.require()
     served = store.default
     if served is None:
         raise ModelNotReadyError(

@@ -15,8 +15,10 @@ from cspace.view_file import View
 from cspace.world import ARM_IN_PICTURE, LITTLE_IN_REACH, Finding, World
 from cspace_client.wire import Alternative, Contact, LeastSure, NextView, PlanAnswer, PlanTimingMs
 from inference_api.body import body_of, both_bodies
+from inference_api.kernels import Kernels, needs_kernels
 from inference_api.limits import ComputePlace
-from inference_api.models import Models, Prepared, ServedModel
+from inference_api.models import ServedModel
+from inference_api.pictures import Prepared, PreparedPictures
 from inference_api.problems import NO_PLANNER, SAMPLE_PROBLEMS, STARTING, problem_responses
 from inference_api.routes.outcomes import keep_plan
 from inference_api.scene import (
@@ -25,8 +27,6 @@ from inference_api.scene import (
     answer_responses,
     has_known,
     json_response,
-    needs_kernels,
-    prepare,
     robot_of,
     served_for,
     view_of,
@@ -51,7 +51,8 @@ def plan(
     request: Annotated[PlanRequest, Depends(body_of(PlanRequest))],
     served: Annotated[ServedModel, Depends(served_for(PlanRequest))],
     place: ComputePlace,
-    models: Models,
+    pictures: PreparedPictures,
+    kernels: Kernels,
     metrics: Metered,
     http: Request,
 ) -> Response:
@@ -60,7 +61,7 @@ def plan(
     The search treats unknown space as free; the model estimates how likely it is free.
     """
     began = time.perf_counter()
-    models.planner.require()
+    kernels.require()
     bundle, spec, view = served.bundle, served.bundle.spec, view_of(request)
     given = _query_of(request, view)
     query = fitted_plan(spec, given)
@@ -70,7 +71,7 @@ def plan(
     with needs_kernels():
         # Before the pictures: a wrong start costs nothing.
         fitted_problem(spec, given)
-        prepared = prepare(models, bundle, view, place.check_cancelled)
+        prepared = pictures.prepare(bundle, view, place.check_cancelled)
         findings = _findings(spec.world, prepared, query)
         if given.min_confidence is None and any(one.code == LITTLE_IN_REACH for one in findings):
             # The calibration of other scenes does not hold here, so that paths are refused by default.

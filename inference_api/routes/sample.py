@@ -10,18 +10,18 @@ from cspace.bundle.samples import fitted
 from cspace.query import SampleQuery, random_seed
 from cspace_client.wire import ProposalCounts, SampleAnswer, TimingMs
 from inference_api.body import body_of, both_bodies
+from inference_api.kernels import Kernels, needs_kernels
 from inference_api.limits import ComputePlace
-from inference_api.models import Models, ServedModel
+from inference_api.models import ServedModel
+from inference_api.pictures import PreparedPictures
 from inference_api.scene import (
     SampleRequest,
     WantsNpy,
     about,
     has_known,
     json_response,
-    needs_kernels,
     npy_response,
     npy_responses,
-    prepare,
     robot_of,
     served_for,
     view_of,
@@ -49,7 +49,8 @@ def sample(
     request: Annotated[SampleRequest, Depends(body_of(SampleRequest))],
     served: Annotated[ServedModel, Depends(served_for(SampleRequest))],
     place: ComputePlace,
-    models: Models,
+    pictures: PreparedPictures,
+    kernels: Kernels,
     metrics: Metered,
     npy: WantsNpy,
 ) -> Response:
@@ -61,8 +62,8 @@ def sample(
     bundle, world = served.bundle, served.bundle.spec.world
     query = fitted(_query_of(request), bundle.spec, has_validity=bundle.has_validity)
     if has_known(request):
-        models.planner.require()
-    prepared = prepare(models, bundle, view_of(request), place.check_cancelled)
+        kernels.require()
+    prepared = pictures.prepare(bundle, view_of(request), place.check_cancelled)
     # A ``.npy`` holds samples alone: nobody would see the scores of those that are not filtered.
     with needs_kernels():
         found = bundle.answer(

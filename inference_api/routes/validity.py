@@ -15,8 +15,10 @@ from cspace.errors import InputError
 from cspace.files import read_npy
 from cspace_client.wire import MAX_EXPLAINED, MAX_SAMPLES, Contact, ScoreTimingMs, ValidityAnswer
 from inference_api.body import body_of, both_bodies
+from inference_api.kernels import Kernels
 from inference_api.limits import ComputePlace
-from inference_api.models import Models, ServedModel
+from inference_api.models import ServedModel
+from inference_api.pictures import PreparedPictures
 from inference_api.scene import (
     ValidityRequest,
     WantsNpy,
@@ -25,7 +27,6 @@ from inference_api.scene import (
     json_response,
     npy_response,
     npy_responses,
-    prepare,
     robot_of,
     served_for,
     view_of,
@@ -58,7 +59,8 @@ def validity(
     request: Annotated[ValidityRequest, Depends(body_of(ValidityRequest))],
     served: Annotated[ServedModel, Depends(served_for(ValidityRequest))],
     place: ComputePlace,
-    models: Models,
+    pictures: PreparedPictures,
+    kernels: Kernels,
     metrics: Metered,
     npy: WantsNpy,
 ) -> Response:
@@ -78,8 +80,8 @@ def validity(
             remedy="send those alone that you want to have explained",
         )
     if request.explain or has_known(request):
-        models.planner.require()
-    prepared = prepare(models, bundle, view_of(request), place.check_cancelled)
+        kernels.require()
+    prepared = pictures.prepare(bundle, view_of(request), place.check_cancelled)
     picture, scoring = prepared.picture, time.perf_counter()
     confidence, unseen = bundle.predict(picture, configurations, place.check_cancelled)
     ended = time.perf_counter()

@@ -172,20 +172,9 @@ GOLDEN: dict[str, Callable[[Path], bytes]] = {
     "a count of fractions": change_golden({"count": np.float64(2.5)}),
     "no seed": lambda folder: packed({k: v for k, v in arrays_of(folder).items() if k != "seed"}),
     "many entries": lambda folder: packed({str(index): b"" for index in range(5000)}),
-    "another packing": lambda folder: _other_packing(arrays_of(folder)),
     "encrypted": lambda folder: _encrypted(packed(arrays_of(folder))),
     "a torn end": lambda folder: packed(arrays_of(folder))[:-10],
 }
-
-
-def _other_packing(arrays: dict[str, Any]) -> bytes:
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_LZMA) as archive:
-        for name, array in arrays.items():
-            entry = io.BytesIO()
-            np.save(entry, array)
-            archive.writestr(f"{name}.npy", entry.getvalue())
-    return buffer.getvalue()
 
 
 def _encrypted(data: bytes) -> bytes:

@@ -103,11 +103,7 @@ def test_a_description_with_a_wrong_value_is_refused(change: dict[str, Any]) -> 
         BundleSpec.from_json(json.dumps({**json.loads(full_spec().to_json()), **change}).encode())
 
 
-def test_a_description_without_one_of_its_keys_is_refused() -> None:
-    values = json.loads(full_spec().to_json())
-    for key in values:
-        with pytest.raises(BundleIntegrityError):
-            BundleSpec.from_json(json.dumps({name: values[name] for name in values if name != key}).encode())
+def test_what_is_no_description_is_refused() -> None:
     for data in (b"[]", b"{", b'{"a": NaN}'):
         with pytest.raises(BundleIntegrityError):
             BundleSpec.from_json(data)
@@ -139,5 +135,5 @@ def test_two_random_inputs_of_one_name_are_refused() -> None:
 @pytest.mark.parametrize("value", [np.float32(1.0), math.nan])
 def test_a_provenance_that_is_not_plain_json_is_refused_with_a_remedy(value: object) -> None:
     spec = BundleSpec(PlanarWorld(TWO_LINK), 4, provenance=Provenance(metrics={"precision": value}))
-    with pytest.raises(BundleIntegrityError, match="convert"):
+    with pytest.raises(BundleIntegrityError, match="plain JSON"):
         spec.to_json()

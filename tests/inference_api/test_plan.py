@@ -129,11 +129,10 @@ def test_a_server_is_not_ready_before_its_search_is_loaded(own_api, monkeypatch)
         assert go_on.wait(30)
         return []
 
-    monkeypatch.setattr("inference_api.models.load_examples", load)
+    monkeypatch.setattr("inference_api.kernels.load_examples", load)
     api = own_api
-    store = api.app.state.models
     assert api.get("/health/ready").status_code == 200
-    store.planner.begin()
+    api.app.state.kernels.begin()
     problem = assert_problem(api.get("/health/ready"), 503, "starting")
     assert "ask again" in problem["remedy"]
     assert_problem(ask(api), 503, "starting")

@@ -75,36 +75,34 @@ def test_the_schema_is_one_and_takes_what_is_read():
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "line", "words"),
+    ("old", "new", "words"),
     [
-        ("robot:", "robt:", 2, "robt is unknown"),
-        ("y_m: 2, radius_m: 0.4}", "y_m: 2, radius_m: -1}", 9, r"obstacles\.0\.radius_m.*above 0"),
-        ("[1.6, 1.4]", "[1.6, long]", 3, r"link_lengths_m\.1"),
-        ("[-2.5, 2.5]]", "[2.5, -2.5]]", 2, "joint limits"),
-        ("pixels: 32", "pixels: 3", 6, "pixels.*at least 16"),
-        ("radius_m: [0.4, 0.4]", "radius_m: [9, 9]", 7, "family of scenes"),
-        ("goal: [-1.8, -0.5]", "goal: [-1.8, -2.6]", 12, "goal lies outside"),
-        ("goal: [-1.8, -0.5]", "goal: [-1.8]", 12, "2 angles"),
-        ("goal: [-1.8, -0.5]", "goal: [-1.8, -0.5", 13, "no YAML"),
-        ("goal: [-1.8, -0.5]", "goal: [-1.8, .nan]", 12, "a finite number"),
-        ("robot:\n", "robot:\n  self_collision: 1\n", 3, "self_collision.*true or false"),
+        ("robot:", "robt:", "robt is unknown"),
+        ("y_m: 2, radius_m: 0.4}", "y_m: 2, radius_m: -1}", r"obstacles\.0\.radius_m.*greater than 0"),
+        ("[1.6, 1.4]", "[1.6, long]", r"link_lengths_m\.1"),
+        ("[-2.5, 2.5]]", "[2.5, -2.5]]", "joint limits"),
+        ("pixels: 32", "pixels: 3", "pixels.*equal to 16"),
+        ("radius_m: [0.4, 0.4]", "radius_m: [9, 9]", "family of scenes"),
+        ("goal: [-1.8, -0.5]", "goal: [-1.8, -2.6]", "goal lies outside"),
+        ("goal: [-1.8, -0.5]", "goal: [-1.8]", "2 angles"),
+        ("goal: [-1.8, -0.5]", "goal: [-1.8, -0.5", "no YAML"),
+        ("goal: [-1.8, -0.5]", "goal: [-1.8, .nan]", "a finite number"),
+        ("robot:\n", "robot:\n  self_collision: 1\n", "self_collision.*valid boolean"),
         (
             WHOLE[WHOLE.index("  link") : WHOLE.index("camera")],
             "  link_lengths_m: [1, 0.1, 1]\n  self_collision: true\n",
-            2,
             "always collides with itself",
         ),
-        ("name: bench-arm", "name: Bench Arm", 1, "name"),
-        ("x_m: -1.5", "x_m: 1e308", 10, "x_m.*at most 1000000"),
-        ("[1.6, 1.4]", "[1.6, 1e200]", 3, r"link_lengths_m\.1.*at most 1000000"),
-        ("name: bench-arm", "world: hyperbolic", 1, "the world is unknown"),
-        ("name: bench-arm", "start: [1, 1]", 11, "start stands twice"),
+        ("name: bench-arm", "name: Bench Arm", "name"),
+        ("x_m: -1.5", "x_m: 1e308", "x_m.*equal to 1000000"),
+        ("[1.6, 1.4]", "[1.6, 1e200]", r"link_lengths_m\.1.*equal to 1000000"),
+        ("name: bench-arm", "world: hyperbolic", "the world is unknown"),
     ],
 )
-def test_what_does_not_fit_is_told_with_its_line(write, old, new, line, words):
+def test_what_does_not_fit_is_told_with_its_place(write, old, new, words):
     assert old in WHOLE
     path = write(WHOLE.replace(old, new))
-    with pytest.raises(ScenarioError, match=rf"(?s){path}:{line}\b.*{words}"):
+    with pytest.raises(ScenarioError, match=rf"(?s){path}.*{words}"):
         read_scene_file(path)
 
 
@@ -117,7 +115,7 @@ def test_what_is_no_scene_file_is_refused(write, text):
 def test_the_command_refuses_a_file_of_aliases_before_it_fills_the_memory(write, capsys):
     levels = ["a0: &a0 [1, 1]", *(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 10)}]" for n in range(1, 9))]
     assert main(["plan", str(write("\n".join(levels))), "--api", "http://127.0.0.1:1"]) == 2
-    assert "scene.yaml:6: it holds too many values" in capsys.readouterr().err
+    assert "scene.yaml is nested too deep" in capsys.readouterr().err
 
 
 def test_a_file_without_end_is_refused():
@@ -234,7 +232,7 @@ def test_an_end_that_rounding_moved_beyond_a_limit_is_taken_as_the_limit(write):
     assert found.start.tolist() == [0.0, 2.5]
 
 
-def test_an_end_in_degrees_is_refused_with_its_line_and_joint(write):
+def test_an_end_in_degrees_is_refused_with_its_joint(write):
     path = write(WHOLE.replace("goal: [-1.8, -0.5]", "goal: [-103, -0.5]"))
-    with pytest.raises(ScenarioError, match=rf"{path}:12: goal lies outside.*joint 1 at -103 rad.*degrees"):
+    with pytest.raises(ScenarioError, match=rf"{path}: goal lies outside.*joint 1 at -103 rad.*degrees"):
         read_scene_file(path)

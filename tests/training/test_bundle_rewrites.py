@@ -13,7 +13,7 @@ from cspace.worlds.spatial.benchmark import LIMITS_RAD
 from cspace.worlds.spatial.world import shipped
 from tests.bundles import picture, tiny_graphs, tiny_spec, write_tiny_bundle
 from training import limits, plan_confidence
-from training.motionbench.__main__ import main as motionbench
+from training.motionbench import main as motionbench
 
 WIDE = PlanarArm(joint_limits_rad=((-3.0, 3.0), (-3.0, 3.0)))
 

@@ -21,6 +21,25 @@ _PROPOSALS = 4
 
 
 @dataclass(frozen=True, slots=True)
+class Shard:
+    """A range of scenarios, or of pictures alone (``extra``)."""
+
+    first: int
+    count: int
+    extra: bool = False
+
+    @property
+    def rows(self) -> slice:
+        """Its place among all of its kind."""
+        return slice(self.first, self.first + self.count)
+
+    @property
+    def file_name(self) -> str:
+        """The shard's file within the unfinished data set."""
+        return f"{'extra' if self.extra else 'scenes'}-{self.first:08d}-{self.count}.npz"
+
+
+@dataclass(frozen=True, slots=True)
 class _OfAnyKind:
     """A part of a world by the fields of its type."""
 

@@ -14,8 +14,7 @@ from cspace.errors import DatasetError
 from cspace.simulator import Checker, Proposals, Split, scenario_rng
 from cspace.world import Arrays
 from cspace.worlds import simulator_of
-from training.data.config import DatasetConfig
-from training.data.shards import Pictures, Shard
+from training.data.config import DatasetConfig, Shard
 
 # Pictures alone come from the same split under indices that no scenario with configurations has.
 EXTRA_FIRST_INDEX = 2**31
@@ -86,15 +85,16 @@ class ConfigurationRecipe:
         raise problem
 
     def write(self, folder: Path, load: Callable[[Shard], Arrays]) -> Dataset:
-        """See :func:`cspace.dataset.write_dataset`."""
+        """The data set of all shards."""
         config = self.config
         known, kept = config.world.scene_files, dict[str, list[NDArray[Any]]]()
         # Filled shard by shard: arrays of space are large, and are not held twice.
-        images = Pictures(config.world, config.scenario_count)
-        extras = Pictures(config.world, config.extra_image_count)
+        shape = config.world.sensor.picture_shape
+        images = np.empty((config.scenario_count, *shape), dtype=np.uint8)
+        extras = np.empty((config.extra_image_count, *shape), dtype=np.uint8)
         for shard in self.plan():
             arrays = dict(load(shard))
-            (extras if shard.extra else images).add(arrays.pop("images"))
+            (extras if shard.extra else images)[shard.rows] = arrays.pop("images")
             if not shard.extra:
                 for name, rows in (_split(arrays) if "labelled" in arrays else arrays).items():
                     kept.setdefault(name, []).extend(rows)
@@ -102,12 +102,12 @@ class ConfigurationRecipe:
         return write_dataset(
             folder,
             world=config.world,
-            images=images.rows,
+            images=images,
             free=kept["free"],
             collision=kept["collision"] if collided else None,
             attributes={name: kept[name] for name in ATTRIBUTES if name in kept},
             scenes={name: np.stack(kept[name]) for name in known},
-            extra_images=extras.rows if len(extras.rows) else None,
+            extra_images=extras if len(extras) else None,
             generator=config.model_dump(mode="json"),
         )
 
@@ -133,11 +133,7 @@ def _split(arrays: Arrays) -> dict[str, list[NDArray[Any]]]:
 def plot_configurations(
     checker: Checker, count: int, rng: np.random.Generator, *, free: bool
 ) -> NDArray[np.float64]:
-    """``count`` uniform configurations that are free (or in collision), (count, d) rad.
-
-    Raises:
-        DatasetError: hardly any configuration is.
-    """
+    """``count`` uniform configurations that are free (or in collision), (count, d) rad."""
     space = checker.space
     found: list[NDArray[np.float64]] = [np.empty((0, space.dim))]
     have = proposed = 0

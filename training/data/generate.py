@@ -2,22 +2,23 @@
 
 import logging
 import shutil
+import zipfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from cspace.dataset import Dataset, open_dataset, require_room
 from cspace.errors import DatasetError, StorageError
-from cspace.files import make_output_folder
+from cspace.files import make_output_folder, replacing
 from services.evaluator.cluster import spread
 from services.progress import Progress
-from training.data.config import DatasetConfig, PathDatasetConfig
+from training.data.config import DatasetConfig, PathDatasetConfig, Shard
 from training.data.configurations import ConfigurationRecipe
 from training.data.paths import PathRecipe
-from training.data.shards import Shard, load_shard, save_shard
 
 _LOG = logging.getLogger("training")
 
@@ -34,12 +35,6 @@ def generate(config: Generated, folder: Path) -> Dataset:
 
     An interrupted generation leaves its finished shards beside the folder and goes on from them; shards of
     another configuration are never taken.
-
-    Raises:
-        DamagedFileError: the data set that is there is damaged.
-        DatasetError: another data set is there.
-        JobError: a task failed for good.
-        StorageError: the disk is too full or cannot be written.
     """
     if folder.exists():
         return _reuse(config, folder)
@@ -82,17 +77,32 @@ def _reuse(config: Generated, folder: Path) -> Dataset:
 
 
 def run_tasks(config: Generated, shards: Sequence[Shard], partial: Path) -> Iterator[str]:
-    """Make shards in parallel on the cluster; yields each one's file as it is finished.
-
-    Raises:
-        CspaceError: what a task raised; JobError when its process died again and again.
-    """
+    """Make shards in parallel on the cluster; yields each one's file as it is finished."""
     return spread(_task, shards, (config, str(partial)), "generation of the data set", "run it again")
 
 
 def _task(shard: Shard, shared: tuple[Generated, str]) -> str:
     config, partial = shared
     return str(save_shard(Path(partial), shard, recipe_of(config).make(shard)))
+
+
+def save_shard(folder: Path, shard: Shard, arrays: dict[str, NDArray[Any]]) -> Path:
+    """Write a shard beside its place and rename it."""
+    path = folder / shard.file_name
+    with replacing(path, str(path)) as beside, beside.open("wb") as handle:
+        np.savez(handle, **arrays)  # type: ignore[arg-type]
+    return path
+
+
+def load_shard(folder: Path, shard: Shard) -> dict[str, NDArray[Any]] | None:
+    """A shard that an earlier attempt finished, or None when there is none that can be read whole."""
+    try:
+        # Opened here, as numpy leaves a file open that is no archive.
+        with (folder / shard.file_name).open("rb") as handle, np.load(handle, allow_pickle=False) as arrays:
+            # Reading compares each array with its checksum.
+            return {name: arrays[name] for name in arrays.files}
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
+        return None
 
 
 def _must_load(partial: Path, shard: Shard) -> dict[str, NDArray[Any]]:

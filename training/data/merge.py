@@ -15,15 +15,8 @@ from cspace.errors import DatasetError
 def merge(parts: Sequence[Dataset], folder: Path) -> Dataset:
     """Write the scenarios of all parts, in their order; one that an earlier one shows already is left out.
 
-    Scenarios are the same if their pictures are, and their geometry where it is known.
-
-    Args:
-        parts: two or more, of the same world, split and kinds of files.
-        folder: must not exist.
-
-    Raises:
-        DatasetError: the parts do not fit each other; the folder that does not is named.
-        StorageError: the folder exists or cannot be written.
+    Scenarios are the same if their pictures are, and their geometry where it is known. The parts are of the
+    same world, split and kinds of files.
     """
     first = parts[0]
     for part in parts[1:]:

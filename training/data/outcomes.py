@@ -32,11 +32,8 @@ Labelled = tuple[NDArray[np.float32], NDArray[np.float32]]
 class KnownPlan:
     """A plan of which pictures were kept and the end is known.
 
-    Args:
-        image: what showed the scene, as it was sent.
-        path: (k, d) rad.
-        collided_at: where it collides first, as a share of its length; None where it is free.
-        run_id: of the batch that holds the pictures.
+    ``image`` is what showed the scene, as it was sent; ``path`` (k, d) rad; ``collided_at`` where it collides
+    first, as a share of its length, None where it is free; ``run_id`` of the batch that holds the pictures.
     """
 
     image: bytes
@@ -70,13 +67,7 @@ class KnownPlan:
 def known_plans(tracking: Tracking, robot: str, site: str | None = None) -> Iterator[KnownPlan]:
     """All plans of a robot of which pictures were kept and the end was reported, the oldest batch first.
 
-    Args:
-        tracking: where outcomes were uploaded.
-        robot: SHA-256, as answers name it.
-        site: those of one place; None for all.
-
-    Raises:
-        RegistryError: the tracking server is away or refuses.
+    ``robot`` is its SHA-256, as answers name it; ``site`` is one place, None for all.
     """
     ends: dict[tuple[Any, Any], float | None] = {}
     for _, _, reported in uploaded(tracking):
@@ -104,17 +95,6 @@ def import_outcomes(folder: Path, *, world: World, tracking: Tracking, site: str
 
     Free are configurations along paths up to where they collide, in collision those where they do.
     A fifth of the pictures is left to evaluations.
-
-    Args:
-        folder: the data set's, must not exist.
-        world: robot and sensor.
-        tracking: where outcomes were uploaded.
-        site: plans of one place; None for all.
-
-    Raises:
-        DatasetError: no such plan is known, or a picture is none of the world's sensor.
-        RegistryError: the tracking server is away or refuses.
-        StorageError: the folder exists or cannot be written.
     """
     images: dict[str, bytes] = {}
     found: dict[str, list[Labelled]] = {}

@@ -24,9 +24,6 @@ def found_pictures(folder: Path) -> list[Path]:
     """The files of a folder that show a scene each, in the order of their names: views, and other PNGs.
 
     A view is a JSON file that names its pictures, or a view file (``.view``).
-
-    Raises:
-        DatasetError: a view is none.
     """
     views = sorted(folder.glob("*.json"))
     named = {name for view in views for name in _read_view(view).pictures}
@@ -35,11 +32,7 @@ def found_pictures(folder: Path) -> list[Path]:
 
 
 def read_own_picture(path: Path, world: World) -> NDArray[np.uint8]:
-    """The picture of a scene as its world reads it.
-
-    Raises:
-        DatasetError: a file is missing, too large, or not what the world takes; it is named.
-    """
+    """The picture of a scene as its world reads it."""
     # A view may be none as well.
     try:
         data = _view(path) if path.suffix == ".json" else _bytes(path)
@@ -102,13 +95,7 @@ COLLISION_ENDING = ".collision.npy"
 
 @dataclass(frozen=True, slots=True)
 class OwnScenario:
-    """One picture with its configurations.
-
-    Args:
-        image: (P, P, 3) uint8.
-        free: (n, d) rad.
-        collision: (m, d) rad; no rows where there is no file.
-    """
+    """One picture (P, P, 3) uint8 with its configurations (n, d) and (m, d) rad."""
 
     image: NDArray[np.uint8]
     free: NDArray[np.float64]
@@ -118,14 +105,7 @@ class OwnScenario:
 def import_folder(source: Path, folder: Path, *, world: World) -> Dataset:
     """Write the data set of a folder of pictures, scenarios in the order of their names.
 
-    Args:
-        source: pictures and arrays as above; any size from 16 to 2048 pixels, resized to the camera's.
-        folder: the data set's, must not exist.
-        world: robot and sensor.
-
-    Raises:
-        DatasetError: a file is missing or does not fit; it is named.
-        StorageError: the folder exists or cannot be written.
+    Pictures have 16 to 2048 pixels and are resized to the camera's.
     """
     pictures = found_pictures(source)
     if not pictures:

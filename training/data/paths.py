@@ -22,8 +22,7 @@ from cspace.world import Arrays, Scene
 from cspace.worlds import simulator_of
 from services.planner.ompl_planner import solve
 from services.planner.result import RRT_STAR, PlannerSettings
-from training.data.config import PathDatasetConfig
-from training.data.shards import Pictures, Shard
+from training.data.config import PathDatasetConfig, Shard
 
 MAX_DRAWS = 5000
 _PROPOSALS = 1000
@@ -46,15 +45,11 @@ class PathRecipe:
         return config.scenario_count * each
 
     def plan(self) -> list[Shard]:
-        """Ranges of scenarios.
-
-        Raises:
-            ScenarioError: narrow passages are asked for, and the robot has none that can be told.
-        """
+        """Ranges of scenarios."""
         if self.config.narrow_count:
             simulator_of(self.config.world).require(NARROW)
         total, size = self.config.scenario_count, self.config.shard_size
-        return [Shard(first, min(size, total - first), extra=False) for first in range(0, total, size)]
+        return [Shard(first, min(size, total - first)) for first in range(0, total, size)]
 
     def make(self, shard: Shard) -> dict[str, NDArray[Any]]:
         """Pictures (n, ...), the scenes' arrays, free (n, f, d) and paths (n, pairs, points, d)."""
@@ -65,19 +60,19 @@ class PathRecipe:
         return {name: np.stack([row[name] for row in rows]) for name in rows[0]}
 
     def write(self, folder: Path, load: Callable[[Shard], Arrays]) -> Dataset:
-        """See :func:`cspace.dataset.write_dataset`."""
+        """The data set of all shards."""
         world, parts = self.config.world, list[Arrays]()
         # Filled shard by shard: arrays of space are large, and are not held twice.
-        images = Pictures(world, self.config.scenario_count)
+        images = np.empty((self.config.scenario_count, *world.sensor.picture_shape), dtype=np.uint8)
         for shard in self.plan():
             arrays = dict(load(shard))
-            images.add(arrays.pop("images"))
+            images[shard.rows] = arrays.pop("images")
             parts.append(arrays)
         paths = np.concatenate([part["paths"] for part in parts])
         return write_dataset(
             folder,
             world=world,
-            images=images.rows,
+            images=images,
             free=[free for part in parts for free in part["free"]],
             paths=[(scenario, path) for scenario, of_one in enumerate(paths) for path in of_one],
             scenes={name: np.concatenate([part[name] for part in parts]) for name in world.scene_files},

@@ -1,45 +1,50 @@
-"""Import of recordings of ROS 2: view files, a preview, and a data set of the robot's joint states."""
+"""Import of recordings of ROS 2, without ROS: view files, a preview, and a data set of the joint states.
+
+All stamps are those of the messages' headers. A recording is read in a worker that the kernel bounds
+(:mod:`cspace.bounded`), so nothing here counts what it holds.
+"""
 
 import argparse
 import logging
+from array import array
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
 
 from cspace.dataset import write_dataset
-from cspace.errors import ConfigError, DatasetError, ImageError, ScenarioError, StorageError
+from cspace.errors import ConfigError, CspaceError, DatasetError, ImageError, ScenarioError, StorageError
 from cspace.files import replacing
 from cspace.png import encode_png
 from cspace.space import JointSpace
 from cspace.view_file import pack_view
-from cspace.worlds.spatial.camera import DepthCamera, encode_depth, in_range
+from cspace.worlds.spatial.camera import DepthCamera, decode_depth, encode_depth, in_range
 from cspace.worlds.spatial.camera_info import read_pinhole, undistorted
+from cspace.worlds.spatial.depth_files import METRES, rounded_mm
+from cspace.worlds.spatial.poses import quaternion_pose
 from cspace.worlds.spatial.world import SpatialWorld, add_options, described
 from services.command_errors import finite
 from services.progress import Progress
-from training.data.bag import (
-    CAMERA_INFO,
-    COMPRESSED,
-    IMAGE,
-    JOINT_STATE,
-    TRANSFORMS,
-    Bag,
-    Series,
-    TransformTree,
-    camera_info,
-    depth_mm,
-    is_depth,
-    opened,
-    stamp_of,
-)
 
 _LOG = logging.getLogger(__name__)
+KINDS = (".mcap", ".db3")
+IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+CAMERA_INFO, JOINT_STATE = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/JointState"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+# Depth images by their encoding: type of a pixel. REP 118 of ROS: whole numbers are mm, floats metres.
+_DEPTH = {"16UC1": "u2", "32FC1": "f4"}
+# In front of the PNG of a compressed depth image.
+_HEADER_BYTES = 12
+_QUATERNION_TOLERANCE, _FAR_M = 1e-2, 1e6
 MOST_PICTURES = 1000
 _PREVIEWS, _PREVIEW_HEIGHT = 4, 360
 # What is as near as the first is white in the preview, what is as far as the second is black.
@@ -51,18 +56,10 @@ _BLANK, _ROBOT = (40, 40, 90), (255, 140, 0)
 class RecordingOptions:
     """How a recording is read.
 
-    Args:
-        base: tf frame of the robot's base.
-        depth: topic of the depth images; None for the only one.
-        camera_info: topic of their cameras; None for the one beside them, or the only one.
-        joint_states: topic; None for the only one.
-        every_s: least time between two pictures that are taken.
-        tolerance_s: how far stamps of picture, joint state and moving transforms may be apart.
-        most: pictures that are taken.
-        time_limit_s: for the whole import.
-
-    Raises:
-        ConfigError: a number is out of its range.
+    ``base`` is the tf frame of the robot's base. Topics that are None are the only ones of their type, or
+    for ``camera_info`` the one beside the depth images. ``every_s`` is the least time between two pictures,
+    ``tolerance_s`` how far stamps of picture, joint state and moving transforms may be apart, and ``most``
+    the number of pictures.
     """
 
     base: str = "base_link"
@@ -85,14 +82,11 @@ class RecordingOptions:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TakenView:
-    """One picture of a recording that is complete.
+class RecordedView:
+    """A complete picture of a recording.
 
-    Args:
-        stamp_ns: of the picture.
-        tile: (360, any, 3) uint8, how a preview shows it.
-        state: (d,) rad; None where no robot is known.
-        image: the picture as the robot's world reads it; None where no robot is known.
+    ``tile`` (360, any, 3) uint8 shows it in a preview; ``state`` (d,) rad and ``image``, the picture as the
+    robot's world reads it, are None where no robot is known.
     """
 
     stamp_ns: int
@@ -103,14 +97,10 @@ class TakenView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Imported:
-    """What an import wrote.
+    """What an import wrote: ``views``, ``preview.png`` and, where a robot is known, ``data`` in a folder.
 
-    Args:
-        folder: holds ``views``, ``preview.png`` and, where a robot is known, ``data``.
-        views: how many.
-        skipped: why pictures were left out, and how many for each reason.
-        warnings: codes of what the robot's world says of the views, and of how many it says it.
-        digest: of the data set; None where no robot is known.
+    ``skipped`` counts pictures that were left out by the reason, ``warnings`` what the robot's world says of
+    the views by its code. ``digest`` is the data set's.
     """
 
     folder: Path
@@ -139,11 +129,6 @@ def import_recording(
         folder: must not exist.
         world: of the robot, whose joints are named as in the recording; None reads no joint states.
         options: of the import.
-
-    Raises:
-        DatasetError: the recording cannot be read, lacks a topic or a transform, holds no complete picture,
-            or is no file of its kind.
-        StorageError: the folder exists or cannot be written.
     """
     if folder.exists():
         raise StorageError("the folder exists", expected="a new folder", got=str(folder))
@@ -151,14 +136,14 @@ def import_recording(
     digest = None
     with replacing(folder, "the import") as beside:
         (beside / "views").mkdir(parents=True)
-        with opened(source) as bag:
-            taking = _Taking(bag, settings, world)
-            views = taking.views(beside / "views")
+        with opened(source) as reader:
+            selection = _Selection(reader, source.name, settings, world)
+            views = selection.views(beside / "views")
         if not views:
             raise DatasetError(
                 f"{source} holds no complete picture",
                 expected="depth images with a joint state and transforms of nearly the same stamp",
-                got="; ".join(f"{count} times {reason}" for reason, count in taking.skipped.items())
+                got="; ".join(f"{count} times {reason}" for reason, count in selection.skipped.items())
                 or "no picture",
                 remedy="look at --base, --tolerance and the topics",
             )
@@ -169,18 +154,55 @@ def import_recording(
                 # Nobody says where the scenes come from.
                 world=replace(world, scenes=None),
                 images=np.stack([view.image for view in views if view.image is not None]),
-                free=taking.free(views, world.space),
+                free=selection.free(views, world.space),
                 generator={"recording": source.name, "stamps_ns": [view.stamp_ns for view in views]},
             )
             digest = written.digest
-    return Imported(folder, len(views), taking.skipped, taking.warnings, digest)
+    return Imported(folder, len(views), selection.skipped, selection.warnings, digest)
 
 
-class _Taking:
-    """The pictures that are taken out of a recording, with what :class:`Imported` tells of the others."""
+@contextmanager
+def opened(source: Path) -> Iterator[AnyReader]:
+    """The messages of a ``.mcap`` or ``.db3`` file, or of those in a folder."""
+    files = [source]
+    if source.is_dir():
+        files = sorted(one for one in source.iterdir() if one.suffix in KINDS)
+    inside = source.resolve()
+    # The reader of .db3 takes a path for a part of a URI, in which some characters lead elsewhere.
+    if not files or any(
+        one.suffix not in KINDS
+        or not one.is_file()
+        or not one.resolve().is_relative_to(inside)
+        or any(mark in str(one) for mark in "?#%")
+        for one in files
+    ):
+        raise DatasetError(
+            f"{source} is no recording",
+            expected=f"a file {' or '.join(KINDS)}, or a folder of them without links to elsewhere; "
+            "no ?, # or % in its path",
+            got=", ".join(one.name for one in files)[:200] or "none",
+            remedy="convert other recordings, and compressed ones, by rosbags-convert or ros2 bag convert",
+        )
+    try:
+        with AnyReader(files, default_typestore=get_typestore(Stores.LATEST)) as reader:
+            yield reader
+    except (CspaceError, MemoryError, OSError):
+        raise
+    except Exception as error:  # there is no list of what readers raise for bytes from outside
+        raise DatasetError(
+            f"{source.name} cannot be read",
+            expected="a complete recording of ROS 2",
+            got=f"{type(error).__name__}: {error}"[:200],
+        ) from error
 
-    def __init__(self, bag: Bag, options: RecordingOptions, world: SpatialWorld | None) -> None:
-        self._bag, self._options, self._world = bag, options, world
+
+class _Selection:
+    """The pictures that are taken out of a recording, and why others are not."""
+
+    def __init__(
+        self, reader: AnyReader, name: str, options: RecordingOptions, world: SpatialWorld | None
+    ) -> None:
+        self._reader, self._name, self._options, self._world = reader, name, options, world
         self.skipped: Counter[str] = Counter()
         self.warnings: Counter[str] = Counter()
         self._within_ns = 1e9 * options.tolerance_s
@@ -190,31 +212,28 @@ class _Taking:
         self._names = () if world is None else world.space.names
         self._states = Series(len(self._names))
 
-    def views(self, folder: Path) -> list[TakenView]:
-        """All complete pictures, so far apart and so many as is asked for; their view files go to a folder.
-
-        Raises:
-            DatasetError: as :func:`import_recording`.
-        """
+    def views(self, folder: Path) -> list[RecordedView]:
+        """The complete pictures, as far apart and as many as asked for; their view files go to a folder."""
         depth = self._depth_topic()
         self._read_small(depth)
-        taken: list[TakenView] = []
-        with Progress("pictures", self._bag.count(depth), _LOG.info, "picture") as progress:
-            for _, message in self._bag.messages(depth):
+        found: list[RecordedView] = []
+        count = self._reader.topics[depth].msgcount
+        with Progress("pictures", count, _LOG.info, "picture") as progress:
+            for _, message in self._messages(depth):
                 progress.advance()
                 stamp = stamp_of(message.header)
-                if taken and stamp - taken[-1].stamp_ns < 1e9 * self._options.every_s:
+                if found and stamp - found[-1].stamp_ns < 1e9 * self._options.every_s:
                     continue
-                view = self._view(message, stamp, folder / f"{len(taken):04d}-{stamp}.view")
+                view = self._view(message, stamp, folder / f"{len(found):04d}-{stamp}.view")
                 if isinstance(view, str):
                     self.skipped[view] += 1
                     continue
-                taken.append(view)
-                if len(taken) == self._options.most:
+                found.append(view)
+                if len(found) == self._options.most:
                     break
-        return taken
+        return found
 
-    def free(self, views: Sequence[TakenView], space: JointSpace) -> list[NDArray[np.float64]]:
+    def free(self, views: Sequence[RecordedView], space: JointSpace) -> list[NDArray[np.float64]]:
         """For each view the joint states (n, d) rad that were nearest to it, each once."""
         stamps, rows = self._states.sorted
         pictures = np.array([view.stamp_ns for view in views], dtype=np.int64)
@@ -227,11 +246,19 @@ class _Taking:
             found.append(np.unique(np.concatenate([[view.state], passed]).round(6), axis=0))
         return found
 
+    def _messages(self, *topics: str) -> Iterator[tuple[str, Any]]:
+        connections = [one for one in self._reader.connections if one.topic in topics]
+        for connection, _, data in self._reader.messages(connections):
+            yield connection.topic, self._reader.deserialize(data, connection.msgtype)
+
+    def _of_type(self, *types: str) -> list[str]:
+        return sorted(topic for topic, info in self._reader.topics.items() if info.msgtype in types)
+
     def _depth_topic(self) -> str:
-        topics = self._bag.of_type(IMAGE, COMPRESSED)
+        topics = self._of_type(IMAGE, COMPRESSED)
         if self._options.depth is None:
             # Those of colour are of the same type.
-            first = {topic: next(self._bag.messages(topic), (topic, None))[1] for topic in topics}
+            first = {topic: next(self._messages(topic), (topic, None))[1] for topic in topics}
             topics = [topic for topic, message in first.items() if message is not None and is_depth(message)]
         return self._chosen("depth images", "--depth", self._options.depth, topics)
 
@@ -239,28 +266,28 @@ class _Taking:
         found = [topic for topic in topics if requested in (None, topic)]
         if len(found) != 1:
             raise DatasetError(
-                f"{self._bag.name} has no topic of {what} to choose"
+                f"{self._name} has no topic of {what} to choose"
                 if not topics
-                else f"{self._bag.name} has several topics of {what}, or another",
+                else f"{self._name} has several topics of {what}, or another",
                 expected=f"one, or the one that {option} names",
-                got=", ".join(topics)[:300] or f"topics {', '.join(sorted(self._bag.topics))}"[:300],
+                got=", ".join(topics)[:300] or f"topics {', '.join(sorted(self._reader.topics))}"[:300],
             )
         return found[0]
 
     def _read_small(self, depth: str) -> None:
         """All that is no picture."""
-        infos = self._bag.of_type(CAMERA_INFO)
+        infos = self._of_type(CAMERA_INFO)
         beside = [depth.rsplit("/", levels)[0] + "/camera_info" for levels in (1, 2)]
         near = [topic for topic in beside if topic in infos][:1] if self._options.camera_info is None else []
         info = self._chosen("camera infos", "--camera-info", self._options.camera_info, near or infos)
-        topics = [info, *self._bag.of_type(TRANSFORMS)]
+        topics = [info, *self._of_type(TRANSFORMS)]
         joints = None
         if self._world is not None:
-            known = self._bag.of_type(JOINT_STATE)
+            known = self._of_type(JOINT_STATE)
             joints = self._chosen("joint states", "--joint-states", self._options.joint_states, known)
             topics.append(joints)
         others: set[str] = set()
-        for topic, message in self._bag.messages(*topics):
+        for topic, message in self._messages(*topics):
             if topic == info:
                 values = camera_info(message)
                 if not self._infos or self._infos[-1][1] != values:
@@ -272,14 +299,14 @@ class _Taking:
                     self._tree.add(transform, static=topic.rsplit("/", 1)[-1] == "tf_static")
         if self._world is not None and not len(self._states.sorted[0]):
             raise DatasetError(
-                f"{self._bag.name} has no joint state of the robot",
+                f"{self._name} has no joint state of the robot",
                 expected=f"joints {', '.join(self._names)}",
                 got=f"joints {', '.join(sorted(others))}"[:300],
                 remedy="import the arm with the recording's joint names, or name its topic by --joint-states",
             )
 
     def _add_state(self, message: Any) -> set[str]:
-        """Take a joint state of the whole robot; returns its names where it is of others."""
+        """Add a joint state of the whole robot; returns its names where it is of others."""
         at = dict(zip(message.name, message.position.tolist(), strict=False))
         row = [at.get(name, np.nan) for name in self._names]
         if not np.isfinite(row).all():
@@ -287,7 +314,7 @@ class _Taking:
         self._states.add(stamp_of(message.header), row)
         return set()
 
-    def _view(self, message: Any, stamp: int, path: Path) -> TakenView | str:
+    def _view(self, message: Any, stamp: int, path: Path) -> RecordedView | str:
         """The view of a picture, whose file is written, or why there is none."""
         pose = self._tree.pose(message.header.frame_id, stamp, self._within_ns)
         if pose is None:
@@ -308,20 +335,174 @@ class _Taking:
                 return "no reading"
             camera, distortion = read_pinhole(camera_values, picture.shape)
             file = pack_view([encode_depth(picture)], [camera_values], None if state is None else list(state))
-            image = None
-            if self._world is not None:
+            image = spheres = None
+            if self._world is not None and state is not None:
                 examined = self._world.examine_picture(file)
                 image = np.asarray(examined.images[0])
                 self.warnings.update({one.code for one in examined.findings})
-            spheres = None if self._world is None or state is None else self._world.body.spheres_at(state)
-            tile = _tile(undistorted(picture, camera, distortion), camera, spheres)
-            path.write_bytes(file)
-            return TakenView(stamp, tile, state, image)
+                spheres = self._world.body.spheres_at(state)
         except (ImageError, ScenarioError) as error:
             return str(error)[:300]
+        path.write_bytes(file)
+        tile = _tile(undistorted(picture, camera, distortion), camera, spheres)
+        return RecordedView(stamp, tile, state, image)
 
 
-def preview(views: Sequence[TakenView]) -> bytes:
+class Series:
+    """Rows of numbers by stamp."""
+
+    def __init__(self, width: int) -> None:
+        self._stamps, self._rows, self._width = array("q"), array("d"), width
+
+    def add(self, stamp_ns: int, row: Iterable[float]) -> None:
+        """One more."""
+        self._stamps.append(stamp_ns)
+        self._rows.extend(row)
+
+    @cached_property
+    def sorted(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Stamps (n,) in order, and rows (n, width); nothing is added any more."""
+        stamps, rows = np.array(self._stamps, np.int64), np.array(self._rows)
+        order = np.argsort(stamps, kind="stable")
+        return stamps[order], rows.reshape(len(stamps), self._width)[order]
+
+    def nearest(self, stamp_ns: int, within_ns: float) -> NDArray[np.float64] | None:
+        """The row (width,) of the nearest stamp; None where that is farther away."""
+        stamps, rows = self.sorted
+        if not len(stamps):
+            return None
+        nearest = int(np.argmin(np.abs(stamps - stamp_ns)))
+        return rows[nearest] if abs(int(stamps[nearest]) - stamp_ns) <= within_ns else None
+
+
+@dataclass(slots=True)
+class _Edge:
+    """A frame in its parent's: transforms, and what is wrong with one of them."""
+
+    parent: str
+    wrong: str = ""
+    fixed: NDArray[np.float64] | None = None
+    moving: Series = field(default_factory=lambda: Series(7))
+
+
+class TransformTree:
+    """The tf tree."""
+
+    def __init__(self, base: str) -> None:
+        self._edges: dict[str, _Edge] = {}
+        self._base = base.lstrip("/")
+
+    def add(self, transform: Any, *, static: bool) -> None:
+        """One more transform; what is wrong with it counts where the frame is used."""
+        child, parent = transform.child_frame_id.lstrip("/"), transform.header.frame_id.lstrip("/")
+        edge = self._edges.setdefault(child, _Edge(parent))
+        place, turn = transform.transform.translation, transform.transform.rotation
+        row = np.array((place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w))
+        norm = np.linalg.norm(row[3:])
+        if edge.parent != parent or not (
+            abs(norm - 1.0) <= _QUATERNION_TOLERANCE and np.abs(row).max() < _FAR_M
+        ):
+            edge.wrong = f"parents {edge.parent!r} and {parent!r}, a norm of {norm:.3g}, {row}"
+        elif static:
+            edge.fixed = row
+        else:
+            edge.moving.add(stamp_of(transform.header), row)
+
+    def pose(self, frame: str, stamp_ns: int, within_ns: float) -> NDArray[np.float64] | None:
+        """A frame in the base's, (4, 4); None where a moving transform has no such stamp."""
+        ours, bases = self._chain(frame.lstrip("/")), self._chain(self._base)
+        shared = next((one for one in ours if one in bases), None)
+        if shared is None:
+            frames = sorted({*self._edges, *(one.parent for one in self._edges.values())})
+            raise DatasetError(
+                f"no transforms lead from {frame!r} to the base {self._base!r}"[:200],
+                expected="both in one tf tree",
+                got=f"frames {', '.join(frames)}"[:300],
+                remedy="name the robot's base by --base",
+            )
+        up = self._matrix(ours[: ours.index(shared)], stamp_ns, within_ns)
+        down = self._matrix(bases[: bases.index(shared)], stamp_ns, within_ns)
+        return None if up is None or down is None else np.linalg.inv(down) @ up
+
+    def _chain(self, frame: str) -> list[str]:
+        found = [frame]
+        while found[-1] in self._edges:
+            found.append(self._edges[found[-1]].parent)
+            if found[-1] in found[:-1]:
+                raise DatasetError("the tf tree has a loop", expected="a tree", got=" > ".join(found)[:200])
+        return found
+
+    def _matrix(self, frames: Sequence[str], stamp_ns: int, within_ns: float) -> NDArray[np.float64] | None:
+        """From the first frame's coordinates to those of the last one's parent."""
+        found = np.eye(4)
+        for frame in frames:
+            edge = self._edges[frame]
+            if edge.wrong:
+                raise DatasetError(
+                    f"a transform of the frame {frame!r} does not fit"[:200],
+                    expected=f"one parent, numbers below {_FAR_M:g} m and a quaternion with a norm of 1",
+                    got=edge.wrong[:200],
+                )
+            row = edge.fixed if edge.fixed is not None else edge.moving.nearest(stamp_ns, within_ns)
+            if row is None:
+                return None
+            found = quaternion_pose(row[:3], row[3:]) @ found
+        return found
+
+
+def stamp_of(header: Any) -> int:
+    """The stamp of a message's header, ns."""
+    return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
+
+
+def is_depth(message: Any) -> bool:
+    """Whether a message of an image, compressed or not, says that it holds depths."""
+    if hasattr(message, "encoding"):
+        return message.encoding in _DEPTH
+    return "compressedDepth" in message.format
+
+
+def depth_mm(message: Any) -> NDArray[np.uint16]:
+    """The depths (H, W) of a message, mm."""
+    if not hasattr(message, "encoding"):
+        data = message.data.tobytes()[_HEADER_BYTES:]
+        if not message.format.startswith("16UC1") or "compressedDepth" not in message.format:
+            raise ImageError(
+                "the compressed image is not read",
+                expected="16UC1; compressedDepth png",
+                got=repr(message.format)[:100],
+                remedy="record the raw depth topic, or republish it raw: ros2 run image_transport republish",
+            )
+        return decode_depth(data)
+    kind = _DEPTH.get(message.encoding)
+    size = 0 if kind is None else message.width * int(kind[1])
+    if kind is None or message.step < size or message.height * message.step != len(message.data):
+        raise ImageError(
+            "the image is no depth image",
+            expected=f"the encoding {' or '.join(_DEPTH)}, and rows of step bytes",
+            got=f"{message.encoding[:30]!r}, {message.width} x {message.height}, step {message.step}, "
+            f"{len(message.data)} bytes",
+        )
+    rows = message.data.reshape(message.height, message.step)[:, :size]
+    depth = np.ascontiguousarray(rows).view((">" if message.is_bigendian else "<") + kind)
+    return rounded_mm(depth, METRES) if kind == "f4" else depth.astype(np.uint16)
+
+
+def camera_info(info: Any) -> dict[str, Any]:
+    """The parts of a CameraInfo that say how its pictures are read, as plain values."""
+    return {
+        "width": int(info.width),
+        "height": int(info.height),
+        "distortion_model": info.distortion_model,
+        "d": info.d.tolist(),
+        "k": info.k.tolist(),
+        "binning_x": int(info.binning_x),
+        "binning_y": int(info.binning_y),
+        "roi": {"x_offset": int(info.roi.x_offset), "y_offset": int(info.roi.y_offset)},
+    }
+
+
+def preview(views: Sequence[RecordedView]) -> bytes:
     """Some of the pictures side by side as a PNG: near things bright, the robot's spheres as circles."""
     chosen = np.unique(np.linspace(0, len(views) - 1, _PREVIEWS).round().astype(int))
     return encode_png(np.concatenate([views[number].tile for number in chosen], axis=1))
@@ -371,8 +552,8 @@ def add_recording_options(parser: argparse.ArgumentParser) -> None:
     ):
         key = f"{name.replace('-', '_')}_s"
         default = getattr(usual, key)
-        told = f"{words}; default {default:g} s"
-        parser.add_argument(f"--{name}", dest=key, type=finite, default=default, metavar="S", help=told)
+        text = f"{words}; default {default:g} s"
+        parser.add_argument(f"--{name}", dest=key, type=finite, default=default, metavar="S", help=text)
     parser.add_argument("--most", type=int, default=usual.most, help="pictures; default %(default)s")
     parser.set_defaults(run=_run, is_foreign=True)
 

@@ -16,8 +16,8 @@ from cspace.errors import ConfigError, CspaceError, ScenarioError
 from cspace.files import replacing
 from services.command_errors import finite, report_error
 from training.robots.chain import Limits
-from training.robots.covering import Allowances
 from training.robots.importing import Request, import_robot
+from training.robots.spheres import Allowances
 
 # An import takes minutes for a large arm.
 IMPORT = bounded.Limits(memory_bytes=2**30, cpu_s=1200, wall_s=1800.0, file_bytes=2**26)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cspace.errors import ScenarioError
 from cspace.space import MIN_RANGE_RAD
 from cspace.worlds.spatial.arm import Joint
-from cspace.worlds.spatial.poses import MAX_OFFSET_M, Frame, turn
+from cspace.worlds.spatial.poses import Frame, turn
 from training.robots.description import Description
 
 Matrix = NDArray[np.float64]
@@ -19,8 +19,6 @@ _TURNING = ("revolute", "continuous")
 # Joints turn twice at most, some wrists a little more; more than four times is a range in degrees.
 MAX_RANGE_RAD = 8.0 * np.pi
 _AGREE = 1e-6
-# Of joints that follow each other.
-_MOST_LEADERS = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,30 +52,33 @@ def read_chain(
     """The chain from a description's root to a tip.
 
     Joints beside the chain are held: at the value that is given, where the joint that they mimic puts them,
-    else as near to zero as their limits allow.
-
-    Joints in ``locked`` do not move, rad or m; ``limits`` replace the description's, rad, None for a circle.
-
-    Raises:
-        ScenarioError: the tip is not clear, a joint between root and tip can neither move nor be held, its
-            limits are missing or no range, or names of joints are unknown.
+    else as near to zero as their limits allow. Joints in ``locked`` do not move, rad or m; ``limits`` replace
+    the description's, rad, None for a circle.
     """
     path = _path(description, tip)
-    reader = _Reader(description, path, locked, limits)
-    if unknown := sorted((set(locked) | set(limits)) - set(reader.by_name)):
-        known = f"some of {sorted(reader.by_name)}"
-        raise ScenarioError("joints are unknown", expected=known, got=str(unknown))
+    by_name = {joint.name: joint for joint in description.joints.values()}
+    if unknown := sorted((set(locked) | set(limits)) - set(by_name)):
+        raise ScenarioError("joints are unknown", expected=f"some of {sorted(by_name)}", got=str(unknown))
+    moving = {
+        joint.name
+        for link, joint in description.joints.items()
+        if link in path and joint.type != "fixed" and joint.mimic is None and joint.name not in locked
+    }
     frames: dict[str, tuple[int, Matrix]] = {path[0]: (0, np.eye(4))}
     joints: list[Joint] = []
+    held: list[Held] = []
     for link in list(description.links)[1:]:
         joint = description.joints[link]
-        number, before = frames[joint.parent]
-        origin = before if joint.origin is None else before @ joint.origin
-        if joint.type == "fixed" or joint.name in locked or link not in path or joint.mimic is not None:
-            frames[link] = (number, origin @ reader.hold(joint))
-        else:
-            joints.append(reader.moving(joint, origin))
-            frames[link] = (len(joints), np.eye(4))
+        number, frame = frames[joint.parent]
+        if joint.origin is not None:
+            frame = frame @ joint.origin
+        if joint.name in moving:
+            joints.append(_moving(joint, frame, limits))
+            number, frame = len(joints), np.eye(4)
+        elif joint.type != "fixed":
+            held.append(_held(joint, by_name, locked, moving))
+            frame = frame @ _displacement(joint, held[-1].value)
+        frames[link] = (number, frame)
     if not joints:
         raise ScenarioError(
             "the chain has no joint that moves",
@@ -85,8 +86,9 @@ def read_chain(
             got=f"none between {path[0]} and {path[-1]}",
             remedy="name another link with --tip",
         )
-    tool = Frame.of(frames[path[-1]][1])
-    return Chain(tuple(joints), frames, tool, tuple(reader.held), tuple(reader.notes))
+    outside = [one for one in held if not _within(by_name[one.name], one.value)]
+    notes = tuple(f"joint {one.name} is held at {one.value:g}, outside its limits" for one in outside)
+    return Chain(tuple(joints), frames, Frame.of(frames[path[-1]][1]), tuple(held), notes)
 
 
 def _path(description: Description, tip: str | None) -> list[str]:
@@ -107,127 +109,41 @@ def _path(description: Description, tip: str | None) -> list[str]:
     return path[::-1]
 
 
-class _Reader:
-    """Finds where joints are held, and the limits of those that move."""
+def _moving(joint: Any, origin: Matrix, limits: Mapping[str, Limits]) -> Joint:
+    name = joint.name
+    if joint.type not in _TURNING:
+        raise ScenarioError(
+            f"joint {name} does not fit a serial arm",
+            expected="revolute or continuous joints; the model of the arm has no others",
+            got=str(joint.type),
+            remedy=f"hold it with --lock {name}={'VALUE' if joint.type == 'prismatic' else 0}",
+        )
+    x, y, z = _axis(joint).tolist()
+    found = limits[name] if name in limits else _limits(joint)
+    return Joint(name, Frame.of(origin), (x, y, z), found)
 
-    def __init__(
-        self,
-        description: Description,
-        path: list[str],
-        locked: Mapping[str, float],
-        limits: Mapping[str, Limits],
-    ) -> None:
-        self.description, self.path, self.locked, self.limits = description, path, locked, limits
-        self.by_name = {joint.name: joint for joint in description.joints.values()}
-        self.held: list[Held] = []
-        self.notes: list[str] = []
 
-    def hold(self, joint: Any) -> Matrix:
-        """(4, 4): the transform of a joint that does not move."""
-        result = np.eye(4)
-        if joint.type == "fixed":
-            return result
-        where = self.description.at("joint", joint.name)
-        value, why = self._value(joint, ())
-        most = MAX_OFFSET_M if joint.type in (*_TURNING, "prismatic") else 0.0
-        if not abs(value) <= most:
-            raise ScenarioError(
-                f"{where} cannot be held there",
-                expected=f"a value within {most:g} rad or m for a joint that is {joint.type}",
-                got=f"{value:g}",
-            )
-        low, high = _bounds(joint)
-        if joint.type != "continuous" and not low - _AGREE <= value <= high + _AGREE:
-            self.notes.append(f"{where} is held at {value:g}, outside its limits")
-        self.held.append(Held(joint.name, joint.type, value, why))
-        if joint.type in _TURNING:
-            result[:3, :3] = turn(self._axis(joint), value)
-        elif joint.type == "prismatic":
-            result[:3, 3] = self._axis(joint) * value
-        return result
-
-    def moving(self, joint: Any, origin: Matrix) -> Joint:
-        """A joint of the arm."""
-        name, where = joint.name, self.description.at("joint", joint.name)
-        if joint.type not in _TURNING:
-            raise ScenarioError(
-                f"{where} does not fit a serial arm",
-                expected="revolute or continuous joints; the model of the arm has no others",
-                got=str(joint.type),
-                remedy=f"hold it with --lock {name}={'VALUE' if joint.type == 'prismatic' else 0}",
-            )
-        limits = self.limits[name] if name in self.limits else self._limits(joint, where)
-        width = 0.0 if limits is None else limits[1] - limits[0]
-        if limits is not None and width > MAX_RANGE_RAD:
-            low, high = np.deg2rad(limits)
-            raise ScenarioError(
-                f"the limits of {where} are no angles in rad",
-                expected=f"a range of at most {MAX_RANGE_RAD:.1f} rad, four turns",
-                got=f"{limits[0]:g} to {limits[1]:g}, which look like degrees",
-                remedy=f"give --limit {name}={low:.4f},{high:.4f}, or correct the description",
-            )
-        if width > MAX_RANGE_RAD / 2.0 + 0.01:
-            self.notes.append(f"{where} has a range of {width:.1f} rad, more than two turns")
-        x, y, z = self._axis(joint).tolist()
-        return Joint(name, Frame.of(origin), (x, y, z), limits)
-
-    def _limits(self, joint: Any, where: str) -> Limits:
-        low, high = _bounds(joint)
-        if joint.type == "continuous":
-            if low < high and np.isfinite(high - low):
-                self.notes.append(
-                    f"{where} is continuous: its limits {low:g} to {high:g} mean nothing in URDF"
-                )
-            return None
-        if not (np.isfinite(high - low) and high - low >= MIN_RANGE_RAD):
-            raise ScenarioError(
-                f"the limits of {where} do not fit",
-                expected=f"<limit lower=... upper=...> with low < high by {MIN_RANGE_RAD} rad or more",
-                got="none" if np.isinf(high - low) else f"{low:g} to {high:g}",
-                remedy=f"give --limit {joint.name}=LOW,HIGH in rad, --limit {joint.name}=none for a circle, "
-                f"or --lock {joint.name}=VALUE",
-            )
-        return low, high
-
-    def _axis(self, joint: Any) -> NDArray[np.float64]:
-        # Its largest part is 1 now, so that no square overflows.
-        axis = np.asarray(joint.axis) / (np.abs(joint.axis).max() or 1.0)
-        length = float(np.linalg.norm(axis))
-        if not length > 0.0:
-            where = self.description.at("joint", joint.name)
-            raise ScenarioError(f"the axis of {where} does not fit", expected="a direction", got="0 0 0")
-        return np.asarray(axis / length)
-
-    def _value(self, joint: Any, seen: tuple[str, ...]) -> tuple[float, str]:
-        """Where a joint is held, and why."""
-        where = self.description.at("joint", joint.name)
-        if joint.mimic is None:
-            low, high = _bounds(joint)
-            near = 0.0 if joint.type == "continuous" else float(np.clip(0.0, low, max(low, high)))
-            given = self.locked.get(joint.name)
-            return (near, "beside the chain") if given is None else (given, "--lock")
-        name = joint.mimic.joint
-        leader = self.by_name.get(name)
-        if leader is None or name in seen or len(seen) > _MOST_LEADERS:
-            got = repr(name) if leader is None else f"a ring or a long row through {name}"
-            raise ScenarioError(f"{where} mimics no joint", expected="a joint of the description", got=got)
-        if leader.mimic is None and name not in self.locked and leader.child in self.path[1:]:
-            raise ScenarioError(
-                f"{where} follows joint {name}, which moves",
-                expected="joints that move on their own",
-                got=f"mimic with multiplier {joint.mimic.multiplier:g} and offset {joint.mimic.offset:g}",
-                remedy=f"hold both with --lock {name}=VALUE, or name a link before them with --tip",
-            )
-        ahead = self._value(leader, (*seen, joint.name))[0]
-        value = float(joint.mimic.multiplier * ahead + joint.mimic.offset)
-        if not abs(self.locked.get(joint.name, value) - value) <= _AGREE:
-            raise ScenarioError(
-                f"{where} follows joint {name} and cannot be held elsewhere",
-                expected=f"{value:g}",
-                got=f"{self.locked[joint.name]:g}",
-                remedy=f"hold joint {name} instead: --lock {name}=VALUE",
-            )
-        return value, f"follows {name}"
+def _limits(joint: Any) -> Limits:
+    if joint.type == "continuous":
+        return None
+    name, (low, high) = joint.name, _bounds(joint)
+    if not (np.isfinite(high - low) and high - low >= MIN_RANGE_RAD):
+        raise ScenarioError(
+            f"the limits of joint {name} do not fit",
+            expected=f"<limit lower=... upper=...> with low < high by {MIN_RANGE_RAD} rad or more",
+            got="none" if np.isinf(high - low) else f"{low:g} to {high:g}",
+            remedy=f"give --limit {name}=LOW,HIGH in rad, --limit {name}=none for a circle, "
+            f"or --lock {name}=VALUE",
+        )
+    if high - low > MAX_RANGE_RAD:
+        raise ScenarioError(
+            f"the limits of joint {name} are no angles in rad",
+            expected=f"a range of at most {MAX_RANGE_RAD:.1f} rad, four turns",
+            got=f"{low:g} to {high:g}, which look like degrees",
+            remedy=f"give --limit {name}={np.deg2rad(low):.4f},{np.deg2rad(high):.4f}, "
+            "or correct the description",
+        )
+    return low, high
 
 
 def _bounds(joint: Any) -> tuple[float, float]:
@@ -236,3 +152,54 @@ def _bounds(joint: Any) -> tuple[float, float]:
     if limit is None or (limit.lower is None and limit.upper is None):
         return -np.inf, np.inf
     return limit.lower or 0.0, limit.upper or 0.0
+
+
+def _within(joint: Any, value: float) -> bool:
+    low, high = _bounds(joint)
+    return joint.type == "continuous" or low - _AGREE <= value <= high + _AGREE
+
+
+def _held(joint: Any, by_name: Mapping[str, Any], locked: Mapping[str, float], moving: set[str]) -> Held:
+    """Where a joint that does not move is held, and why."""
+    name = joint.name
+    if name in locked:
+        return Held(name, joint.type, locked[name], "--lock")
+    if joint.mimic is None:
+        low, high = (-np.inf, np.inf) if joint.type == "continuous" else _bounds(joint)
+        return Held(name, joint.type, float(np.clip(0.0, low, max(low, high))), "beside the chain")
+    leader = by_name.get(joint.mimic.joint)
+    if leader is None or leader.mimic is not None or leader.name in moving:
+        moves = leader is not None and leader.name in moving
+        what = "one that moves" if moves else "none, or one that follows another"
+        raise ScenarioError(
+            f"joint {name} cannot follow joint {joint.mimic.joint}",
+            expected="a joint beside the chain that follows no other",
+            got=what,
+            remedy=f"hold one of them with --lock NAME=VALUE, or name a link before {name} with --tip",
+        )
+    value = joint.mimic.multiplier * _held(leader, by_name, locked, moving).value + joint.mimic.offset
+    return Held(name, joint.type, float(value), f"follows {leader.name}")
+
+
+def _displacement(joint: Any, value: float) -> Matrix:
+    """(4, 4): the transform of a joint that is held at a value."""
+    result = np.eye(4)
+    if joint.type in _TURNING:
+        result[:3, :3] = turn(_axis(joint), value)
+    elif joint.type == "prismatic":
+        result[:3, 3] = _axis(joint) * value
+    elif value:
+        raise ScenarioError(
+            f"joint {joint.name} cannot be held there",
+            expected=f"0, for it is {joint.type}",
+            got=f"{value:g}",
+        )
+    return result
+
+
+def _axis(joint: Any) -> NDArray[np.float64]:
+    length = float(np.linalg.norm(joint.axis))
+    if not (0.0 < length < np.inf and len(joint.axis) == 3):
+        got = str(joint.axis.tolist())
+        raise ScenarioError(f"the axis of joint {joint.name} does not fit", expected="a direction", got=got)
+    return np.asarray(joint.axis / length)

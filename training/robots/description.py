@@ -1,81 +1,90 @@
-"""Descriptions of robots: safe XML, xacro expanded, URDF read by yourdfpy with each element's line, SRDF."""
+"""Descriptions of robots: URDF by yourdfpy, xacro by xacro, disabled pairs of SRDF, packages of files.
 
+A xacro file holds Python expressions. They are evaluated only if all their parts are on a list
+(:func:`check`), and files are read only from the packages of the description. The expansion runs in a process
+that the kernel bounds (:mod:`cspace.bounded`).
+"""
+
+import ast
+import os
 import re
-from collections.abc import Mapping
-from copy import deepcopy
+import resource
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
+import numpy as np
 from lxml import etree
 from yourdfpy import URDF
 
 from cspace import bounded
 from cspace.errors import ScenarioError
-from cspace.files import read_bounded
-from training.robots.packages import expand
 
-MAX_BYTES = 16_000_000
-MAX_LINKS = 1000
 XACRO = bounded.Limits(cpu_s=10, wall_s=30.0)
-_REMEDY = "give the path of a URDF, xacro or SRDF file"
-_NUMBER = re.compile(r"[-+]?((\d+\.?\d*|\.\d+)(e[-+]?\d+)?|inf(inity)?|nan)", re.ASCII | re.IGNORECASE)
-# How many numbers attributes hold; a mesh's scale may be one for all axes.
-_NUMBERS = dict.fromkeys(("xyz", "rpy", "size"), (3,)) | {"scale": (1, 3)}
-_NUMBERS |= dict.fromkeys(("radius", "length", "multiplier", "offset", "lower", "upper"), (1,))
-_LARGEST = 1e9
 _UNUSED = ("inertial", "material", "dynamics", "calibration", "safety_controller")
+_PACKAGE, _FILE = "package://", "file://"
+# Numbers, strings, collections, arithmetic, comparisons, calls and members. No functions, no comprehensions.
+_ALLOWED = (
+    ast.Expression, ast.Constant, ast.Name, ast.Load, ast.List, ast.Tuple, ast.Dict, ast.Set, ast.BinOp,
+    ast.UnaryOp, ast.BoolOp, ast.Compare, ast.IfExp, ast.Subscript, ast.Slice, ast.Call, ast.keyword,
+    ast.Attribute, ast.operator, ast.unaryop, ast.boolop, ast.cmpop,
+)  # fmt: skip
+# Members that reach others by their text, or types.
+_FORBIDDEN = {"format", "format_map", "mro"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Description:
-    """yourdfpy's links (parents first), its joints by the links after them, lines by ``"link NAME"``."""
+    """yourdfpy's links, parents first, and its joints by the links after them."""
 
     name: str
     links: dict[str, Any]
     joints: dict[str, Any]
-    lines: dict[str, int]
-
-    def at(self, kind: str, name: str) -> str:
-        """A link or a joint with its line, for messages."""
-        return f"{kind} {name} (line {self.lines[f'{kind} {name}']})"
 
 
 def read_description(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, str]) -> Description:
-    """The description in a URDF file, or in a file whose name ends with ``.xacro``, expanded with arguments.
-
-    Raises:
-        ScenarioError: there is no such file, xacro cannot expand it, or it is no tree of links.
-    """
-    data = read_bounded(path, MAX_BYTES, ScenarioError, remedy=_REMEDY)
-    if path.suffix == ".xacro":
-        data = _expanded(path, packages, arguments)
-    robot = read_xml(data, path.name)
-    for element in robot.iter("{*}*"):
-        if "xacro" in (etree.QName(element).namespace or ""):
-            raise ScenarioError(
-                f"{path.name} holds xacro, expand it first",
-                expected="URDF",
-                got=f"<xacro:{etree.QName(element).localname}> in line {element.sourceline}",
-                remedy="give the file a name that ends with .xacro, and the import expands it",
-            )
-    lines: dict[str, int] = {}
-    links, joints = (_elements(robot, kind, lines) for kind in ("link", "joint"))
-    by_child = {joint.child: joint for joint in joints.values()}
-    unknown = sorted({str(name) for one in joints.values() for name in (one.parent, one.child)} - set(links))
-    roots = [name for name in links if name not in by_child]
+    """The description in a URDF file, or in a ``.xacro`` file, which is expanded with the arguments."""
+    robot = _read_xml(_expanded(path, packages, arguments) if path.suffix == ".xacro" else _read(path), path)
+    if any("xacro" in (etree.QName(element).namespace or "") for element in robot.iter("{*}*")):
+        raise ScenarioError(
+            f"{path.name} holds xacro, expand it first",
+            expected="URDF",
+            remedy="give the file a name that ends with .xacro, and the import expands it",
+        )
+    etree.strip_elements(robot, *_UNUSED, with_tail=False)
+    try:
+        data = BytesIO(etree.tostring(robot))
+        read = URDF.load(data, build_scene_graph=False, load_meshes=False).robot
+    except MemoryError:
+        raise
+    except Exception as error:  # yourdfpy raises whatever its parts do
+        expected = "links with shapes that are box, cylinder, sphere or mesh, joints with parent and child"
+        raise ScenarioError(
+            f"{path.name} cannot be read", expected=expected, got=repr(error)[:200], remedy="try check_urdf"
+        ) from error
+    shapes = [shape for link in read.links for shape in (*link.collisions, *link.visuals)]
+    if not np.isfinite([one.origin for one in (*shapes, *read.joints) if one.origin is not None]).all():
+        raise ScenarioError(f"an <origin> in {path.name} does not fit", expected="finite numbers")
+    links = {link.name: link for link in read.links}
+    joints = {joint.child: joint for joint in read.joints}
+    names = {joint.name for joint in read.joints}
+    roots = [name for name in links if name not in joints]
     order = roots[:1]
     for link in order:
-        order.extend(child for child, joint in by_child.items() if joint.parent == link)
-    if unknown or len(by_child) != len(joints) or len(roots) != 1 or len(order) != len(links):
-        what = f"a link with two parents, a ring, or other than one root: {roots}"
+        order.extend(child for child, joint in joints.items() if joint.parent == link)
+    if (
+        set(order) != set(links)
+        or not len(order) == len(read.links) == len(names) + 1 == len(read.joints) + 1
+    ):
         raise ScenarioError(
-            "the description is no tree of links",
-            expected="links that exist, one joint before each but one root",
-            got=f"unknown links {unknown}" if unknown else what[:300],
+            f"{path.name} is no tree of links",
+            expected="a name for each link and joint, and one joint before each link but one root",
+            got=f"{len(read.links)} links, {len(read.joints)} joints, roots {roots}"[:300],
         )
-    return Description(robot.get("name", path.stem), {one: links[one] for one in order}, by_child, lines)
+    return Description(read.name, {name: links[name] for name in order}, joints)
 
 
 def find_srdf(urdf: Path) -> Path | None:
@@ -86,37 +95,37 @@ def find_srdf(urdf: Path) -> Path | None:
 
 
 def read_disabled_pairs(path: Path) -> dict[frozenset[str], str]:
-    """The pairs of links that an SRDF file says need no check, with its reasons.
-
-    Raises:
-        ScenarioError: there is no such file, or it is none.
-    """
-    robot = read_xml(read_bounded(path, MAX_BYTES, ScenarioError, remedy=_REMEDY), path.name)
-    found = {}
-    for one in robot.iterfind("disable_collisions"):
-        names = [one.get(key) for key in ("link1", "link2")]
-        if not all(names):
-            what = f"{path.name}, line {one.sourceline}: a disabled pair does not fit"
-            raise ScenarioError(what, expected="link1 and link2", got=str(dict(one.attrib))[:200])
-        found[frozenset(map(str, names))] = str(one.get("reason", "no reason"))
-    return found
+    """The pairs of links that an SRDF file says need no check, with its reasons."""
+    pairs = _read_xml(_read(path), path).iterfind("disable_collisions")
+    return {
+        frozenset((one.get("link1", ""), one.get("link2", ""))): one.get("reason", "no reason")
+        for one in pairs
+    }
 
 
-def read_xml(data: bytes, name: str, root: str = "robot") -> Any:
-    """The root element of XML without a document type, whose entities could grow without end.
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise ScenarioError(
+            f"{path} cannot be read",
+            expected="a file",
+            got=error.strerror,
+            remedy="give the path of a URDF, xacro or SRDF file",
+        ) from error
 
-    Raises:
-        ScenarioError: it is no XML, has a document type or another root.
-    """
+
+def _read_xml(data: bytes, path: Path) -> Any:
+    """The root element <robot>. No entity is resolved, so no other file is read."""
     parser = etree.XMLParser(resolve_entities=False, no_network=True, remove_comments=True, remove_pis=True)
     try:
         found = etree.fromstring(data, parser)
-        doctype = found.getroottree().docinfo.doctype
-        got = "a document type" if doctype else f"<{etree.QName(found).localname}>"
+        has_entities = found.getroottree().docinfo.doctype
+        got = "a document type" if has_entities else f"<{etree.QName(found).localname}>"
     except (etree.XMLSyntaxError, ValueError) as error:
         got = str(error)[:200]
-    if got != f"<{root}>":
-        raise ScenarioError(f"{name} is no such description", expected=f"XML with the root <{root}>", got=got)
+    if got != "<robot>":
+        raise ScenarioError(f"{path.name} is no description", expected="XML with the root <robot>", got=got)
     return found
 
 
@@ -135,50 +144,126 @@ def _expanded(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, 
     return text.encode()
 
 
-def _elements(robot: Any, kind: str, lines: dict[str, int]) -> dict[str, Any]:
-    """What yourdfpy reads of each link or joint, alone, so that an error has its name and its line."""
-    found: dict[str, Any] = {}
-    # Before they are read, which takes a while.
-    if (count := len(robot.findall(kind))) > MAX_LINKS:
-        most = f"at most {MAX_LINKS}"
-        raise ScenarioError(f"the description has too many {kind}s", expected=most, got=str(count))
-    for element in robot.iterfind(kind):
-        name = element.get("name")
-        where = f"{kind} {name} (line {element.sourceline})"
-        if not name or name in found:
-            raise ScenarioError(f"{where} does not fit", expected="a name of its own", got=repr(name))
-        etree.strip_elements(element, *_UNUSED, with_tail=False)
-        for part in element.iter():
-            # An axis has to say its direction; readers differ in what they take instead.
-            given = {"xyz": ""} if part.tag == "axis" else {}
-            for key, text in (given | dict(part.attrib)).items():
-                counts = _NUMBERS.get(key)
-                # What limits that are not finite mean depends on the joint.
-                finite = key not in {"lower", "upper"}
-                if counts is not None and not _are_numbers(text, counts, finite=finite):
-                    what = f"{key} of <{part.tag}> in line {part.sourceline}, of {where}, does not fit"
-                    expected = f"{counts[-1]} finite numbers, up to 1e9" if finite else "a number"
-                    raise ScenarioError(what, expected=expected, got=repr(text)[:200])
-        alone = etree.Element("robot", name="one")
-        alone.append(deepcopy(element))
-        try:
-            read = URDF.load(BytesIO(etree.tostring(alone)), build_scene_graph=False, load_meshes=False)
-        except MemoryError:
-            raise
-        except Exception as error:  # yourdfpy raises whatever its parts do
-            raise ScenarioError(
-                f"{where} cannot be read",
-                expected="a <parent> and a <child>, or shapes that are box, cylinder, sphere or mesh",
-                got=repr(error)[:200],
-            ) from error
-        found[name] = (read.robot.links or read.robot.joints)[0]
-        lines[f"{kind} {name}"] = element.sourceline
-    return found
+def package_of(folder: Path) -> Path:
+    """The nearest folder above that is a package, by its ``package.xml``; else the folder itself."""
+    return next((one for one in (folder, *folder.parents) if (one / "package.xml").is_file()), folder)
 
 
-def _are_numbers(text: str, counts: tuple[int, ...], *, finite: bool) -> bool:
-    words = text.replace(",", " ").split()
-    # Python's own numbers may have underscores and digits of other scripts.
-    fits = len(words) in counts and all(_NUMBER.fullmatch(one) for one in words)
-    # Readers lose larger ones by their squares: an axis becomes none.
-    return fits and (not finite or all(abs(float(one)) <= _LARGEST for one in words))
+def package_roots(name: str, folder: Path, packages: Mapping[str, Path]) -> list[Path]:
+    """Where a package may lie: as given, else above the description or beside these folders."""
+    if name in packages:
+        return [packages[name]]
+    if not re.fullmatch(r"\w[\w.-]{,99}", name):
+        return []
+    # A folder that says it is a package, or the description's own in a copy that left this out.
+    places = [root for one in (folder, *folder.parents) for root in (one / name, one) if root.name == name]
+    found = [root for root in places if (root / "package.xml").is_file()]
+    return found + [one for one in (folder, folder.parent) if one.name == name and len(one.parts) > 2]
+
+
+def found_file(name: str | None, folder: Path, packages: Mapping[str, Path]) -> Path:
+    """The file that a description names: in its package, in its folder, or in a package that is given.
+
+    A package is looked for among those given, else in the folders above the description. A file that lies
+    elsewhere, also by a symbolic link, is refused.
+    """
+    name = unquote(name or "")
+    if name.startswith(_PACKAGE):
+        package, _, rest = name.removeprefix(_PACKAGE).partition("/")
+        places: list[tuple[Path, tuple[Path, ...]]]
+        places = [(root / rest, (root,)) for root in package_roots(package, folder, packages)]
+        remedy = f"say where the package lies with --package {package}=FOLDER"
+    else:
+        places = [(folder / name.removeprefix(_FILE), (package_of(folder), *packages.values()))]
+        remedy = "put the mesh where the description names it"
+    for place, within in places:
+        if not _is_file(place):
+            continue
+        real = place.resolve()
+        if any(real.is_relative_to(root.resolve()) for root in within):
+            return place
+        raise ScenarioError(
+            "a mesh lies outside the robot's folder",
+            expected=f"a file in {' or '.join(str(root) for root in within)}",
+            got=str(real),
+            remedy="copy it there, or name the folder that holds it with --package NAME=FOLDER",
+        )
+    raise ScenarioError(
+        "a mesh is not found", expected=f"a file at {name[:200]}", got=f"none from {folder}", remedy=remedy
+    )
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        # A name that no file system takes.
+        return False
+
+
+def check(expression: str) -> None:
+    """Refuse an expression of xacro that could do more than compute.
+
+    Raises:
+        ValueError: it has a part that is not on the list, or a member that begins with an underscore.
+    """
+    for node in ast.walk(ast.parse(expression.strip(), mode="eval")):
+        name = node.attr if isinstance(node, ast.Attribute) else ""
+        name = name or (node.id if isinstance(node, ast.Name) and node.id.startswith("__") else "")
+        if not isinstance(node, _ALLOWED) or name.startswith("_") or name in _FORBIDDEN:
+            part = name or type(node).__name__
+            raise ValueError(f"{part} is not allowed in an expression: {expression[:100]}")
+
+
+def expand(file: str, packages: Mapping[str, str], arguments: Mapping[str, str]) -> str:
+    """The text of a xacro file with its macros expanded; to be called in a bounded process."""
+    import xacro  # noqa: PLC0415 - in the worker alone
+
+    os.environ.clear()
+    resource.setrlimit(resource.RLIMIT_NPROC, (0, 0))
+    _restrict(xacro, Path(file).resolve().parent, {name: Path(one) for name, one in packages.items()})
+    try:
+        return str(xacro.process_file(file, mappings=dict(arguments)).toxml())
+    except MemoryError:
+        raise
+    except Exception as problem:  # whatever a stranger's file makes xacro raise
+        raise ScenarioError(
+            f"xacro cannot expand {Path(file).name}",
+            expected="macros and expressions as xacro documents them, and files of its packages alone",
+            got=" ".join(f"{type(problem).__name__}: {problem}".split())[:400],
+            remedy="give arguments by --xacro NAME=VALUE and folders of packages by --package NAME=FOLDER",
+        ) from problem
+
+
+def _restrict(xacro: Any, folder: Path, packages: Mapping[str, Path]) -> None:
+    """Have xacro check expressions, find packages as they are given, and open files of these alone."""
+    from xacro import substitution_args  # noqa: PLC0415
+
+    allowed = [package_of(folder).resolve(), *(one.resolve() for one in packages.values())]
+
+    def find(name: str) -> str:
+        for root in package_roots(name, folder, packages):
+            allowed.append(root.resolve())
+            return str(root)
+        raise ValueError(f"package {name} is not found; say where it lies with --package {name}=FOLDER")
+
+    def open_own(path: str) -> Any:
+        real = Path(path).resolve()
+        if not real.is_file() or not any(real.is_relative_to(root) for root in allowed):
+            raise FileNotFoundError(2, "no file of the description's packages", str(path))
+        return real.open(encoding="utf-8")
+
+    def checked(evaluate: Callable[..., Any]) -> Callable[..., Any]:
+        def evaluated(expression: str, *others: Any) -> Any:
+            check(expression)
+            return evaluate(expression, *others)
+
+        return evaluated
+
+    xacro.open, xacro.safe_eval = open_own, checked(xacro.safe_eval)
+    for name in ("type", "vars"):
+        del xacro._global_symbols["python"][name]  # noqa: SLF001
+    substitution_args._eval = checked(substitution_args._eval)  # noqa: SLF001
+    # As xacro's documentation of use without ROS does.
+    substitution_args._eval_find = find  # noqa: SLF001
+    substitution_args._eval_dict["find"] = find  # noqa: SLF001

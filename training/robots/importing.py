@@ -14,9 +14,18 @@ from cspace.worlds.spatial.kinematics import arm_arrays, self_distance_batch
 from cspace.worlds.spatial.poses import moved
 from cspace.worlds.spatial.sensor import VOXEL_M, grid_of
 from training.robots.chain import Chain, Held, Limits, read_chain
-from training.robots.covering import Allowances, Fit, Floats, cover, gaps_m, measure
 from training.robots.description import Description, find_srdf, read_description, read_disabled_pairs
-from training.robots.meshes import Solid, read_solids, union_surface
+from training.robots.spheres import (
+    Allowances,
+    Fit,
+    Floats,
+    Solid,
+    cover,
+    gaps_m,
+    measure,
+    read_solids,
+    union_surface,
+)
 
 Pairs = set[frozenset[str]]
 # What is drawn depends on the description alone.
@@ -153,11 +162,7 @@ class Imported:
 
 
 def import_robot(request: Request, report: Callable[[str], None] = lambda _: None) -> Imported:
-    """The arm that a request describes; ``report`` takes each part's name before its spheres are sought.
-
-    Raises:
-        ScenarioError: a file is missing or wrong, the robot is no serial arm, or it cannot wait there.
-    """
+    """The arm that a request describes; ``report`` takes each part's name before its spheres are sought."""
     description = read_description(request.urdf, request.packages, request.arguments)
     srdf = request.srdf or find_srdf(request.urdf)
     disabled = {} if srdf is None else read_disabled_pairs(srdf)
@@ -173,7 +178,7 @@ def import_robot(request: Request, report: Callable[[str], None] = lambda _: Non
     for name, own in solids.items():
         report(name)
         number, frame = chain.frames[name]
-        where, allowed = description.at("link", name), request.allowances.of(own)
+        where, allowed = f"link {name}", request.allowances.of(own)
         spheres, fits[name] = _spheres(own, where, allowed)
         if allowed.excess_m > request.allowances.excess_m:
             notes.append(f"{where} is large: spheres stick out by up to {1e3 * allowed.excess_m:.0f} mm")
@@ -212,7 +217,7 @@ def _solids(
             gone.add(name)
             continue
         shapes = link.collisions or link.visuals
-        found, more = read_solids(shapes, description.at("link", name), folder, request.packages)
+        found, more = read_solids(shapes, f"link {name}", folder, request.packages)
         notes += more
         if found:
             solids[name] = found

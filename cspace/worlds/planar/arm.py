@@ -23,13 +23,8 @@ class PlanarArm(Record):
     The first joint turns from the x axis, counter-clockwise; every further joint is relative to its link.
 
     Args:
-        link_lengths_m: length of each link.
-        half_width_m: radius of the capsules round the links.
         joint_limits_rad: None when all joints are circles; else per joint None or (low, high), at any turn.
         self_collision: whether capsules of links that are not neighbours collide with each other.
-
-    Raises:
-        ScenarioError: lengths, width or limits cannot be, or no configuration is clear of itself.
     """
 
     link_lengths_m: Annotated[tuple[Length, ...], Field(min_length=1)] = (2.0, 2.0)
@@ -97,11 +92,7 @@ class PlanarArm(Record):
 
     @classmethod
     def from_dict(cls, values: object) -> "PlanarArm":
-        """The inverse of :meth:`to_dict`; kind, limits and ``self_collision`` may be missing.
-
-        Raises:
-            ScenarioError: another key is missing, one is unknown, or a value is of the wrong type.
-        """
+        """The inverse of :meth:`to_dict`; kind, limits and ``self_collision`` may be missing."""
         usual = {"kind": _KIND, "joint_limits_rad": None}
         members = usual | read_object(dict[str, Any], values, "the robot", ScenarioError)
         if (kind := members.pop("kind")) != _KIND:

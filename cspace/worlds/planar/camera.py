@@ -1,6 +1,6 @@
 """The camera above the plane: untrusted PNG bytes to RGB arrays, and these to network input."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import Annotated, Any
 
@@ -10,7 +10,7 @@ from PIL import Image
 from pydantic import Field
 
 from cspace.errors import ImageError, ScenarioError
-from cspace.png import PngHeader, canonical_png, opened, read_header
+from cspace.png import decoded
 from cspace.strict_json import Record, validated
 from cspace.world import CheckCancelled
 
@@ -30,35 +30,21 @@ def decode_png(
     """An untrusted PNG as (pixels, pixels, 3) uint8.
 
     RGB as it is, RGBA over white, grey and palette as RGB; resized by area averaging.
-
-    Args:
-        data: the file's bytes.
-        pixels: side of the result.
-        check_cancelled: called between the parts of a large picture; what it raises passes through.
-
-    Raises:
-        ImageError: not a PNG, 16-bit, animated, not square, below 16 or above 2048 pixels, or damaged.
     """
-    header = read_header(data)
-    _check_size(header)
-    content = canonical_png(data, header)
-    if header.width == pixels:
-        return next(_decoded(content, header.width))[1]
-    return _average(_decoded(content, _BAND), header.width, pixels, check_cancelled)
+    picture = decoded(data, _check)
+    return _to_rgb(picture) if picture.width == pixels else _average(picture, pixels, check_cancelled)
 
 
-def _check_size(header: PngHeader) -> None:
+def _check(picture: Image.Image) -> None:
     """By the header alone, so that no bomb is ever decoded."""
-    size = f"{header.width} x {header.height}"
-    if header.width != header.height:
-        raise ImageError("the picture is not square", expected="width = height", got=size)
-    if not MIN_SIDE <= header.width <= MAX_SIDE:
+    width, height = picture.size
+    if width != height or not MIN_SIDE <= width <= MAX_SIDE:
         raise ImageError(
-            "the picture's size is out of range",
-            expected=f"{MIN_SIDE} to {MAX_SIDE} pixels a side",
-            got=size,
+            "the picture's size does not fit",
+            expected=f"a square of {MIN_SIDE} to {MAX_SIDE} pixels a side",
+            got=f"{width} x {height}",
         )
-    if header.depth == 16:
+    if picture.mode.startswith("I"):
         raise ImageError("the picture has 16 bits a channel", expected="at most 8", got="16")
 
 
@@ -70,28 +56,14 @@ def _to_rgb(picture: Image.Image) -> NDArray[np.uint8]:
     return np.asarray(picture.convert("RGB"), dtype=np.uint8)
 
 
-def _decoded(content: bytes, width: int) -> Iterator[tuple[slice, NDArray[np.uint8]]]:
-    """A file's columns and their RGB, about so many at a time.
-
-    Raises:
-        ImageError: it is damaged.
-    """
-    with opened(content) as picture:
-        for left, right in _bands(picture.width, width):
-            yield slice(left, right), _to_rgb(picture.crop((left, 0, right, picture.height)))
-
-
-def _average(
-    bands: Iterable[tuple[slice, NDArray[np.uint8]]],
-    side: int,
-    pixels: int,
-    check_cancelled: CheckCancelled | None,
-) -> NDArray[np.uint8]:
+def _average(picture: Image.Image, pixels: int, check_cancelled: CheckCancelled | None) -> NDArray[np.uint8]:
     """Area averaging: every target pixel is the mean of the source area that it covers."""
+    side = picture.width
     weights = _overlap(side, pixels)
     rows = np.empty((pixels, side, 3), dtype=np.float32)
-    for columns, band in bands:
-        rows[:, columns] = np.tensordot(weights, band.astype(np.float32), axes=(1, 0))
+    for left, right in _bands(side, _BAND):
+        band = _to_rgb(picture.crop((left, 0, right, side))).astype(np.float32)
+        rows[:, left:right] = np.tensordot(weights, band, axes=(1, 0))
         if check_cancelled is not None:
             check_cancelled()
     both: NDArray[np.float32] = np.tensordot(weights, rows, axes=(1, 1)).transpose(1, 0, 2)

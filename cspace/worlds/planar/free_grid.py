@@ -26,8 +26,6 @@ def distance_to_false(
     """Distance of each cell's centre to that of the nearest False cell; inf where there is none.
 
     Args:
-        inside: any shape.
-        spacing: size of a cell along each axis.
         wraps: whether the axis is a circle.
     """
     if inside.all():
@@ -45,7 +43,6 @@ class PathTree:
     """The cheapest route from every cell to the goal's.
 
     Args:
-        space: the joint space, cut into cells of equal size.
         costs: (cells, ...) of the route from each cell, rad times weight; inf where there is none.
         parents: (cells, ...) number of the next cell on the route; -1 at the goal and where there is none.
     """
@@ -98,7 +95,6 @@ def paths_to(space: JointSpace, weights: NDArray[np.float64], goal: ArrayLike) -
     """The tree of all routes to a goal.
 
     Args:
-        space: the joint space.
         weights: (cells, ...) cost of a rad in each cell, above 0; inf where no route may pass.
         goal: (d,) rad; a goal in a cell where no route may pass has none.
     """
@@ -165,12 +161,7 @@ def cells_per_joint(dim: int, fine: int = FINE_CELLS) -> int:
 
 @dataclass(frozen=True)
 class FreeGrid:
-    """A scenario's joint space cut into equal cells, each checked at its centre.
-
-    Args:
-        scenario: whose free space.
-        cells: along each joint.
-    """
+    """A scenario's joint space cut into equal cells, each checked at its centre."""
 
     scenario: Scenario
     cells: int
@@ -289,12 +280,7 @@ def clearance_weights(clearance_rad: NDArray[np.float64]) -> NDArray[np.float64]
 
 
 class PathFinder:
-    """Near-optimal paths of a scenario that is known in full, on one grid of its joint space.
-
-    Args:
-        scenario: whose paths.
-        cells: of the grid, as for two joints.
-    """
+    """Near-optimal paths of a scenario that is known in full, on one grid of its joint space."""
 
     def __init__(self, scenario: Scenario, cells: int = PATH_CELLS) -> None:
         self._space, self._checker = scenario.robot.space, CollisionChecker(scenario)
@@ -306,9 +292,6 @@ class PathFinder:
 
         Every edge is free at the resolution. A route of the grid whose cells are free and whose edges are not
         is no path, so that a passage finer than a cell may be missed; one that is found is always free.
-
-        Raises:
-            ScenarioError: the goal is in collision.
         """
         first, last = self._space.wrap(start), self._space.wrap(goal)
         if not self._checker.valid(last):

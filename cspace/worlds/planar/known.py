@@ -47,8 +47,6 @@ class KnownDiscs:
     """See :class:`cspace.world.Known`.
 
     Args:
-        arm: that is checked; its own self-collision and its limits are left to others.
-        names: of the discs.
         discs: (D, 3) x, y, radius in m.
         seen: uint8 (P, P, 3), what the picture shows beside them.
     """
@@ -60,11 +58,7 @@ class KnownDiscs:
 
     @classmethod
     def read(cls, text: bytes, arm: PlanarArm, seen: NDArray[np.uint8]) -> "KnownDiscs":
-        """Of JSON: ``scene`` is a list of ``name`` and ``disc``, which has ``x_m``, ``y_m`` and ``radius_m``.
-
-        Raises:
-            InputError: it does not fit; the message names the place.
-        """
+        """Of JSON: ``scene`` lists ``name`` and ``disc``, which has ``x_m``, ``y_m`` and ``radius_m``."""
         try:
             values = parse_json(text)
         except ValueError as problem:
@@ -117,12 +111,7 @@ class KnownDiscs:
         return Contact("known", f"link {link + 1}", self.names[disc], (x, y, 0.0), -float(gaps[link, disc]))
 
     def drawn(self, camera: Camera, check_cancelled: CheckCancelled = lambda: None) -> NDArray[np.uint8]:
-        """The picture with the discs in it, uint8 (P, P, 3).
-
-        Args:
-            camera: that sees it.
-            check_cancelled: called after each disc; what it raises passes through.
-        """
+        """The picture with the discs in it, uint8 (P, P, 3)."""
         left, right, bottom, top = camera.extent_m
         columns = np.linspace(left, right, camera.pixels + 1)
         lines = top - (np.arange(camera.pixels * _LINES) + 0.5) * (top - bottom) / (camera.pixels * _LINES)

@@ -37,19 +37,7 @@ def draw_problem(
     robot: PlanarArm = TWO_LINK,
     scenes: Scenes = DiscScenes(),  # noqa: B008 - a frozen value
 ) -> Problem:
-    """Draw scenarios with start and goal until one belongs to the family.
-
-    Args:
-        family: which.
-        split: what the problem may be used for.
-        seed: of the problem set.
-        index: of the problem within it.
-        robot: the arm.
-        scenes: where its obstacles come from.
-
-    Raises:
-        ScenarioError: none was found in 5000 draws, or in 200 of scenes of one's own.
-    """
+    """Draw scenarios with start and goal until one belongs to the family."""
     family, rng = Family(family), scenario_rng(split, seed, index)
     if family is Family.NARROW:
         require_resolution(robot)
@@ -113,7 +101,6 @@ def narrow_pairs(scenario: Scenario, configurations: NDArray[np.float64]) -> NDA
     """All pairs of free configurations that a narrow passage joins and nothing wider.
 
     Args:
-        scenario: the arm among its discs.
         configurations: (n, d) rad, free.
 
     Returns:
@@ -160,11 +147,7 @@ def _cell_rad(robot: PlanarArm) -> float:
 
 
 def require_resolution(robot: PlanarArm) -> None:
-    """Refuse narrow passages of a robot whose grid is too coarse for them.
-
-    Raises:
-        ScenarioError: it is.
-    """
+    """Refuse narrow passages of a robot whose grid is too coarse for them."""
     if not resolves_narrow(robot):
         raise ScenarioError(
             f"narrow passages of {robot.dim} joints are finer than the grid",

@@ -27,12 +27,6 @@ class DiscScenes(Record):
 
     Args:
         count: fewest and most discs, 1 to 64.
-        radius_m: smallest and largest radius.
-        range_m: centres lie within plus and minus this of the base, in x and in y.
-        base_clearance_m: of every disc to the base.
-
-    Raises:
-        ScenarioError: a value cannot be, or the discs have no room.
     """
 
     count: tuple[_Count, _Count] = (3, 3)
@@ -84,10 +78,6 @@ class GivenScenes(Record):
 
     Args:
         train: for each scene its discs: x, y, radius in m.
-        held_out: likewise; those at even places are for validation, the others for test.
-
-    Raises:
-        ScenarioError: there are none or too many, or a disc cannot be.
     """
 
     train: tuple[Rows, ...]
@@ -111,11 +101,7 @@ class GivenScenes(Record):
         return f"{len(self.held_out)} held-out scenes that were given"
 
     def part(self, split: Split) -> tuple[Rows, ...]:
-        """The scenes of a split; both halves are all that is held out where that is one scene.
-
-        Raises:
-            ScenarioError: there are none.
-        """
+        """The scenes of a split; both halves are all that is held out where that is one scene."""
         if split in (Split.VALIDATION, Split.TEST):
             found = self.held_out[split is Split.TEST :: 2] or self.held_out
         else:

@@ -38,12 +38,7 @@ class PlanarWorld(World):
     scenes: Scenes | None = field(default_factory=DiscScenes)
 
     def examine_picture(self, data: bytes | View, check_cancelled: CheckCancelled | None = None) -> Examined:
-        """The picture, into which known discs are drawn; nothing is said of it.
-
-        Raises:
-            ImageError: it is none that is accepted, or comes with a camera or a state.
-            InputError: what is known beside it does not fit.
-        """
+        """The picture, into which known discs are drawn; nothing is said of it."""
         view = View.of(data)
         if view.cameras or view.state is not None or view.depth_scale_m is not None:
             raise ImageError(
@@ -121,11 +116,7 @@ EXAMPLES = {"two-link": PlanarWorld(TWO_LINK), "three-link": PlanarWorld(THREE_L
 
 
 def read(values: Mapping[str, Any]) -> PlanarWorld:
-    """The inverse of :meth:`PlanarWorld.to_dict`.
-
-    Raises:
-        ScenarioError: a key is missing, unknown or of the wrong type.
-    """
+    """The inverse of :meth:`PlanarWorld.to_dict`."""
     members = {"scenes": DiscScenes().to_dict(), **values}
     parts = read_object(_Parts, members, "the world", ScenarioError)
     given = parts.scenes
@@ -209,12 +200,7 @@ def add_options(parser: argparse.ArgumentParser, *, sensor: bool) -> None:
 
 
 def described(options: argparse.Namespace) -> PlanarWorld:
-    """The planar world of parsed options.
-
-    Raises:
-        ConfigError: a limit is of no joint, or the camera cannot be.
-        ScenarioError: the arm cannot be.
-    """
+    """The planar world of parsed options."""
     x_min_m, x_max_m, y_min_m, y_max_m = options.view
     if options.pixels < 1 or not (x_min_m < x_max_m and y_min_m < y_max_m):
         raise ConfigError(

@@ -28,13 +28,8 @@ class Joint:
     """A revolute joint.
 
     Args:
-        name: of the joint.
         origin: its frame, in that of the link before it, where its angle is zero.
-        axis: what it turns about, a unit vector of its own frame.
         limits_rad: (low, high); None where it is a circle.
-
-    Raises:
-        ScenarioError: it has no name, the axis is no unit vector, or the limits are no range.
     """
 
     name: _Name
@@ -62,14 +57,9 @@ class Part:
     """A rigid piece of the arm.
 
     Args:
-        name: its own; that of the link of the description that it comes from.
         link: what it is fixed to: 0 for the base, k for what joint k moves.
-        spheres_m: x, y, z in the link's frame and radius; together they cover the part.
         overlap_m: spheres stick out of what they cover, so two parts touch where spheres overlap by more
             than the sum of both values. If one part has None, they touch as soon as spheres do.
-
-    Raises:
-        ScenarioError: it has no name or no spheres, or one of these is none.
     """
 
     name: _Name
@@ -94,16 +84,7 @@ class SerialArm(Record):
     """A serial arm with its base at the origin, x forward and z up.
 
     Args:
-        name: of the robot.
-        joints: from the base to the tip, at most ten.
-        parts: rigid pieces, each fixed to the base or to what one of the joints moves.
-        touching: pairs of names of the parts that can touch each other and are held apart.
-        tool: the frame of the tool, in that of the last link.
         ready_rad: (d,) where it waits, in scenes that are drawn; None for the middle of its limits.
-
-    Raises:
-        ScenarioError: there is no joint or there are too many, names come twice, a part is fixed to no link,
-            a pair names no two parts that move against each other, or it waits outside its limits.
     """
 
     name: str
@@ -172,11 +153,7 @@ class SerialArm(Record):
         )
 
     def with_limits(self, limits_rad: Sequence[tuple[float, float] | None]) -> "SerialArm":
-        """The same arm with other limits, one pair for each joint, None for a circle.
-
-        Raises:
-            ScenarioError: there are not as many as joints, or no joint can have one of them.
-        """
+        """The same arm with other limits, one pair for each joint, None for a circle."""
         if len(limits_rad) != self.dim:
             raise ScenarioError(
                 "the joint limits do not fit", expected=f"{self.dim} pairs", got=str(len(limits_rad))
@@ -211,11 +188,7 @@ class SerialArm(Record):
         return (x, y, max(0.0, z - _HIGH_M))
 
     def link_frames(self, configurations: ArrayLike) -> NDArray[np.float64]:
-        """Forward kinematics: (N, d) rad to the links' frames in the base's, (N, d + 1, 4, 4), m.
-
-        Raises:
-            ScenarioError: the configurations are of another shape.
-        """
+        """Forward kinematics: (N, d) rad to the links' frames in the base's, (N, d + 1, 4, 4), m."""
         rows = np.asarray(configurations, dtype=np.float64)
         if rows.ndim != 2 or rows.shape[1] != self.dim:
             raise ScenarioError(
@@ -237,11 +210,7 @@ class SerialArm(Record):
         return np.asarray(self.link_frames(configurations)[:, -1] @ self.tool.matrix())
 
     def frame_of(self, name: str, configuration: ArrayLike) -> NDArray[np.float64]:
-        """Forward kinematics: (d,) rad to a frame that :meth:`named_frame` knows in the base's, (4, 4), m.
-
-        Raises:
-            ScenarioError: there is no such frame.
-        """
+        """Forward kinematics: (d,) rad to a frame that :meth:`named_frame` knows in the base's, (4, 4), m."""
         link, frame = self.named_frame(name)
         row = np.asarray(configuration, dtype=np.float64)
         return np.asarray(self.link_frames(row[None])[0, link] @ frame)
@@ -252,9 +221,6 @@ class SerialArm(Record):
         Args:
             name: of a joint, for the link that it moves; of a link, which is that of the first part that is
                 fixed to it; or ``tool``. The frames of further parts are not known.
-
-        Raises:
-            ScenarioError: there is no such frame.
         """
         links = {joint.name: number for number, joint in enumerate(self.joints, 1)}
         fixed = {part.name: part.link for part in self.parts if part.link}
@@ -300,11 +266,7 @@ class SerialArm(Record):
         return np.concatenate([np.empty((0, 4)), *(np.asarray(part.spheres_m) for part in self.parts)])
 
     def own_radii_m(self) -> NDArray[np.float64]:
-        """(S,) radii by which the arm's parts are held apart from each other.
-
-        Raises:
-            ScenarioError: some parts have an ``overlap_m`` and others none.
-        """
+        """(S,) radii by which the arm's parts are held apart from each other."""
         overlaps = [part.overlap_m for part in self.parts]
         if len({one is None for one in overlaps}) > 1:
             raise ScenarioError(
@@ -330,11 +292,7 @@ class SerialArm(Record):
 
     @classmethod
     def from_dict(cls, values: object) -> "SerialArm":
-        """The inverse of :meth:`to_dict`.
-
-        Raises:
-            ScenarioError: a key is missing or unknown, or a value is of the wrong type.
-        """
+        """The inverse of :meth:`to_dict`."""
         members = {"kind": KIND} | read_object(dict[str, Any], values, "the robot", ScenarioError)
         if (kind := members.pop("kind")) != KIND:
             raise ScenarioError("the robot is unknown", expected=KIND, got=repr(kind)[:200])
@@ -395,15 +353,7 @@ class Grouping:
 # Asked for again with every scene, and half a second for hundreds of spheres.
 @lru_cache(maxsize=16)
 def grouped(arm: SerialArm, count: int) -> Grouping:
-    """The spheres of an arm in groups of one part each: the largest is halved until there are enough.
-
-    Args:
-        arm: with spheres.
-        count: of groups; no fewer than parts, no more than spheres.
-
-    Raises:
-        ScenarioError: no such number of groups is possible.
-    """
+    """The spheres of an arm in groups of one part each: the largest is halved until there are enough."""
     if not len(arm.parts) <= count <= arm.sphere_count or not arm.parts:
         raise ScenarioError(
             "the arm's spheres cannot be grouped so",

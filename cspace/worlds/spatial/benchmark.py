@@ -66,14 +66,9 @@ class BenchProblem(Record):
     """A problem of an arm.
 
     Args:
-        family: one of ``BENCH_FAMILIES``.
         number: in its family, from 1 to 100.
-        obstacles: in the base frame.
         start: (d,) rad.
         goal: (d,) rad.
-
-    Raises:
-        ScenarioError: the family is unknown, the number is out of range, or start and goal do not fit.
     """
 
     family: Annotated[str, Field(pattern=f"^({'|'.join(BENCH_FAMILIES)})$")]
@@ -91,11 +86,7 @@ class BenchProblem(Record):
             )
 
     def layout(self, arm: SerialArm) -> Layout:
-        """The scene, whose one region and whose cameras' focus are where the goal's tool is.
-
-        Raises:
-            ScenarioError: the arm has another number of joints.
-        """
+        """The scene, whose one region and whose cameras' focus are where the goal's tool is."""
         tool = arm.tool_frames([self.goal])[0]
         box = Box(pose_of(tool), (_GOAL_HALF_M, _GOAL_HALF_M, _GOAL_HALF_M))
         region = GoalRegion(box, vector(tool[:3, 2] / np.linalg.norm(tool[:3, 2])))
@@ -116,11 +107,6 @@ def problems(
         split: validation, numbers 1 to 30, or test, 31 to 100, which nothing is ever tuned on.
         folder: that ``python -m training.motionbench fetch`` filled; validation problems are read from where
             they ship unless it is given.
-        families: some of ``BENCH_FAMILIES``.
-
-    Raises:
-        DatasetError: the split has none, a file is missing, is damaged or holds other problems.
-        ScenarioError: a family is unknown.
     """
     if split not in NUMBERS:
         raise DatasetError("the benchmark has no such split", expected="validation or test", got=str(split))
@@ -163,11 +149,7 @@ def expected_names(split: Split) -> list[tuple[str, int]]:
 
 
 def write_problems(folder: Path, split: Split, found: Iterable[BenchProblem]) -> Path:
-    """Write a split's problems where :func:`problems` reads them.
-
-    Raises:
-        StorageError: the file cannot be written.
-    """
+    """Write a split's problems where :func:`problems` reads them."""
     text = json.dumps({"problems": [one.to_dict() for one in found]}, separators=(",", ":"), allow_nan=False)
     path = _file(folder, split)
     with replacing(path, "the benchmark") as beside:
@@ -342,14 +324,7 @@ def from_both_sides(
     """A layout as cameras see it that do not all stand on the same side of the line to what they look at.
 
     Args:
-        rng: of all draws.
-        world: with as many cameras as there are to be.
-        layout: the scene, which cameras look at as it says.
         state: (d,) rad, of the arm.
-        aim: ``scene`` has them look at the middle of all obstacles instead.
-
-    Raises:
-        ScenarioError: no camera has room.
     """
     if aim == "scene":
         layout = replace(layout, focus=middle(layout.obstacles))

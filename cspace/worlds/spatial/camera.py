@@ -1,8 +1,6 @@
 """The depth camera: pinhole model, and its pictures from untrusted PNG bytes to mm. NumPy alone."""
 
 import io
-import struct
-import zlib
 from dataclasses import replace
 from typing import Annotated
 
@@ -12,7 +10,7 @@ from PIL import Image
 from pydantic import Field, StrictFloat
 
 from cspace.errors import ImageError, ScenarioError
-from cspace.png import PngHeader, canonical_png, damaged, opened, read_header
+from cspace.png import decoded
 from cspace.strict_json import Record, read_object, validated
 from cspace.world import CheckCancelled
 from cspace.worlds.spatial.poses import HERE, Pose, check_pose, make_pose, pose_of
@@ -204,15 +202,7 @@ def _no_focal(got: str) -> ScenarioError:
 # drivers write it, is not a wall 65 m away behind free space.
 NEAREST_MM, FARTHEST_MM = 20, 10_000
 MIN_SCALE_M, MAX_SCALE_M = 1e-6, 1.0
-_GREY = 0
 MAX_MM = 65_535
-_HEADER_BYTES = 33
-_INTERLACE_AT = 28
-# First row, first column, row step and column step of each pass of a file, and of one that is interlaced.
-_WHOLE = ((0, 0, 1, 1),)
-_PASSES = (
-    (0, 0, 8, 8), (0, 4, 8, 8), (4, 0, 8, 4), (0, 2, 4, 4), (2, 0, 4, 2), (0, 1, 2, 2), (1, 0, 2, 1),
-)  # fmt: skip
 
 
 def decode_depth(data: bytes, check_cancelled: CheckCancelled = lambda: None) -> NDArray[np.uint16]:
@@ -225,16 +215,19 @@ def decode_depth(data: bytes, check_cancelled: CheckCancelled = lambda: None) ->
     Raises:
         ImageError: not a PNG, not 16-bit grey, animated, below 16 or above 2048 pixels on a side, or damaged.
     """
-    header = read_header(data)
-    _check(header)
-    content = canonical_png(data, header)
-    _check_length(content, header)
+    picture = decoded(data, _check)
     check_cancelled()
-    with opened(content) as picture:
-        depth = np.array(picture)
-    if depth.shape != (header.height, header.width):
-        raise damaged(f"pixels of shape {depth.shape}")
-    return depth.astype(np.uint16)
+    return np.array(picture).astype(np.uint16)
+
+
+def _check(picture: Image.Image) -> None:
+    check_size(picture.height, picture.width)
+    if not picture.mode.startswith("I"):
+        raise ImageError(
+            "the picture is no depth picture",
+            expected="16-bit grey, mm along the optical axis, 0 = no reading",
+            got=f"a picture of mode {picture.mode}",
+        )
 
 
 def encode_depth(depth_mm: NDArray[np.uint16]) -> bytes:
@@ -318,37 +311,3 @@ def check_size(height: int, width: int) -> None:
             expected=f"{MIN_SIDE} to {MAX_SIDE} pixels a side",
             got=f"{width} x {height}",
         )
-
-
-def _check(header: PngHeader) -> None:
-    """By the header alone, so that no bomb is ever decoded."""
-    check_size(header.height, header.width)
-    if header.colour != _GREY or header.depth != 16:
-        kinds = {0: "grey", 2: "RGB", 3: "palette", 4: "grey with alpha", 6: "RGBA"}
-        raise ImageError(
-            "the picture is no depth picture",
-            expected="16-bit grey, mm along the optical axis, 0 = no reading",
-            got=f"{header.depth}-bit {kinds[header.colour]}",
-        )
-
-
-def _check_length(content: bytes, header: PngHeader) -> None:
-    """Refuse pixels that end early: a decoder would take the rest for no reading, and say nothing."""
-    passes = _PASSES if content[_INTERLACE_AT] else _WHOLE
-    shapes = (
-        (-(-(header.height - top) // down), -(-(header.width - left) // right))
-        for top, left, down, right in passes
-    )
-    length = sum(rows * (1 + 2 * columns) for rows, columns in shapes)
-    parts, at = [], _HEADER_BYTES
-    while at < len(content):
-        size, kind = struct.unpack_from(">I4s", content, at)
-        if kind == b"IDAT":
-            parts.append(memoryview(content)[at + 8 : at + 8 + size])
-        at += 12 + size
-    try:
-        found = len(zlib.decompressobj().decompress(b"".join(parts), length))
-    except zlib.error as error:
-        raise damaged(str(error)) from error
-    if found < length:
-        raise damaged("pixels that end early")

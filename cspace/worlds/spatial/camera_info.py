@@ -90,7 +90,7 @@ def _of_info(values: object, shape: tuple[int, ...]) -> tuple[dict[str, float], 
         from cspace.yaml_file import read_yaml  # noqa: PLC0415
 
         # As `ros2 topic echo` ends a message.
-        values = read_yaml(values.rstrip().removesuffix("---"), _INFO, ImageError).values
+        values = read_yaml(values.rstrip().removesuffix("---"), _INFO, ImageError)
     # ROS 1 has K and D in its messages.
     info = {str(key).lower(): value for key, value in values.items()} if isinstance(values, Mapping) else {}
     # The file that camera_calibration and camera_info_manager write.

@@ -42,11 +42,8 @@ class SceneArrays(NamedTuple):
     """An arm of d joints among obstacles as the kernels take it.
 
     Attributes:
-        arm: its arrays.
         boxes: (B, 16), see :class:`cspace.worlds.spatial.obstacles.ObstacleArrays`.
         cylinders: (C, 15), likewise.
-        grid: distances to what pictures show.
-        bodies: that are known.
         lower: (d,) rad.
         upper: (d,) rad.
         periodic: (d,) which joints are circles.
@@ -192,14 +189,7 @@ KERNELS = SceneKernels(state_is_free, state_clearance, room_of)
 
 
 class CollisionChecker(Checker):
-    """Collision checks of a serial arm in one scene, by the spheres that cover it.
-
-    Args:
-        arm: with its spheres.
-        obstacles: in the base frame.
-        grid: distances to what else is there, as pictures show it.
-        bodies: that are known.
-    """
+    """Collision checks of a serial arm in one scene, by the spheres that cover it."""
 
     def __init__(
         self,
@@ -215,14 +205,7 @@ class CollisionChecker(Checker):
 def group_hits(
     arm: SerialArm, obstacles: Obstacles, configurations: ArrayLike, groups: int
 ) -> NDArray[np.bool_]:
-    """Which groups of spheres touch an obstacle at (N, d) rad, (N, G); those that do not move are left out.
-
-    Args:
-        arm: with its spheres.
-        obstacles: in the base frame.
-        configurations: of the arm.
-        groups: as :func:`cspace.worlds.spatial.arm.grouped` has it.
-    """
+    """Which groups of spheres touch an obstacle at (N, d) rad, (N, G); without those that stand still."""
     found, radii, stood = grouped(arm, groups), arm.spheres_m()[:, 3], obstacles.arrays
     rows = np.ascontiguousarray(configurations, dtype=np.float64)
     centres = sphere_centres_batch(rows, arm_arrays(arm))

@@ -38,8 +38,6 @@ class GoalPose:
 
     Args:
         pose: of its frame in the base, m, as that of a camera: 4 x 4, or translation and quaternion_xyzw.
-        tolerance_m: largest distance of the origins.
-        tolerance_rad: largest angle between the frames, or between their z axes.
         free_z_rotation: whether any turn about the frame's z axis will do.
     """
 
@@ -55,7 +53,6 @@ class Upright:
 
     Args:
         axis: in the tool's frame, of any length above 0.
-        max_rad: largest angle between the two.
         up: in the base frame, of any length above 0.
     """
 
@@ -68,12 +65,8 @@ class ToolConstraints:
     """Constraints of one request on the tool of an arm; see :class:`cspace.simulator.ToolConstraints`.
 
     Args:
-        arm: whose tool.
         goal_pose: plain values of a :class:`GoalPose`, or None.
         upright: plain values of an :class:`Upright`, or None.
-
-    Raises:
-        InputError: values do not fit.
     """
 
     def __init__(

@@ -72,13 +72,7 @@ def patches(depth_m: NDArray[np.float32], camera: DepthCamera, grid: GridBox) ->
 def distance_codes(
     found: Patches, grid: GridBox, check_cancelled: CheckCancelled = lambda: None
 ) -> NDArray[np.uint8]:
-    """From each voxel's centre to the nearest patch, (X, Y, Z), in :data:`DISTANCE_STEP_M`, rounded.
-
-    Args:
-        found: the patches.
-        grid: of the voxels.
-        check_cancelled: called between parts of some ms; what it raises passes through.
-    """
+    """From each voxel's centre to the nearest patch, (X, Y, Z), in :data:`DISTANCE_STEP_M`, rounded."""
     codes = np.full(grid.counts, FARTHEST, dtype=np.uint8)
     for first in range(0, found.points.shape[1], _AT_ONCE):
         some = found.chosen(slice(first, first + _AT_ONCE))

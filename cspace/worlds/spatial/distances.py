@@ -126,11 +126,7 @@ NOTHING = DistanceGrid(np.empty((0, 0, 0), dtype=np.float32), np.zeros(3), 1.0, 
 
 
 def distance_grid(values: NDArray[np.float32], low_m: ArrayLike, voxel_m: float) -> DistanceGrid:
-    """Distances (X, Y, Z) m at the centres of voxels, from a lowest corner (3,) m on.
-
-    Raises:
-        ScenarioError: there are fewer than two voxels along a side.
-    """
+    """Distances (X, Y, Z) m at the centres of voxels, from a lowest corner (3,) m on."""
     if values.ndim != 3 or min(values.shape) < 2:
         raise ScenarioError(
             "the distances are no grid", expected="three sides of two voxels or more", got=str(values.shape)

@@ -16,12 +16,7 @@ from cspace.worlds.spatial.poses import MAX_PLACE_M, Vector, make_pose, pose_of,
 
 @validated(ScenarioError)
 class GoalRegion:
-    """Where goals of the hand are: places within a box, and the way in.
-
-    Args:
-        box: of the places, in the base frame; objects may stand in it.
-        approach: unit vector in the base frame along which a hand comes in.
-    """
+    """Where goals of the hand are: places within a box, and the way in."""
 
     box: Box
     approach: Vector
@@ -37,9 +32,6 @@ class Layout(Record):
     """A scene of a family.
 
     Args:
-        family: its name.
-        obstacles: in the base frame.
-        regions: where goals make sense, at least one.
         focus: what cameras look at, m.
     """
 
@@ -51,12 +43,7 @@ class Layout(Record):
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """A piece of furniture with what stands on it, in any frame.
-
-    Args:
-        shapes: boxes and cylinders.
-        regions: where goals make sense.
-    """
+    """A piece of furniture with what stands on it, in any frame."""
 
     shapes: tuple[Box | Cylinder, ...]
     regions: tuple[GoalRegion, ...]
@@ -109,11 +96,8 @@ def standing(
     """Upright boxes, plates and cylinders whose centres are within a rectangle, on its ground.
 
     Args:
-        rng: draws them.
-        count: how many.
         x: extent of the rectangle, m.
         y: extent of the rectangle, m.
-        ground_m: height of what they stand on.
         tallest_m: above the ground; with less than 5 cm nothing stands there.
     """
     found: list[Box | Cylinder] = []
@@ -134,14 +118,7 @@ def standing(
 def floating(
     rng: np.random.Generator, count: int, reach_m: Range, bearing_rad: float
 ) -> tuple[Box | Cylinder, ...]:
-    """Boxes and cylinders of any size and turn, anywhere to either side of the robot; some are long and thin.
-
-    Args:
-        rng: draws them.
-        count: how many.
-        reach_m: least and largest distance of their centres to the base's axis.
-        bearing_rad: largest angle to the front.
-    """
+    """Boxes and cylinders of any size and turn, anywhere to either side of the robot."""
     found: list[Box | Cylinder] = []
     for _ in range(count):
         bearing, away = rng.uniform(-bearing_rad, bearing_rad), rng.uniform(*reach_m)
@@ -414,25 +391,8 @@ class SpatialScenes(Record):
 
     Args:
         shares: how often each family of :data:`FAMILIES` is drawn, in their order; they need not sum to 1.
-        bearing_deg: largest angle between the front of the arm and a piece, to either side.
-        distance_m: from the base to the front of a piece.
-        yaw_deg: largest turn of a piece away from facing the arm.
-        stray: share of scenes with loose things in the air, besides clutter and mixtures.
-        strays: fewest and most of them.
-        floor: share of scenes with a floor.
-        wall: share of scenes with a wall behind the arm.
         mounted: share of scenes in which the arm stands on a table or block that ends at its base's level.
-        shoulder_m: height above the base from which reach is measured.
         reach_m: a region counts if it has a free place no farther than this from the shoulder.
-        room_m: clearance of such a place.
-        base_m: where the scenes take the arm's base to be, in the base frame.
-        shelves: ranges of shelves.
-        tables: ranges of tables.
-        bins: ranges of bins.
-        cages: ranges of cages.
-
-    Raises:
-        ScenarioError: a range is not in order, or a share is none.
     """
 
     shares: Annotated[tuple[Share, ...], Field(min_length=len(FAMILIES), max_length=len(FAMILIES))] = (

@@ -174,11 +174,7 @@ class Solving:
     """How poses are solved for.
 
     Args:
-        starts: uniform configurations that the search begins from.
-        iterations: most steps from each of them.
-        place_m: largest distance of the tool to its place.
         turn_rad: largest angle between the tool's rotation, or its z axis, and what is asked for.
-        distinct_rad: solutions are distinct that differ by more than this in some joint.
     """
 
     starts: int = 16
@@ -212,13 +208,10 @@ def solve_pose(
     """Configurations that bring the tool to a place, obstacles and self-collision left aside.
 
     Args:
-        arm: whose tool.
         place_m: (3,) of the tool's origin, in the base frame.
-        rng: draws the starts.
         approach: (3,) unit vector in the base frame along which the tool's z axis shall point, with any turn
             about it.
         rotation: (3, 3) of the tool in the base frame, instead of an approach; with neither any will do.
-        solving: number of starts, and tolerances.
         space: with narrower limits than the arm's; None for these.
 
     Returns:
@@ -248,12 +241,10 @@ def aligned(
     """Configurations changed until an axis of the last link points along a direction.
 
     Args:
-        arm: whose.
         configurations: (N, d) rad.
         axis: (3,) unit vector in the last link's frame.
         along: (3,) unit vector in the base frame.
         within_rad: angle between the two that is small enough, above 0.
-        space: whose limits hold.
 
     Returns:
         (N, d) rad within the limits, circles in [-pi, pi); as near as they came where there is no such one.

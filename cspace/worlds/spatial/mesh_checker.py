@@ -25,7 +25,6 @@ class Description:
     Args:
         urdf: the file; packages that its meshes are named in are looked for in the folders above it.
         locked: values of joints that do not move, rad or m.
-        packages: more folders in which packages lie.
         convex: take meshes that are convex as solids, which is quicker; others are surfaces, hollow inside.
     """
 
@@ -36,16 +35,7 @@ class Description:
 
 
 class RobotMeshes:
-    """An arm's meshes, loaded once, for the checkers of many scenes.
-
-    Args:
-        arm: whose joints are meant, and whose parts that can touch are held apart.
-        description: where its meshes are.
-
-    Raises:
-        ScenarioError: the extra is not installed, the description cannot be read, moves in another way than
-            the arm, or has no shapes for one of its parts.
-    """
+    """An arm's meshes, loaded once, for the checkers of many scenes."""
 
     def __init__(self, arm: SerialArm, description: Description) -> None:
         self.arm = arm
@@ -158,10 +148,6 @@ class MeshChecker:
     """Which configurations are free in one scene; self-collision counts, joint limits do not.
 
     Not for use by several threads at a time.
-
-    Args:
-        meshes: of the robot.
-        obstacles: of the scene.
     """
 
     def __init__(self, meshes: RobotMeshes, obstacles: Obstacles) -> None:

@@ -23,10 +23,6 @@ class Box(Record):
 
     Args:
         pose: of its centre, rows of a 4 x 4 matrix in the base frame, m.
-        half_m: half its size along its own x, y, z.
-
-    Raises:
-        ScenarioError: the pose is none, or a size is not above 0.
     """
 
     pose: Pose
@@ -42,11 +38,6 @@ class Cylinder(Record):
 
     Args:
         pose: of its centre, rows of a 4 x 4 matrix in the base frame, m; its axis is its own z.
-        radius_m: of the circle.
-        half_length_m: along the axis, from the centre to either end.
-
-    Raises:
-        ScenarioError: the pose is none, or a size is not above 0.
     """
 
     pose: Pose
@@ -73,11 +64,7 @@ class ObstacleArrays:
 
 @validated(ScenarioError)
 class Obstacles(Record):
-    """What stands in a scene; together at most 1000.
-
-    Raises:
-        ScenarioError: there are more.
-    """
+    """What stands in a scene; together at most 1000."""
 
     boxes: tuple[Box, ...] = ()
     cylinders: tuple[Cylinder, ...] = ()
@@ -137,11 +124,7 @@ MOST = 192
 
 
 def rows_of(obstacles: Obstacles) -> dict[str, NDArray[np.float64]]:
-    """``boxes`` (192, 15) and ``cylinders`` (192, 14), in the order of the obstacles, NaN behind the last.
-
-    Raises:
-        ScenarioError: there are more.
-    """
+    """``boxes`` (192, 15) and ``cylinders`` (192, 14), in the order of the obstacles, NaN behind the last."""
     arrays = obstacles.arrays
     return {
         "boxes": _padded(arrays.boxes[:, :BOX_VALUES]),

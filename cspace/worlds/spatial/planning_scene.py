@@ -8,14 +8,14 @@ import base64
 import binascii
 import struct
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
 from cspace.errors import InputError
-from cspace.strict_json import Record, adapter_of, parse_json, refused, validated
+from cspace.strict_json import Record, adapter_of, refused, validated
 from cspace.view_file import (
     MAX_ATTACHED,
     MAX_BODIES,
@@ -70,16 +70,8 @@ class Body(Record):
     """A shape with a pose.
 
     Args:
-        name: its own; only volumes to ignore need none.
-        box: one of four shapes, of which one is given.
-        cylinder: another.
-        sphere: another.
-        mesh: another.
         pose: of the shape's centre, or of a mesh's origin, in the base frame: 4 x 4, or translation and
             quaternion, which become 4 x 4.
-
-    Raises:
-        InputError: it has no shape or several, or the pose is none.
     """
 
     name: Annotated[str, Field(max_length=100)] = ""
@@ -114,7 +106,6 @@ class Attached(Body):
 
     Args:
         link: as :meth:`cspace.worlds.spatial.arm.SerialArm.named_frame` has it; the pose is in its frame.
-        touch_links: parts that it may touch, beside those that move with it.
     """
 
     link: _Name = TOOL
@@ -126,14 +117,7 @@ class PlanningScene(Record):
     """What is known.
 
     Args:
-        scene: bodies that stand in the base frame, with names.
-        attached: bodies that the arm holds, with names.
-        allowed: pairs of names, of parts and bodies, that may touch.
-        ignore: volumes in which pictures count for nothing: they are free.
         meshes: binary STL files in base64, by the names that shapes give.
-
-    Raises:
-        InputError: names are missing or come twice, or a mesh is none.
     """
 
     scene: Annotated[tuple[Body, ...], Field(max_length=MAX_BODIES)] = ()
@@ -157,39 +141,23 @@ class PlanningScene(Record):
             )
 
     def corners_m(self) -> dict[str, NDArray[np.float64]]:
-        """(T, 3, 3) of the triangles of each mesh, in its own unit.
-
-        Raises:
-            InputError: one is no mesh.
-        """
+        """(T, 3, 3) of the triangles of each mesh, in its own unit."""
         return {name: read_stl(_decoded(name, text), name) for name, text in self.meshes.items()}
 
 
 def read_planning_scene(values: bytes) -> PlanningScene:
-    """A planning scene of JSON, and of its meshes.
-
-    Raises:
-        InputError: a key or a value does not fit; the message names the place.
-    """
+    """A planning scene of JSON, and of its meshes."""
     where = "the planning scene"
     if len(values) > MAX_BYTES:
         raise InputError(f"{where} is too large", expected=f"at most {MAX_BYTES} bytes", got=str(len(values)))
     try:
-        parse_json(values)
-        found: PlanningScene = adapter_of(PlanningScene).validate_json(values, strict=True)
+        return cast("PlanningScene", adapter_of(PlanningScene).validate_json(values, strict=True))
     except ValidationError as problem:
         raise refused(problem, InputError, where) from problem
-    except ValueError as problem:
-        raise InputError(f"{where} is not JSON", expected="JSON", got=str(problem)[:200]) from problem
-    return found
 
 
 def read_stl(data: bytes, name: str) -> NDArray[np.float64]:
-    """Corners (T, 3, 3) of the triangles of a binary STL file, those without area left out.
-
-    Raises:
-        InputError: it is none, has too many triangles, or numbers that are none.
-    """
+    """Corners (T, 3, 3) of the triangles of a binary STL file, those without area left out."""
     count = struct.unpack_from("<I", data, 80)[0] if len(data) >= 84 else -1
     if len(data) != 84 + 50 * count:
         raise InputError(

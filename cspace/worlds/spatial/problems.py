@@ -30,9 +30,6 @@ class PathLimits:
     Args:
         states: uniform ones that the first try draws at most; the others draw a quarter of them.
         tries: paths that the shortest is chosen from; fewer where one of the others fails.
-        shortcuts: proposed for each of them.
-        polish: proposed for the shortest.
-        step_rad: longest step of what is returned, Euclidean.
     """
 
     states: int = 16000
@@ -52,17 +49,11 @@ def find_path(
     """A short free path, or None where none is found.
 
     Args:
-        checker: of the scene.
         start: (d,) rad, the first row of the path, circles in [-pi, pi).
         goal: (d,) rad, likewise the last row.
-        rng: draws states and shortcuts.
-        limits: effort and resolutions.
 
     Returns:
         (k, d) rad, every edge free at 0.01 rad; the straight path where it is free.
-
-    Raises:
-        ScenarioError: start or goal is of another shape.
     """
     if not (checker.valid(start) and checker.valid(goal)):
         return None
@@ -119,10 +110,8 @@ class SpatialProblem:
     """A planning problem and a path that solves it.
 
     Args:
-        layout: the scene.
         start: (d,) rad.
         goal: (d,) rad.
-        kind: one of :data:`KINDS`.
         path: (k, d) rad from start to goal, every edge free at 0.01 rad.
         rejected: draws of start and goal before this one.
     """
@@ -147,18 +136,6 @@ def draw_problem(
     """A problem that :func:`find_path` solved, of what split, seed and index say.
 
     Its scene is that of :func:`draw_layout` where that has one, else one drawn after it.
-
-    Args:
-        arm: with its spheres.
-        scenes: the families of scenes.
-        split: what the problem may be used for.
-        seed: of the problem set.
-        index: of the problem within it.
-        family: of the scene; by chance where it is not named.
-        limits: of the search for the path.
-
-    Raises:
-        ScenarioError: there is no such family, or no problem was found in 60 scenes.
     """
     # A child, for the scene is drawn from the same three values.
     (rng,) = scenario_rng(split, seed, index).spawn(1)
@@ -303,11 +280,7 @@ def draw_proposals(
     """So many configurations, uniform ones first.
 
     Args:
-        checker: of the scene.
-        regions: that hands reach into.
         start: (d,) rad, where the arm waits; None where that is not known.
-        rng: of all draws.
-        count: how many.
     """
     space = checker.space
     counts = [int(share * count) for share in ORIGIN_SHARES]

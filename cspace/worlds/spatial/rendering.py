@@ -39,10 +39,7 @@ def render_depth(
     """The exact depth picture, without noise.
 
     Args:
-        obstacles: in the base frame.
-        camera: with its pose.
         spheres: (S, 4) of the robot: x, y, z, radius in m in the base frame; None for no robot.
-        max_range_m: depths above it are not read.
     """
     arrays = obstacles.arrays
     robot = np.zeros((0, 4)) if spheres is None else np.asarray(spheres, dtype=np.float64).reshape(-1, 4)
@@ -203,13 +200,7 @@ _LARGEST_HOLE = 0.65
 
 
 class DropOut(NamedTuple):
-    """Pixels without a reading.
-
-    Args:
-        jump_m: a neighbour at least so much nearer or farther makes a depth jump.
-        at_jumps: share of the pixels beside a jump that read nothing.
-        anywhere: share of all others.
-    """
+    """Pixels without a reading."""
 
     jump_m: float = 0.03
     at_jumps: float = 0.4
@@ -292,12 +283,7 @@ NOISE_MODELS: dict[str, Noise] = {
 
 
 def axial_sigma_m(depth_m: NDArray[np.floating], angle_rad: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Sigma along the optical axis, m (Nguyen, equations 1 and 2).
-
-    Args:
-        depth_m: any shape.
-        angle_rad: between the surface's normal and the ray, below a right angle.
-    """
+    """Sigma along the optical axis, m (Nguyen, equations 1 and 2)."""
     depth = np.maximum(np.asarray(depth_m, dtype=np.float64), 0.1)
     angle = np.asarray(angle_rad, dtype=np.float64)
     level = 0.0012 + 0.0019 * (depth - 0.4) ** 2

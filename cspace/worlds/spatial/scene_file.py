@@ -85,11 +85,7 @@ class Values(_Values):
 
 
 def read_world(values: Values) -> SpatialWorld:
-    """The robot, seen and standing as most are.
-
-    Raises:
-        ScenarioError: there is no such robot, or it cannot be.
-    """
+    """The robot, seen and standing as most are."""
     robot = values.robot
     return usual(shipped(robot) if isinstance(robot, str) else SerialArm.from_dict(robot))
 
@@ -98,9 +94,6 @@ def read_scene(world: SpatialWorld, values: Values) -> SpatialScene:
     """Obstacles, cameras and the arm's state; pictures are exact.
 
     The arm is where ``state`` says, else at the start, else in no picture.
-
-    Raises:
-        ScenarioError: a camera looks nowhere, or the state is none of the robot's.
     """
     views, state = world.sensor.views, values.state or values.start
     if state:
@@ -118,11 +111,7 @@ def read_scene(world: SpatialWorld, values: Values) -> SpatialScene:
 
 
 def given(scenes: list[SpatialScene]) -> None:
-    """None: scenes of one's own are planned in, not learned from.
-
-    Raises:
-        ScenarioError: always.
-    """
+    """None: scenes of one's own are planned in, not learned from."""
     raise ScenarioError(
         "scenes of this world are not learned from as files",
         expected="families of scenes, or recordings of your own",

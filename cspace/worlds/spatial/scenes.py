@@ -44,11 +44,7 @@ _PLACES = 32
 def draw_layout(
     scenes: SpatialScenes, split: Split, seed: int, index: int, family: str | None = None
 ) -> Layout:
-    """The scene of a split, a seed and an index; of one family where it is named.
-
-    Raises:
-        ScenarioError: there is no such family, or none of its scenes fits the settings.
-    """
+    """The scene of a split, a seed and an index; of one family where it is named."""
     if family is not None and family not in FAMILIES:
         raise ScenarioError(
             "the family of scenes is unknown", expected=f"one of {', '.join(FAMILIES)}", got=family[:200]
@@ -196,11 +192,7 @@ def _lowest(region: GoalRegion) -> float:
 
 
 def draw_cameras(views: CameraViews, rng: np.random.Generator, layout: Layout) -> tuple[DepthCamera, ...]:
-    """Cameras that look at a scene.
-
-    Raises:
-        ScenarioError: there is no room for one.
-    """
+    """Cameras that look at a scene."""
     count = int(rng.integers(*views.count, endpoint=True))
     return tuple(_camera(views, rng, layout) for _ in range(count))
 
@@ -235,14 +227,8 @@ class SpatialScene:
     """An arm among obstacles, seen by depth cameras.
 
     Args:
-        world: arm and sensor.
-        obstacles: in the base frame.
-        cameras: one to four.
         state: (d,) rad, where the arm is while it is looked at; None where it is in no picture.
         noise: one of :data:`cspace.worlds.spatial.sensor.NOISES`, or None for exact pictures.
-        noise_seed: of its draws.
-        regions: where goals of the hand make sense; none where nobody knows.
-        holes: chance of each picture that parts of it read nothing.
         known: that planners know beside the pictures; None without anything.
         holding: the arm with what is attached to it there; None where nothing is.
     """
@@ -293,21 +279,13 @@ class SpatialScene:
 
 
 def draw_scene(rng: np.random.Generator, world: SpatialWorld, split: Split, index: int) -> SpatialScene:
-    """A scene of the world's families, with an arm that waits in it.
-
-    Raises:
-        ScenarioError: nobody knows the world's scenes, or none fits their settings.
-    """
+    """A scene of the world's families, with an arm that waits in it."""
     layout = draw_layout(scenes_of(world), split, int(rng.integers(2**62)), index)
     return seen(rng, world, layout, waiting(rng, world.body, layout.obstacles))
 
 
 def scenes_of(world: SpatialWorld) -> SpatialScenes:
-    """The families that a world's scenes come from.
-
-    Raises:
-        ScenarioError: nobody knows them.
-    """
+    """The families that a world's scenes come from."""
     if world.scenes is None:
         raise ScenarioError(
             "nobody knows where this world's scenes come from",
@@ -321,11 +299,7 @@ def scenes_of(world: SpatialWorld) -> SpatialScenes:
 def seen(
     rng: np.random.Generator, world: SpatialWorld, layout: Layout, state: NDArray[np.float64] | None
 ) -> SpatialScene:
-    """A layout as cameras of the world see it while the arm is at a state (d,) rad.
-
-    Raises:
-        ScenarioError: no camera has room.
-    """
+    """A layout as cameras of the world see it while the arm is at a state (d,) rad."""
     cameras, noises = draw_cameras(world.sensor.views, rng, layout), world.sensor.noise
     noise = noises[int(rng.integers(len(noises)))] if noises else None
     where = None if state is None else tuple(float(angle) for angle in state)

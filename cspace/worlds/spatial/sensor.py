@@ -27,20 +27,8 @@ class CameraViews(Record):
     """A distribution of cameras.
 
     Args:
-        count: fewest and most cameras of a scene.
         side_deg: angle on the ground between the line from what is looked at to the robot and that to the
             camera, to either side by chance.
-        up_deg: of the camera above the level of what it looks at.
-        distance_m: from it.
-        field_deg: width of the field of view.
-        aim_m: sigma of the point that is looked at, along each axis.
-        roll_deg: largest turn about the optical axis.
-        clear_m: least distance of a camera to any obstacle.
-        width: of the pictures, pixels.
-        height: of the pictures, pixels.
-
-    Raises:
-        ScenarioError: a range is not in order, or no camera is like that.
     """
 
     count: Span[Annotated[int, Field(ge=1, le=MAX_PICTURES)]] = (1, 3)
@@ -68,16 +56,7 @@ _MOST_A_SIDE = 192
 
 @validated(ScenarioError)
 class GridBox(Record):
-    """An axis-aligned grid of voxels in the base frame.
-
-    Args:
-        low_m: its lowest corner.
-        voxel_m: side of a voxel.
-        counts: X, Y, Z, of voxels.
-
-    Raises:
-        ScenarioError: a number is out of range, or there are more than 2**23 voxels.
-    """
+    """An axis-aligned grid of voxels in the base frame."""
 
     low_m: tuple[_Place, _Place, _Place]
     voxel_m: Annotated[float, Field(ge=MIN_VOXEL_M, le=MAX_VOXEL_M, strict=True)]
@@ -105,9 +84,6 @@ def grid_of(arm: SerialArm, voxel_m: float | None = None) -> GridBox:
 
     Its half side is :func:`shoulder_reach_m` and a little more, so that counts are multiples of sixteen.
     Voxels have 2.5 cm where no size is given, or more where the arm is so large that there would be too many.
-
-    Raises:
-        ScenarioError: the voxels are too small or too large.
     """
     reach_m = shoulder_reach_m(arm)
     if voxel_m is None:
@@ -172,15 +148,9 @@ class DepthSensor(Record):
     See :func:`cspace.worlds.spatial.visibility.observe`.
 
     Args:
-        grid: of the array.
-        views: the cameras of scenes for training.
         noise: of these, some of :data:`NOISES`, one of them a scene; none for exact pictures.
-        arm_hides: space behind the arm's pixels counts as hidden, so far behind it.
         holes: share of the pictures of scenes in which rectangles read nothing, as black and shiny things
             do; a head that knows none takes whatever read nothing for the sky.
-
-    Raises:
-        ScenarioError: a noise is unknown.
     """
 
     grid: GridBox

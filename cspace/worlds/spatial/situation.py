@@ -51,16 +51,8 @@ _UNSEEN = {NO_READING: "unread", OUT_OF_VIEW: "out of view"}
 class Situation:
     """A planning scene for one arm, as checks take it; needs the compiler.
 
-    Args:
-        arm: with its spheres.
-        known: what is known.
-
     Attributes:
         seen: (X, Y, Z, 2), what pictures show beside that; None before :meth:`complete`.
-
-    Raises:
-        InputError: a name stands for nothing, two names are one, or the meshes are too many or too fine.
-        ScenarioError: what is attached is on a link whose frame is not known.
     """
 
     def __init__(self, arm: SerialArm, known: PlanningScene) -> None:
@@ -148,11 +140,6 @@ class Situation:
         """Write what is known, in place, into what pictures show, (X, Y, Z, 2).
 
         Searches go by :attr:`seen`, without the known bodies, which they check themselves.
-
-        Args:
-            image: to write into.
-            grid: of it.
-            check_cancelled: called after each body, and each layer of a mesh; what it raises passes through.
         """
         low = np.asarray(grid.low_m)
         for bodies, is_free in ((self.ignored, True), (self.bodies, False)):
@@ -178,9 +165,7 @@ class Situation:
         """What is in the way of a configuration (d,) rad: known, of the arm, seen or unseen, in this order.
 
         Args:
-            configuration: of the arm.
             image: (X, Y, Z, 2), what the pictures show.
-            grid: of it.
 
         Returns:
             None where nothing touches and all of the arm is in space that was seen free.

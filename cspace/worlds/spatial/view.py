@@ -35,16 +35,11 @@ class DepthView:
 
     Args:
         pictures: one to four, (H, W) uint16 mm along the optical axis, 0 = no reading.
-        cameras: one each.
         state: (d,) rad, where the arm was when they were taken; None where it is in no picture; or one or the
             other for each picture.
         on_link: numbers of the pictures whose cameras came with a pose in the frame of a link; here it is in
             the base's.
         known: of the scene beside the pictures; None without anything.
-
-    Raises:
-        ImageError: there are too few or too many pictures, not a camera each, not a state each, one does not
-            fit its camera, or one has no reading.
     """
 
     pictures: tuple[NDArray[np.uint16], ...]
@@ -86,19 +81,7 @@ def write_view(view: DepthView) -> bytes:
 
 
 def read_view(data: bytes | View, arm: SerialArm, check_cancelled: CheckCancelled | None = None) -> DepthView:
-    """Decodes and checks untrusted pictures, each once.
-
-    Args:
-        data: a view file, or what it holds.
-        arm: that the states, and the links of cameras, are of.
-        check_cancelled: called after each picture; what it raises passes through.
-
-    Raises:
-        ImageError: a picture or a camera is none, they do not fit each other, no picture has a reading, a
-            state lies outside of the arm's limits, or a camera is on a link that there is not, or without a
-            state.
-        InputError: what is known does not fit.
-    """
+    """Decodes and checks untrusted pictures, each once."""
     file = View.of(data)
     if not file.cameras:
         raise ImageError(
@@ -137,11 +120,6 @@ def cameras_in_base(cameras: Sequence[object], state: States, arm: SerialArm) ->
     Args:
         cameras: one for each picture; ``link`` names a frame of the arm (:meth:`SerialArm.frame_of`) that
             ``pose`` is in.
-        state: of the arm, or one for each picture.
-        arm: that they are on.
-
-    Raises:
-        ImageError: there is no such link, no state, or no pose.
     """
     states = _for_each(state, len(cameras))
     return [_in_base(*one, arm) for one in zip(range(len(cameras)), cameras, states, strict=True)]
@@ -187,11 +165,6 @@ def state_of(values: object, pictures: int, space: JointSpace) -> States:
 
     Args:
         values: a configuration for all pictures, or a list with one, or None, for each.
-        pictures: how many.
-        space: of the arm.
-
-    Raises:
-        ImageError: that is outside of its limits, no configuration, or not one for each picture.
     """
     if isinstance(values, list | tuple) and any(
         one is None or isinstance(one, list | tuple) for one in values

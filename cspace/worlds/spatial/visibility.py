@@ -60,10 +60,7 @@ def self_filter(
 
     Args:
         depth_mm: (H, W) uint16 mm, 0 = no reading.
-        camera: of the picture.
         spheres: (S, 4) that cover the arm as it stands: x, y, z, radius in m in the base frame.
-        slack_m: added to every radius.
-        check_cancelled: called between parts of some ms; what it raises passes through.
     """
     begins = arm_depth_m(
         camera, np.asarray(spheres, dtype=np.float64).reshape(-1, 4), check_cancelled, slack_m
@@ -77,10 +74,6 @@ def without_lone(surface_m: NDArray[np.float32], front_m: NDArray[np.float32]) -
 
     At the arm's edges cameras read depths at which nothing is. A handful of such points near the base blocks
     most of what the arm can reach. A reading is lone if fewer than two of its eight neighbours share it.
-
-    Args:
-        surface_m: without the arm.
-        front_m: as of :class:`WithoutRobot`, finite at the arm's pixels.
     """
     beside_arm = np.where(np.isfinite(front_m), np.float32(0.0), np.float32(np.inf))
     for _ in range(_BESIDE_PX):
@@ -107,10 +100,7 @@ def arm_depth_m(
     """The arm as rendered: depth (H, W) m at which the first of its spheres begins, inf beside them.
 
     Args:
-        camera: of the picture.
         spheres: (S, 4) m, as for :func:`self_filter`; the depth is 0 for a camera within one.
-        check_cancelled: called between parts of some ms; what it raises passes through.
-        slack_m: added to every radius.
     """
     pose = camera.matrix
     centres = (spheres[:, :3] - pose[:3, 3]) @ pose[:3, :3]
@@ -190,8 +180,6 @@ def sight(
     Args:
         surface_m: (H, W) depth of surfaces, 0 = none.
         front_m: (H, W) depth up to which the ray of a pixel without a surface was free, inf = not known.
-        camera: of the picture.
-        grid: of the voxels.
     """
     codes = np.full(int(np.prod(grid.counts)), OUT_OF_VIEW, dtype=np.uint8)
     voxels, column, row, depth = _in_view(camera, grid)
@@ -322,13 +310,10 @@ def observe(
     Args:
         picture: (H, W) uint16 mm along the optical axis; 0, and what no depth camera can read, is no reading
             (:func:`cspace.worlds.spatial.camera.in_range`).
-        camera: of it.
-        grid: of the array.
         spheres: (S, 4) that cover the arm as it stands, x, y, z, radius in m in the base frame; None where
             it is not in the picture.
         is_explained: surfaces at points (N, 3) m that it knows hide what is behind them and are none
             themselves.
-        check_cancelled: called between parts of some ms; what it raises passes through.
 
     Returns:
         (X, Y, Z, 2) uint8. Channel 0 is the distance from a voxel's centre to the nearest surface seen, see

@@ -109,11 +109,7 @@ class SpatialWorld(World):
         return unseen_m(self.body, self.sensor.grid, self.observed(view))
 
     def examined(self, view: DepthView, check_cancelled: CheckCancelled | None = None) -> Examined:
-        """:meth:`observed`, (1, X, Y, Z, 2), with what is to be said of the view.
-
-        Raises:
-            ImageError: no camera sees any of the space that the arm can reach.
-        """
+        """:meth:`observed`, (1, X, Y, Z, 2), with what is to be said of the view."""
         known = None if view.known is None else self.situation(view.known)
         single = self._each(view, check_cancelled, known)
         image = fused(single)
@@ -123,11 +119,7 @@ class SpatialWorld(World):
         return Examined(image[None], findings, None in view.states, known, len(view.pictures))
 
     def situation(self, known: PlanningScene) -> Any:
-        """What is known, for this arm, as a :class:`cspace.worlds.spatial.situation.Situation`.
-
-        Raises:
-            InputError: it does not fit the arm, or the compiler of the checks is not installed.
-        """
+        """What is known, for this arm, as a :class:`cspace.worlds.spatial.situation.Situation`."""
         try:
             return import_module("cspace.worlds.spatial.situation").Situation(self.body, known)
         except ImportError as error:
@@ -242,11 +234,7 @@ def usual(arm: SerialArm) -> SpatialWorld:
 
 
 def shipped(name: str) -> SerialArm:
-    """A robot that comes with the project.
-
-    Raises:
-        ScenarioError: there is none of that name.
-    """
+    """A robot that comes with the project."""
     path = _ROBOTS / f"{name}.json"
     if not path.is_file():
         known = sorted(one.stem for one in _ROBOTS.glob("*.json"))
@@ -264,11 +252,7 @@ EXAMPLES = {name: usual(shipped(name)) for name in ("panda", "ur5")}
 
 
 def read(values: Mapping[str, Any]) -> SpatialWorld:
-    """The inverse of :meth:`SpatialWorld.to_dict`.
-
-    Raises:
-        ScenarioError: a key is missing, unknown or of the wrong type.
-    """
+    """The inverse of :meth:`SpatialWorld.to_dict`."""
     parts = read_object(_Parts, values, "the world", ScenarioError)
     return SpatialWorld(SerialArm.from_dict(parts.robot), parts.cameras, parts.scenes)
 
@@ -294,22 +278,12 @@ def add_options(parser: argparse.ArgumentParser, *, sensor: bool) -> None:
 
 
 def described(options: argparse.Namespace) -> SpatialWorld | None:
-    """The spatial world of parsed options; None where they name no such arm.
-
-    Raises:
-        ConfigError: the file cannot be read.
-        ScenarioError: there is no such arm, or it cannot be.
-    """
+    """The spatial world of parsed options; None where they name no such arm."""
     return None if options.arm is None else named(options.arm)
 
 
 def named(text: str) -> SpatialWorld:
-    """The usual world of an arm that ships, by its name, or of one in a file.
-
-    Raises:
-        ConfigError: the file cannot be read.
-        ScenarioError: there is no such arm, or it cannot be.
-    """
+    """The usual world of an arm that ships, by its name, or of one in a file."""
     path = Path(text)
     if not path.is_file():
         return usual(shipped(text))

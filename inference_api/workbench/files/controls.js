@@ -17,8 +17,8 @@ const CONFIDENCES = /** @type {const} */ ([["confidence", "confidence"], ["plan-
 const SEEDS = /** @type {const} */ ([["seed", "seed"], ["plan-seed", "planSeed"]]);
 const NEW_DISCS = [[2.4, -1.8], [-1.8, -2.4], [0, 3], [3, 0], [-3, 0]];
 const RADIUS = { least: 0.2, most: 2.5 };
-// The API takes JSON of 2 MiB, and base64 makes four letters of three bytes.
-const MAX_FILE = 1.5 * 1024 * 1024 - 20_000;
+// The API takes bodies of 8 MiB, and base64 makes four letters of three bytes.
+const MAX_FILE = 5 * 1024 * 1024;
 
 export class Controls {
   /** @param {Workbench} bench */
@@ -82,7 +82,7 @@ export class Controls {
   async openPicture(file) {
     if (!file) return;
     if (file.size > MAX_FILE) {
-      const detail = `${file.name} has more than 1.4 MiB; expected a PNG of 16 to 2048 pixels a side`;
+      const detail = `${file.name} has more than 5 MiB; expected a PNG of 16 to 2048 pixels a side`;
       return this.bench.messages.show({ title: "The file is too large", detail });
     }
     let text = "";

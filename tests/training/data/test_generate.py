@@ -17,9 +17,8 @@ from training.clusters.pipeline import uniform_free
 from training.data import generate as module
 from training.data.config import DatasetConfig
 from training.data.configurations import ConfigurationRecipe
-from training.data.generate import generate
+from training.data.generate import generate, save_shard
 from training.data.merge import merge
-from training.data.shards import save_shard
 from training.models.settings import GridConfig
 from training.trials.arrays import grid_samples
 

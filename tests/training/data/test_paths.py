@@ -13,9 +13,8 @@ from cspace.worlds.planar.render import render
 from cspace.worlds.planar.world import Disc, Scenario
 from training.data import generate as module
 from training.data.config import DatasetConfig, PathDatasetConfig
-from training.data.generate import generate
+from training.data.generate import generate, save_shard
 from training.data.paths import PathRecipe
-from training.data.shards import save_shard
 
 SMALL = PathDatasetConfig(
     seed=5, scenario_count=4, narrow_share=0.25, pairs_per_scenario=3, points_per_path=33, shard_size=2

@@ -302,18 +302,6 @@ def test_files_that_are_none_or_lie_elsewhere_are_refused(tmp_path):
     refused(tmp_path, tmp_path / "cut.mcap", "cannot be read")
 
 
-def test_a_topic_without_a_name_is_none(tmp_path):
-    path = only_file(usual(pictures=False).write(tmp_path / "bag", StoragePlugin.SQLITE3), ".db3")
-    with closing(sqlite3.connect(path)) as database:
-        database.execute("PRAGMA writable_schema=ON")
-        database.execute("UPDATE sqlite_master SET sql = replace(sql, 'name TEXT NOT NULL', 'name TEXT')")
-        database.commit()
-    with closing(sqlite3.connect(path)) as database:
-        database.execute("UPDATE topics SET name = NULL WHERE id = 1")
-        database.commit()
-    refused(tmp_path, path, "no topic of depth images")
-
-
 ENDLESS = "WITH RECURSIVE r(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM r) SELECT"
 LONG = """CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id, timestamp, data AS (zeroblob(900000000)));
 INSERT INTO messages SELECT 1, id, 1 FROM topics WHERE name LIKE '%image%'"""

@@ -9,9 +9,9 @@ from cspace.worlds.planar.render import render
 from cspace.worlds.planar.world import Scenario
 from tests.capsules import self_clearance_by_hand
 from tests.scenarios import random_scenarios
-from training.data.config import DatasetConfig, PathDatasetConfig
+from training.data.config import DatasetConfig, PathDatasetConfig, Shard
 from training.data.configurations import ConfigurationRecipe, plot_configurations
-from training.data.shards import Shard, load_shard, save_shard
+from training.data.generate import load_shard, save_shard
 
 SMALL = DatasetConfig(
     seed=3,

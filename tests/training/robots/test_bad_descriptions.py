@@ -6,19 +6,11 @@ import pytest
 from cspace.errors import ScenarioError
 from tests.training.robots.descriptions import BRANCH, TWO_LINKS, described, with_more
 from training.robots.__main__ import main
+from training.robots.description import found_file
 from training.robots.importing import Request, import_robot
-from training.robots.meshes import found_file
 
 SLIDING = TWO_LINKS.replace('"continuous"', '"prismatic"')
 LIMITS = 'lower="-2" upper="2"'
-BOMB = '<!DOCTYPE robot [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;">]><robot name="&b;"/>'
-
-# Each joint follows the next.
-MIMICS = [
-    f'<link name="l{n}"/><joint name="j{n}" type="revolute"><child link="l{n}"/><mimic joint="j{n + 1}"/>'
-    f'<parent link="{f"l{n - 1}" if n else "gripper"}"/></joint>'
-    for n in range(900)
-]
 
 
 def shoulder(limits: str) -> str:
@@ -28,41 +20,30 @@ def shoulder(limits: str) -> str:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (SLIDING, r"elbow \(line 19\) does not fit a serial arm.*got prismatic.*--lock elbow=VALUE"),
+        (SLIDING, "elbow does not fit a serial arm.*got prismatic.*--lock elbow=VALUE"),
         (SLIDING.replace('"prismatic"', '"planar"'), "got planar.*--lock elbow=0"),
         (with_more(BRANCH), "tip of the chain is not clear.*gripper.*second.*--tip"),
         (shoulder(""), "limits of joint shoulder.*got none.*--limit shoulder="),
-        (shoulder('lower="-2" upper="-2"'), r"shoulder \(line 15\) do not fit.*--lock shoulder=VALUE"),
+        (shoulder('lower="-2" upper="-2"'), "shoulder do not fit.*--lock shoulder=VALUE"),
         (
             shoulder('lower="-170" upper="170"'),
             "shoulder .*like degrees; give --limit shoulder=-2.9671,2.9671",
         ),
         (TWO_LINKS.replace('"2 0 0"', '"0 0 0"'), "axis of joint elbow"),
-        (
-            TWO_LINKS.replace('"2 0 0"', '"0 0 nan"'),
-            r"<axis> in line 21, of joint elbow \(line 19\).*3 finite",
-        ),
-        (TWO_LINKS.replace('<axis xyz="2 0 0"/>', "<axis/>"), "xyz of <axis> in line 21.*3 finite numbers"),
-        (with_more("".join(MIMICS) + "</robot>"), "mimics no joint.*a long row"),
-        # An axis that is too long for floats is one.
-        (TWO_LINKS.replace('"2 0 0"', '"0 1e9 1e9"').replace('"0.12"', '"-1"'), "base.*a sphere with"),
+        (TWO_LINKS.replace('"2 0 0"', '"0 0 nan"'), "axis of joint elbow"),
+        (TWO_LINKS.replace('"2 0 0"', '"2 0"'), "axis of joint elbow"),
+        (TWO_LINKS.replace('"0.12"', '"-1"'), "base.*a sphere with sizes"),
         (TWO_LINKS.replace('"0.05" length="0.3"', '"1e-9" length="1e6"'), "upper.*a cylinder with sizes"),
-        (TWO_LINKS.replace('"0.04 0.06 0.1"', '"0.1 0.1 1e-300"'), "link lower.*a box with sizes"),
-        (with_more("".join(f'<link name="l{n}"/>' for n in range(1000)) + "</robot>"), "too many links"),
-        (with_more("".join(f'<joint name="j{n}"/>' for n in range(1000)) + "</robot>"), "too many joints"),
-        # Numbers of Python that are none of XML.
-        (TWO_LINKS.replace('"2 0 0"', '"2 0 1e308"'), "xyz of <axis> in line 21.*finite numbers, up to 1e9"),
-        (TWO_LINKS.replace('"0.12"', '"0.1_2"'), "radius of <sphere> in line 4.*1 finite numbers"),
-        (shoulder('lower="-\u0662" upper="2"'), "lower of <limit> in line 17.*a number; got '-\u0662'"),
+        (TWO_LINKS.replace('"0.04 0.06 0.1"', '"0.1 0.1"'), "link lower.*a box with sizes"),
+        (TWO_LINKS.replace('xyz="0 0 0.25"', 'xyz="0 0 nan"'), "an <origin> in .* does not fit"),
         (TWO_LINKS.replace('<sphere radius="0.12"/>', "<mesh/>"), "a mesh is not found"),
-        (TWO_LINKS.replace('child link="upper"', 'child link="missing"'), "unknown links .*missing"),
-        (TWO_LINKS.replace('child link="gripper"', 'child link="upper"'), "two parents"),
-        (TWO_LINKS.replace('parent link="base"', 'parent link="gripper"'), "no tree of links.*root"),
-        (TWO_LINKS.replace("<sphere", "<capsule"), "link base .*sphere or mesh; got .*capsule"),
-        (TWO_LINKS.replace('<parent link="base"/>', ""), "a <parent>"),
-        (BOMB, "no such description.*a document type"),
-        (with_more('<link name="base"/></robot>'), r"link base \(line 26\).*a name of its own"),
-        ("<robot", "no such description"),
+        (TWO_LINKS.replace('child link="upper"', 'child link="missing"'), "no tree of links"),
+        (TWO_LINKS.replace('child link="gripper"', 'child link="upper"'), "no tree of links"),
+        (TWO_LINKS.replace('parent link="base"', 'parent link="gripper"'), "no tree of links"),
+        (with_more('<link name="base"/></robot>'), "no tree of links"),
+        (TWO_LINKS.replace("<sphere", "<capsule"), "sphere or mesh, .*capsule"),
+        (TWO_LINKS.replace('<parent link="base"/>', ""), "parent and child"),
+        ("<robot", "is no description"),
         ("<sdf/>", "the root <robot>; got <sdf>"),
     ],
 )
@@ -86,8 +67,6 @@ def test_names_that_the_description_does_not_have_are_refused(tmp_path: Path) ->
         (["two.urdf", "--limit", "elbow=1"], "--limit does not fit; expected a finite number"),
         (["two.urdf", "--slack-mm", "inf"], "at most 1 m"),
         (["two.urdf", "--excess-mm", "nan"], "0.001 m or more"),
-        (["two.urdf", "--lock", "elbow=1e300"], r"elbow \(line 19\) cannot be held there"),
-        (["/dev/zero"], "too large"),
         (["two.urdf", "--ready", "0,nan"], "--ready does not fit; expected a finite number"),
         (["two.urdf", "--ready", "0"], "the arm cannot wait there; expected 2 angles"),
         (["two.urdf", "--ready", "2.5,0"], "the arm cannot wait there; expected shoulder from -2 to 2 rad"),

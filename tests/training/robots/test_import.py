@@ -9,12 +9,12 @@ from PIL import Image
 
 from cspace.worlds.spatial.arm import MAX_OVERLAP_M, SerialArm
 from tests.training.robots.descriptions import FINGER, TWO_LINKS, described, with_more
-from training.robots import covering
+from training.robots import spheres
 from training.robots.__main__ import main
 from training.robots.chain import read_chain
-from training.robots.covering import Allowances
 from training.robots.description import read_description
 from training.robots.importing import Request, import_robot
+from training.robots.spheres import Allowances
 
 CYLINDER, BOX = '<cylinder radius="0.05" length="0.3"/>', '<box size="0.04 0.06 0.1"/>'
 # Spheres are taken as they are, which is quick.
@@ -25,7 +25,7 @@ ROUND = ROUND_UPPER.replace(BOX, '<sphere radius="0.05"/>')
 
 @pytest.fixture(autouse=True)
 def coarse_search(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(covering, "_GRID_POINTS", 4000)
+    monkeypatch.setattr(spheres, "_GRID_POINTS", 4000)
 
 
 def test_a_description_becomes_a_robot_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

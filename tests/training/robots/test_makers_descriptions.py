@@ -67,24 +67,22 @@ def test_a_shape_of_no_size_is_left_out_with_its_link_and_line(tmp_path: Path) -
         '<link name="l3">' + BALL.format(kind="collision", radius=0.06) + "</link>", placeholder
     )
     found = imported(tmp_path, text)
-    assert "a box of link l3 (line 5) has no size and is left out" in found.notes
+    assert "a box of link l3 has no size and is left out" in found.notes
     assert [part.name for part in found.arm.parts] == ["l0", "l1", "l2"]
     meshed = text.replace('<box size="0 0 0"/>', '<mesh filename="nowhere.stl" scale="0 0 0"/>')
-    assert any("a mesh of link l3 (line 5) has no size" in note for note in imported(tmp_path, meshed).notes)
+    assert any("a mesh of link l3 has no size" in note for note in imported(tmp_path, meshed).notes)
 
 
 @pytest.mark.parametrize("mimic", ['<mimic joint="j2" multiplier="-1"/>', '<mimic joint="j2" offset="0.5"/>'])
 def test_a_joint_of_the_chain_that_mimics_another_is_refused_by_name(tmp_path: Path, mimic: str) -> None:
     text = chain(LIMIT, LIMIT, LIMIT + mimic)
-    with pytest.raises(ScenarioError, match=r"j3 \(line 8\) follows joint j2, which moves.*--lock j2=VALUE"):
+    with pytest.raises(ScenarioError, match=r"j3 cannot follow joint j2.*one that moves.*--lock NAME=VALUE"):
         imported(tmp_path, text)
     # What it advises works, and the follower goes where the leader puts it.
     held = imported(tmp_path, text, locked={"j2": 0.2})
     assert [joint.name for joint in held.arm.joints] == ["j1"]
     follower = next(one for one in held.held if one.name == "j3")
     assert follower.value == pytest.approx(-0.2 if "multiplier" in mimic else 0.7)
-    with pytest.raises(ScenarioError, match=r"j3 .*cannot be held elsewhere.*hold joint j2 instead"):
-        imported(tmp_path, text, locked={"j2": 0.2, "j3": 1.0})
 
 
 def test_joints_beside_the_chain_are_held_as_near_to_zero_as_they_go(tmp_path: Path) -> None:
@@ -133,7 +131,7 @@ XACRO = '<robot name="made" xmlns:xacro="http://www.ros.org/wiki/xacro">'
 def test_xacro_in_a_urdf_file_is_refused_with_its_line(tmp_path: Path) -> None:
     text = chain().replace('<robot name="three">', XACRO)
     text = text.replace("</robot>", '<xacro:gripper parent="l3"/></robot>')
-    with pytest.raises(ScenarioError, match=r"expand it first.*<xacro:gripper> in line 9.*\.xacro"):
+    with pytest.raises(ScenarioError, match=r"expand it first.*\.xacro"):
         imported(tmp_path, text)
 
 
@@ -158,6 +156,57 @@ def test_xacro_files_are_expanded_with_arguments_and_packages(tmp_path: Path) ->
     assert found.arm.parts[1].spheres_m == ((0.0, 0.0, 0.0, 0.05),)
 
 
+# In the style of five makers: properties from YAML with their tags, members, dictionaries, blocks, defaults,
+# conditions, lengths, methods of strings, powers, angles in degrees.
+MAKERS = """
+<xacro:arg name="gripper" default="false"/>
+<xacro:property name="config" value="${xacro.load_yaml('$(find maker_arm)/limits.yaml')}"/>
+<xacro:property name="sizes" value="${dict(radius=0.1 / 2, names=['a', 'b', 'c'])}"/>
+<xacro:property name="limits" value="${config['joint_limits']}" lazy_eval="false"/>
+<xacro:macro name="ball-link" params="name prefix:='' sizes:=^ *inside **more">
+  <xacro:unless value="${name in sizes['names']}">${xacro.warning('unknown ' + name)}</xacro:unless>
+  <link name="${prefix + '_' if prefix else ''}${name}">
+    <collision>
+      <xacro:insert_block name="inside"/><geometry><sphere radius="${sizes['radius']}"/></geometry>
+    </collision>
+    <xacro:insert_block name="more"/>
+  </link>
+</xacro:macro>
+<xacro:macro name="turning" params="name parent child xyz:='0 0 1' at=0.5">
+  <xacro:property name="own" value="${limits[name]}"/>
+  <joint name="${name}" type="revolute"><parent link="${parent}"/><child link="${child}"/>
+    <origin xyz="${xyz.split(' ')[0]} 0 ${2 ** 2 * at / 4}" rpy="0 ${radians(90) - pi / 2} ${sin(0)}"/>
+    <axis xyz="${' '.join(['0', '1', '0'])}"/>
+    <limit lower="${own.lower}" upper="${min(own.upper, 2.0)}"/></joint>
+</xacro:macro>
+<xacro:ball-link name="a"><origin xyz="0 0 0.1"/><more/></xacro:ball-link>
+<xacro:ball-link name="b"><origin xyz="0 0 0"/><more/></xacro:ball-link>
+<xacro:turning name="j1" parent="a" child="b"/>
+<xacro:if value="${'$(arg gripper)' == 'true' and len(sizes['names']) == 3 and not 0 > 1}">
+  <xacro:ball-link name="c" prefix="left"><origin/><more/></xacro:ball-link>
+  <xacro:turning name="j2" parent="b" child="left_c" xyz="0.2 0 0" at="$(eval 1 / 2)"/>
+</xacro:if>
+"""
+
+
+def test_what_makers_write_in_xacro_is_expanded(tmp_path: Path) -> None:
+    package = tmp_path / "maker_arm"
+    package.mkdir()
+    (package / "package.xml").touch()
+    limits = (
+        "joint_limits:\n  j1: {lower: !degrees -90, upper: 1.5}\n  j2: {lower: !radians -pi/4, upper: 9.0}\n"
+    )
+    (package / "limits.yaml").write_text(limits, encoding="utf-8")
+    path = described(package, f"{XACRO}{MAKERS}</robot>", "arm.urdf.xacro")
+    arm = import_robot(Request(path, arguments={"gripper": "true"})).arm
+    assert [part.name for part in arm.parts] == ["a", "b", "left_c"]
+    np.testing.assert_allclose(
+        [joint.limits_rad for joint in arm.joints], [(-np.pi / 2, 1.5), (-np.pi / 4, 2.0)]
+    )
+    np.testing.assert_allclose(arm.joints[1].origin.xyz_m, [0.2, 0.0, 0.5])
+    assert arm.parts[0].spheres_m == ((0.0, 0.0, 0.1, 0.05),)
+
+
 GLOBALS = "[c for c in ().__class__.__base__.__subclasses__()][0].__init__.__globals__"
 
 
@@ -178,7 +227,6 @@ GLOBALS = "[c for c in ().__class__.__base__.__subclasses__()][0].__init__.__glo
         ('<link name="${{str.mro()}}"/>', "mro is not allowed"),
         ('<xacro:macro name="m"><xacro:m/></xacro:macro><xacro:m/>', "recursion"),
         ('<xacro:include filename="pipe.xacro"/>', "no file of .*pipe.xacro"),
-        ("<link name=\"${{'a' * 20000000}}\"/>", "20000... when it is expanded|characters; got 20000"),
         ('<link name="${{9**9**9}}"/>', "no end within 10 s of a core"),
     ],
 )

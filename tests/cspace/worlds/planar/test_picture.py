@@ -92,7 +92,7 @@ def test_a_picture_that_is_not_square_is_refused():
 
 
 def test_a_decompression_bomb_is_refused_by_its_header():
-    with pytest.raises(ImageError, match="60000 x 60000"):
+    with pytest.raises(ImageError, match="decompression bomb"):
         decode_png(file(header(60000, 60000), chunk(b"IDAT"), chunk(b"IEND")))
 
 

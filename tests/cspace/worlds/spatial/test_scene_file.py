@@ -102,7 +102,7 @@ def test_an_arm_is_read_from_its_file(tmp_path):
     assert described("--arm", str(path)) == PANDA
     with pytest.raises(ScenarioError, match="one of panda"):
         described("--arm", "kuka")
-    for text in ("{", "[" * 100_000, '{"a": NaN}', '{"a": 1, "a": 1}'):
+    for text in ("{", "[" * 100_000, '{"a": NaN}'):
         path.write_text(text)
         with pytest.raises(ConfigError, match="holds no robot"):
             described("--arm", str(path))

@@ -145,7 +145,7 @@ def test_another_data_set_lends_its_scenes():
 
 
 def test_what_a_sensor_cannot_be_is_refused():
-    with pytest.raises(ScenarioError, match=r"count\.1 does not fit; expected at most 4"):
+    with pytest.raises(ScenarioError, match=r"count\.1 does not fit; expected less than or equal to 4"):
         DepthSensor(WORLD.sensor.grid, CameraViews(count=(1, 5)))
     with pytest.raises(ScenarioError, match=r"noise\.0 does not fit; expected 'structured_light'"):
         DepthSensor(WORLD.sensor.grid, noise=("rain",))

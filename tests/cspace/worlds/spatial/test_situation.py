@@ -231,8 +231,11 @@ BALL = {"name": "a", "sphere": {"radius_m": 0.1}}
     [
         ({"scene": [{"name": "a"}]}, "no single shape"),
         ({"scene": [BALL | {"box": {"size_m": [1, 1, 1]}}]}, "no single shape"),
-        ({"scene": [{"name": "a", "sphere": {"radius_m": -0.1}}]}, r"scene.0.sphere.radius_m .*above 0"),
-        ({"scene": [{"name": "a", "sphere": {"radius_m": 1e9}}]}, r"scene.0.sphere.radius_m .*at most 100"),
+        (
+            {"scene": [{"name": "a", "sphere": {"radius_m": -0.1}}]},
+            r"scene.0.sphere.radius_m .*greater than 0",
+        ),
+        ({"scene": [{"name": "a", "sphere": {"radius_m": 1e9}}]}, r"scene.0.sphere.radius_m .*equal to 100"),
         ({"scene": [BALL, BALL]}, "a name each"),
         ({"scene": [{"sphere": {"radius_m": 0.1}}]}, "a name each"),
         ({"scene": [BALL | {"pose": np.diag([1, 1, -1, 1]).tolist()}]}, "no rotation"),

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 import yaml
 
-from cspace.errors import DamagedFileError, DatasetError, ServiceError
+from cspace.errors import DamagedFileError, ServiceError
 from cspace.simulator import Split
 from cspace.worlds.spatial.benchmark import BENCH_FAMILIES, NUMBERS, problems
-from training.motionbench import __main__ as command
-from training.motionbench import archive, download
+from training import motionbench
 
 INSIDE = "vamp_planner-0.6.4/resources/panda/problems.tar.bz2"
 JOINTS = [f"panda_joint{number}" for number in range(1, 8)]
@@ -98,7 +97,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 
 
 def test_an_archive_becomes_problems(sound: tuple[Path, str]) -> None:
-    splits = archive.read_archive(*sound)
+    splits = motionbench.read_archive(*sound)
     assert {split: len(found) for split, found in splits.items()} == {Split.VALIDATION: 14, Split.TEST: 21}
     problem = splits[Split.TEST][0]
     assert (problem.family, problem.number) == ("bookshelf_small", 3)
@@ -119,8 +118,8 @@ def test_the_command_fetches_by_pip_without_building(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     offline(monkeypatch, sound[0].parent)
-    monkeypatch.setattr(command, "SHA256", sound[1])
-    assert command.main(["fetch", "--out", str(tmp_path / "out")]) == 0
+    monkeypatch.setattr(motionbench, "SHA256", sound[1])
+    assert motionbench.main(["fetch", "--out", str(tmp_path / "out")]) == 0
     output = capsys.readouterr().out
     assert "validation.json.gz: bookshelf_small 2," in output
     assert "test.json.gz: bookshelf_small 3," in output
@@ -134,9 +133,9 @@ def test_an_archive_with_another_digest_is_refused(
     damaged = tmp_path / "damaged.tar.gz"
     damaged.write_bytes(sound[0].read_bytes()[:-1])
     with pytest.raises(DamagedFileError, match="SHA-256"):
-        archive.read_archive(damaged, sound[1])
+        motionbench.read_archive(damaged, sound[1])
     # Sound, but not the one that the problems are taken from.
-    assert command.main(["fetch", "--archive", str(sound[0]), "--out", str(tmp_path / "out")]) == 2
+    assert motionbench.main(["fetch", "--archive", str(sound[0]), "--out", str(tmp_path / "out")]) == 2
     assert "damaged or another" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
@@ -160,9 +159,9 @@ def test_problems_of_the_ur5_come_with_its_description(
     folder = "vamp_planner-0.6.4/resources/ur5"
     more = {f"{folder}/ur5.urdf": b"<robot/>", f"{folder}/meshes/ur5/base.stl": b"solid", "../evil": b""}
     path, sha256 = made(tmp_path, changes, f"{folder}/problems.tar.bz2", more)
-    monkeypatch.setattr(command, "SHA256", sha256)
+    monkeypatch.setattr(motionbench, "SHA256", sha256)
     asked = ["fetch", "--robot", "ur5", "--archive", str(path), "--out", str(tmp_path / "out")]
-    assert command.main(asked) == command.main(asked) == 0
+    assert motionbench.main(asked) == motionbench.main(asked) == 0
     (first, *_) = problems(Split.VALIDATION, tmp_path / "out")
     assert first.goal == tuple(index + 0.123457 for index in range(6))
     found = sorted(one for one in (tmp_path / "out" / "description").rglob("*") if one.is_file())
@@ -170,43 +169,10 @@ def test_problems_of_the_ur5_come_with_its_description(
     assert not (tmp_path / "evil").exists()
 
 
-FIRST = "problems/box_panda/scene0001.yaml"
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({FIRST: None}, "34 problems"),
-        ({FIRST: b"world: ["}, "no YAML"),
-        ({FIRST: b"world: {}"}, "box 1: KeyError 'collision_objects'"),
-        ({FIRST: TEXTS[0][0].replace(b"cylinder", b"sphere")}, "a shape is unknown.*'sphere'"),
-        ({FIRST: TEXTS[0][0].replace(b"0.03", b"-0.03")}, "radius_m does not fit; expected above 0"),
-        ({FIRST.replace("scene", "request"): None}, "box 1: KeyError"),
-        ({FIRST.replace("box", "kitchen"): b"{}"}, "kitchen 1: KeyError"),
-    ],
-)
-def test_an_archive_that_holds_other_problems_is_refused(
-    tmp_path: Path, changes: dict[str, bytes | None], message: str
-) -> None:
-    with pytest.raises(DatasetError, match=message):
-        archive.read_archive(*made(tmp_path, changes))
-
-
-def test_files_that_are_no_archive_are_refused(sound: tuple[Path, str], tmp_path: Path) -> None:
-    with pytest.raises(DatasetError, match=f"no {INSIDE}"):
-        archive.read_archive(*made(tmp_path, inside="elsewhere"))
-    path = tmp_path / "text.tar.gz"
-    path.write_bytes(b"no archive")
-    with pytest.raises(DatasetError, match="ReadError"):
-        archive.read_archive(path, hashlib.sha256(b"no archive").hexdigest())
-    with pytest.raises(DatasetError, match="No such file"):
-        archive.read_archive(tmp_path / "missing.tar.gz", sound[1])
-
-
 def test_a_fetch_that_pip_refuses_says_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     offline(monkeypatch, tmp_path)
     refused = pytest.raises(ServiceError, match=r"No matching distribution.*--archive")
-    with refused, download.downloaded("0" * 64):
+    with refused, motionbench.downloaded("0" * 64):
         pass
 
 
@@ -219,6 +185,6 @@ def test_an_archive_with_another_digest_is_refused_before_it_is_prepared(
     foreign = {"vamp_planner-0.6.4/pyproject.toml": project, "vamp_planner-0.6.4/own.py": backend.encode()}
     (tmp_path / "vamp_planner-0.6.4.tar.gz").write_bytes(packed(foreign, "w:gz"))
     offline(monkeypatch, tmp_path)
-    with pytest.raises(ServiceError, match="Expected sha256"), download.downloaded(sound[1]):
+    with pytest.raises(ServiceError, match="Expected sha256"), motionbench.downloaded(sound[1]):
         pass
     assert not prepared.exists()

@@ -1,24 +1,37 @@
-"""Few spheres that cover a solid and stick out little.
+"""Few spheres that cover a link's shapes and stick out little.
+
+Shapes are read by trimesh as solids of triangles. How deep points lie in them is libigl's: inside is where
+the winding number of the surface is above a half (Jacobson, Kavan and Sorkine-Hornung 2013, Barill et al.
+2018), so that meshes with holes have an inside too.
 
 A sphere round c sticks out by no more than m where its radius is at most the depth of c plus m. So each
 point of a grid through the solid and the shell of m / 2 around it offers that sphere, and so do points that
 no such sphere reaches, with others about them. A greedy set cover (Chvatal 1979) chooses among them until all
-points of the surface and of the inside are within the slack, also those that are drawn afresh.
+points of the surface and of the inside are within the slack, also those that are sampled afresh.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from io import BytesIO
+from pathlib import Path
+from typing import Any
 
+import igl
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 
 from cspace.errors import ScenarioError
 from cspace.kernel_cache import njit
-from training.robots.meshes import Solid, union_depth_m, union_surface
+from training.robots.description import found_file
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Indices = NDArray[np.int64]
+# No arm has smaller or larger parts.
+MIN_SIZE_M, MAX_SIZE_M, _MAX_REACH_M = 1e-4, 10.0, 100.0
+_FACETS = 48
+_FORMATS = ("dae", "obj", "ply", "stl")
 # Of the excess, for numbers that are written short.
 _ROUNDED_M = 2e-5
 # Of the slack, for what lies between the points that are looked at; the part of it that may be used up.
@@ -30,6 +43,141 @@ _GRID_POINTS = 24_000
 # Points that become centres at a time, with so many others about each.
 _MORE_POINTS, _AROUND = 400, 6
 _PASSES = 40
+
+
+class Solid:
+    """A surface of triangles, m, with an inside; ``sphere`` is its centre and radius (4,) if it is one."""
+
+    def __init__(self, mesh: Any, sphere: Floats | None = None) -> None:
+        self.sphere = sphere
+        self.mesh = mesh
+        self._vertices = np.ascontiguousarray(mesh.vertices, dtype=np.float64)
+        self._faces = np.ascontiguousarray(mesh.faces, dtype=np.int64)
+        self._tree = igl.AABB()
+        self._tree.init(self._vertices, self._faces)
+
+    def contains(self, points: Floats) -> NDArray[np.bool_]:
+        """Which of (N, 3) lie inside, (N,)."""
+        inside = ((points >= self.mesh.bounds[0]) & (points <= self.mesh.bounds[1])).all(axis=1)
+        if inside.any():
+            inside[inside] = (
+                np.abs(igl.fast_winding_number(self._vertices, self._faces, points[inside])) > 0.5
+            )
+        return np.asarray(inside)
+
+    def depth_m(self, points: Floats) -> Floats:
+        """Distance of each of (N, 3) to the surface, (N,) m; negative outside."""
+        points = np.ascontiguousarray(points)
+        squares = self._tree.squared_distance(self._vertices, self._faces, points)[0]
+        return np.asarray(np.sqrt(squares) * np.where(self.contains(points), 1.0, -1.0))
+
+    def surface(self, count: int, rng: np.random.Generator) -> Floats:
+        """Points of its triangles, as many of its edges, and no more of its corners, (N, 3) m."""
+        points = [np.asarray(trimesh.sample.sample_surface(self.mesh, count, seed=rng)[0])]
+        edges = self.mesh.vertices[self.mesh.edges_unique]
+        lengths = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1)
+        chosen, part = rng.choice(len(edges), count, p=lengths / lengths.sum()), rng.random((count, 1))
+        points.append(edges[chosen, 0] + part * (edges[chosen, 1] - edges[chosen, 0]))
+        points.append(rng.permutation(self._vertices)[:count])
+        return np.concatenate(points)
+
+
+def union_depth_m(solids: Sequence[Solid], points: Floats) -> Floats:
+    """Depth of each of (N, 3) in the union of solids, (N,) m; negative outside, and no deeper than in one."""
+    return np.asarray(np.max([solid.depth_m(points) for solid in solids], axis=0))
+
+
+def union_surface(solids: Sequence[Solid], count: int, rng: np.random.Generator) -> Floats:
+    """Points of the surfaces of solids, also inside of others, (N, 3) m; ``count`` shared out by area."""
+    area = sum(solid.mesh.area for solid in solids)
+    shares = [max(20, int(np.ceil(count * solid.mesh.area / area))) for solid in solids]
+    return np.concatenate([one.surface(share, rng) for one, share in zip(solids, shares, strict=True)])
+
+
+def read_solids(
+    shapes: Iterable[Any], where: str, folder: Path, packages: Mapping[str, Path]
+) -> tuple[list[Solid], list[str]]:
+    """The solids of a link's shapes, as yourdfpy reads them, in the frame of the link, and warnings."""
+    solids, notes = [], []
+    for shape in shapes:
+        kind, sizes = _sizes(shape.geometry)
+        if not np.any(sizes):
+            notes.append(f"a {kind} of {where} has no size and is left out")
+            continue
+        if kind == "mesh":
+            mesh = load_mesh(found_file(shape.geometry.mesh.filename, folder, packages), sizes, where)
+        else:
+            mesh = _primitive(kind, sizes, where)
+        if shape.origin is not None:
+            mesh.apply_transform(shape.origin)
+        reach_m = float(np.abs(mesh.bounds).max())
+        if not (reach_m <= _MAX_REACH_M and mesh.area > 0.0):
+            raise ScenarioError(
+                f"a {kind} of {where} does not fit",
+                expected=f"triangles within {_MAX_REACH_M:g} m of the link",
+                got=f"{reach_m:g} m with the sizes, or the scale, {sizes.tolist()}",
+            )
+        sphere = np.append(mesh.bounds.mean(axis=0), sizes) if kind == "sphere" else None
+        solids.append(Solid(mesh, sphere))
+    return solids, notes
+
+
+def _sizes(geometry: Any) -> tuple[str, Floats]:
+    for kind, keys in (("box", ("size",)), ("cylinder", ("radius", "length")), ("sphere", ("radius",))):
+        if (found := getattr(geometry, kind)) is not None:
+            return kind, np.hstack([getattr(found, key) for key in keys])
+    scale = geometry.mesh.scale
+    return "mesh", np.ones(3) * (1.0 if scale is None else scale)
+
+
+def _primitive(kind: str, sizes: Floats, where: str) -> Any:
+    count = {"box": 3, "cylinder": 2, "sphere": 1}[kind]
+    if not (len(sizes) == count and sizes.min() >= MIN_SIZE_M and sizes.max() <= MAX_SIZE_M):
+        raise ScenarioError(
+            f"a shape of {where} does not fit",
+            expected=f"a {kind} with sizes from {MIN_SIZE_M:g} to {MAX_SIZE_M:g} m",
+            got=str(sizes.tolist()),
+        )
+    if kind == "box":
+        return trimesh.creation.box(extents=sizes)
+    if kind == "sphere":
+        return trimesh.creation.icosphere(subdivisions=4, radius=sizes[0])
+    # Facets outside the circle, for the whole cylinder to be covered.
+    radius = sizes[0] / np.cos(np.pi / _FACETS)
+    return trimesh.creation.cylinder(radius=radius, height=sizes[1], sections=_FACETS)
+
+
+def load_mesh(path: Path, scale: Floats, where: str) -> Any:
+    """All triangles of a mesh file, of all its nodes and materials, in m; a negative scale mirrors.
+
+    Other files that it names, as textures and materials, are not read.
+    """
+    try:
+        kind = path.suffix.lower().removeprefix(".")
+        if kind not in _FORMATS:
+            raise ValueError(kind)  # noqa: TRY301
+        # Of bytes, so that the reader has no folder to look for other files in.
+        scene = trimesh.load_scene(
+            BytesIO(path.read_bytes()), file_type=kind, process=False, skip_materials=True
+        )
+        mesh = scene.to_mesh()
+        unit = mesh.units or scene.units
+        metres = 1.0 if unit is None else trimesh.units.unit_conversion(unit, "meters")
+        mesh = trimesh.Trimesh(mesh.vertices * metres * scale, mesh.faces, process=False)
+        mesh.merge_vertices(merge_tex=True, merge_norm=True)
+        mesh.update_faces(mesh.nondegenerate_faces())
+        # Corners of no triangle lie anywhere.
+        mesh.remove_unreferenced_vertices()
+        if len(mesh.faces):
+            return mesh
+        got = "no triangles"
+    except MemoryError:
+        raise
+    except Exception as error:  # noqa: BLE001 - readers of strangers' bytes raise whatever they meet
+        got = repr(error)
+    raise ScenarioError(
+        f"a mesh of {where} cannot be read", expected=", ".join(_FORMATS), got=f"{path}: {got}"[:300]
+    )
 
 
 @dataclass(frozen=True, slots=True)

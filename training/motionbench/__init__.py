@@ -1,1 +1,0 @@
-"""MotionBenchMaker's problems, out of the source archive of a package that carries them."""
