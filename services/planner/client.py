@@ -97,17 +97,17 @@ class SamplingClient(SampleSource):
             self._client = cspace_client.SamplingClient(url, timeout_s, **options)
 
     def answer(self, picture: Picture, query: SampleQuery, model: str | None = None) -> SampleBatch:
-        """See :class:`services.planner.samples.SampleSource`."""
+        """One batch of at most ``query.n`` samples."""
         with mapped():
             return self._client.answer(picture, client_sample_query(query), model, query.robot)
 
     def validity(self, picture: Picture, configurations: ArrayLike, model: str | None = None) -> Predictions:
-        """See :meth:`cspace_client.SamplingClient.validity`."""
+        """Confidence of configurations (n, d) rad."""
         with mapped():
             return self._client.validity(picture, configurations, model)
 
     def plan(self, picture: Picture, query: PlanQuery, model: str | None = None) -> FoundPlan:
-        """See :meth:`cspace_client.SamplingClient.plan`."""
+        """A path, or why there is none."""
         with mapped():
             return self._client.plan(picture, client_plan_query(query), model)
 

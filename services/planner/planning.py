@@ -49,13 +49,9 @@ class SampleRequest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampledPlan:
-    """One problem solved with samples from a source, or without where there were none.
+    """One problem solved with samples from a source, or without: ``unavailable`` says why.
 
-    Args:
-        result: of the planner.
-        batch: the samples; None when the source did not answer.
-        unavailable: why there are none, in words; None when there are.
-        uniform_share: of uniform samples mixed in, raised by the picture's novelty.
+    The uniform share is raised by the picture's novelty.
     """
 
     result: PlanResult
