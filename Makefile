@@ -21,7 +21,7 @@ FAST := not slow and not e2e and not compose and not browser and not gpu
 ALL := not compose and not gpu
 
 .DEFAULT_GOAL := help
-.PHONY: interpreter location help venv demo quickstart arm test test-all check pins format docs docs-links up down status env clean-state
+.PHONY: interpreter location help venv demo quickstart arm test test-all check pins audit format docs docs-links up down status env clean-state
 
 help: ## print this
 	@echo "make TARGET, with"
@@ -82,6 +82,9 @@ pins: $(INSTALLED) ## constraints.txt resolves for every supported Python and pi
 	    echo "Python $$version: these are not pinned in constraints.txt" >&2; exit 1; }; \
 	  echo "Python $$version: $$(wc -l < $(VENV)/pins.txt) packages, all pinned"; \
 	done
+
+audit: $(INSTALLED) ## known vulnerabilities of what constraints.txt pins, by pip-audit; wants the internet
+	$(BIN)/uv tool run pip-audit --requirement constraints.txt --no-deps --disable-pip
 
 format: $(INSTALLED) ## mend format and lint where a tool can
 	$(BIN)/ruff format .

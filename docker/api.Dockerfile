@@ -3,7 +3,7 @@ FROM python:3.11-slim-bookworm AS requirements
 WORKDIR /src
 COPY pyproject.toml docker/requirements.py ./
 COPY clients/python/pyproject.toml clients/python/
-RUN python requirements.py api plan tracing > /requirements.txt
+RUN python requirements.py api plan signing tracing > /requirements.txt
 
 FROM python:3.11-slim-bookworm
 COPY --from=requirements /requirements.txt /tmp/requirements.txt

@@ -126,7 +126,7 @@ def test_settings_are_those_that_the_compose_file_gives(services: Mapping[str, A
         for name, value in services[kind]["environment"].items():
             # The operator hands Ray its token; the address of MLflow is printed where nobody looks.
             # The API has names, keys and neighbours of its own there, and keeps no outcomes.
-            own = "RAY_AUTH", "MLFLOW_SUPPRESS", "CSPACE_API_", "CSPACE_OUTCOMES", "MLFLOW_TRACKING_URI"
+            own = "RAY_AUTH", "MLFLOW_", "CSPACE_API_", "CSPACE_OUTCOMES", "CSPACE_TRUSTED_KEY"
             if not name.startswith(own):
                 assert given[name] == value
 
@@ -162,6 +162,7 @@ def test_pods_reach_their_own_kind_names_and_the_tracking_server_alone() -> None
         ports = {one["port"] for rule in policy["egress"] for one in rule.get("ports", [])}
         assert ports == {53, 5000}
         for rule in policy["egress"]:
+            assert rule["to"]
             assert rule.get("ports") or rule["to"] == [{"podSelector": policy["podSelector"]}]
 
 
