@@ -26,7 +26,7 @@ from cspace.worlds.spatial.simulator import draw_arm
 from cspace.worlds.spatial.view import DepthView, State
 from cspace.worlds.spatial.visibility import arm_depth_m, reduced
 from cspace.worlds.spatial.world import SpatialWorld, described
-from services.command_errors import report_error
+from services.commands import report_error
 
 FOUND = 3
 _MAX_BYTES = 64 * 2**20

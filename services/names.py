@@ -113,12 +113,6 @@ def model_of(robot: str) -> str:
     return MODEL_NAME if robot == robot_name(default_world()) else f"{robot}{_SUFFIX}"
 
 
-def names_beside(model: str) -> tuple[str, ...]:
-    """The models of the robot that a model is named after, of configurations and of paths; else itself."""
-    robot = _robot_of(model)
-    return (model,) if robot is None else (f"{robot}{_SUFFIX}", f"{robot}{_PATH_SUFFIX}")
-
-
 def is_own(model: str, world: World) -> bool:
     """Whether a model's name is one that its robot has without being given it."""
     return model in {model_name(world), model_name(world, path=True)} or _robot_of(model) == robot_name(world)

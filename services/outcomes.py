@@ -42,7 +42,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from cspace.errors import ConfigError, CspaceError, RegistryUnavailableError, StorageBusyError, StorageError
 from cspace.files import discard, holding
 from cspace.planning.cost import calibration_error
-from services.command_errors import report_error
+from services.commands import report_error
 from services.names import OUTCOMES_EXPERIMENT, OUTCOMES_FILE, TAG_KEEP_UNTIL, TAG_STAGE, VIEW, VIEWS_FILE
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from cspace.files import replacing
 from services.evaluator.metrics import Task
 from services.evaluator.report import MEASURES_TABLE
 from services.evaluator.tables import aligned, markdown
-from services.registry.connection import connect, tracking_uri
+from services.registry import connect, tracking_uri
 from services.registry.entities import FoundRun, ModelReference
 from services.registry.models import ModelRegistry
 from services.registry.tracking import Tracking

@@ -18,7 +18,7 @@ from services.evaluator import compare
 from services.evaluator.report import shown
 from services.evaluator.tables import markdown
 from services.names import TAG_PRESET, recorded_name, shown_name
-from services.registry.connection import connect, tracking_uri
+from services.registry import connect, tracking_uri
 from services.registry.entities import ModelReference, ModelVersion
 from services.registry.models import ModelRegistry
 from services.registry.promotion import decisions_of, utc

@@ -30,11 +30,11 @@ from cspace.bundle.verification import load_verified
 from cspace.errors import ConfigError, CspaceError, EvaluationError, InputError, ModelNotFoundError
 from cspace.planning.calibration import fit_calibration
 from cspace.planning.cost import confidence_of_cost
-from services.command_errors import report_error
+from services.commands import report_error
 from services.evaluator.statistics import Interval, log_losses, mean_interval
 from services.names import ALIAS_CHALLENGER, EXPERIMENT, MODEL_NAME, OUTCOMES_FILE, TAG_MODEL, TAG_STAGE
 from services.outcomes import Row, reliability, uploaded
-from services.registry.connection import connect, tracking_uri
+from services.registry import connect, tracking_uri
 from services.registry.entities import ID, ModelReference, ModelVersion
 from services.registry.models import ModelRegistry
 from services.registry.tracking import Tracking

@@ -21,7 +21,7 @@ from cspace.view_file import pack_view
 from cspace.worlds.spatial.camera import DepthCamera, encode_depth, in_range
 from cspace.worlds.spatial.camera_info import read_pinhole, undistorted
 from cspace.worlds.spatial.world import SpatialWorld, add_options, described
-from services.command_errors import finite
+from services.commands import finite
 from services.progress import Progress
 from training.data.bag import (
     CAMERA_INFO,

@@ -17,7 +17,7 @@ from cspace.errors import CspaceError, InputError
 from cspace.files import replacing
 from cspace.worlds.spatial.benchmark import LIMITS_RAD, write_problems
 from cspace.worlds.spatial.world import shipped
-from services.command_errors import report_error
+from services.commands import report_error
 from training.motionbench.archive import JOINTS, SHA256, read_archive, unpack_description
 from training.motionbench.download import downloaded
 
