@@ -96,11 +96,7 @@ def lines_of(found: Diagnosis) -> str:
 
 
 def draw(world: SpatialWorld, view: DepthView, found: Diagnosis, path: Path) -> None:
-    """Write a picture: of each camera depths, the arm as rendered, the points from the side, the verdicts.
-
-    Raises:
-        ConfigError: the file cannot be written, or its suffix names no format.
-    """
+    """Write a picture: of each camera depths, the arm as rendered, the points from the side, the verdicts."""
     # A second that errors need not wait.
     from matplotlib.figure import Figure  # noqa: PLC0415
 

@@ -174,12 +174,9 @@ class _Write:
 
 
 class Spool:
-    """Keeps outcomes in a folder that several processes may share; threads may share one, too.
+    """Keeps outcomes in a folder of ``max_bytes`` at most; processes may share it, and threads may share one.
 
-    Args:
-        folder: made with the first outcome.
-        max_bytes: of all files. One client may fill a quarter.
-        count: called with a result and the number of outcomes.
+    ``count`` is called with a result and the number of outcomes.
     """
 
     def __init__(self, folder: Path, max_bytes: int, count: Callable[[Result, int], None]) -> None:

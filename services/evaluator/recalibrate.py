@@ -100,15 +100,7 @@ def recalibrate(
     tracking: Tracking,
     registry: ModelRegistry,
 ) -> Recalibrated:
-    """Fit to a version's outcomes, and register; the same outcomes make the same version.
-
-    Args:
-        model: whose plans.
-        site: outcomes of one place; None for all.
-        most_per_client: share of the plans that may be of one client.
-        tracking: where outcomes were uploaded.
-        registry: holds the version, and gets the new one.
-    """
+    """Fit to a version's outcomes, of a site or of all, and register, once for the same outcomes."""
     version = registry.look_up(model)
     plans = plans_of(str(version), site, most_per_client, tracking)
     parameters = careful_fit(plans.cost, plans.free, plans.client)

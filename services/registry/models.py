@@ -30,7 +30,6 @@ from services.registry.tracking import MAX_BATCH, MAX_DIGEST, all_pages
 
 # Where the bundle lies inside the saved model.
 BUNDLE_PATH = "artifacts/bundle"
-_PAGE = 100
 # A redirect and a presigned address lead wherever the answering server likes. MLflow reads these from the
 # environment only; whoever needs them sets them.
 _FOLLOW_NOTHING = {"MLFLOW_ALLOW_HTTP_REDIRECTS": "false", "MLFLOW_ENABLE_PROXY_MULTIPART_DOWNLOAD": "false"}
@@ -147,7 +146,7 @@ class ModelRegistry:
     def versions(self, name: str) -> tuple[ModelVersion, ...]:
         """All versions, newest first; empty for an unknown model."""
         with self._asking(f"listing the versions of {name}"):
-            found = all_pages(self._client.search_model_versions, f"name='{name}'", max_results=_PAGE)
+            found = all_pages(self._client.search_model_versions, f"name='{name}'")
             # MLflow's search for versions leaves the aliases out.
             aliases = self._client.get_registered_model(name).aliases if found else {}
         complete = [
@@ -159,7 +158,7 @@ class ModelRegistry:
     def names(self) -> tuple[str, ...]:
         """The registered models, in alphabetical order."""
         with self._asking("listing the models"):
-            found = all_pages(self._client.search_registered_models, max_results=_PAGE)
+            found = all_pages(self._client.search_registered_models)
             return tuple(sorted(model.name for model in found))
 
     def delete(self, name: str, number: int) -> None:
