@@ -27,7 +27,7 @@ from benchmarks.machine import ROOT, machine
 from cspace.bundle import Bundle
 from cspace.errors import CspaceError, InputError, JobError
 from cspace.simulator import Split
-from services.command_errors import report_error
+from services.commands import report_error
 from services.evaluator.evaluation import estimates_of, measure_topology, reconstruct, sample_clouds
 from services.evaluator.metrics import Task
 from services.evaluator.report import COLLISION_COLOUR, FREE_COLOUR, SHOWN_SAMPLES, free_map

@@ -26,7 +26,7 @@ from cspace.worlds.spatial.simulator import draw_arm
 from cspace.worlds.spatial.view import DepthView, State
 from cspace.worlds.spatial.visibility import arm_depth_m, reduced
 from cspace.worlds.spatial.world import SpatialWorld, described
-from services.command_errors import report_error
+from services.commands import report_error
 
 FOUND = 3
 _MAX_BYTES = 64 * 2**20
@@ -96,11 +96,7 @@ def lines_of(found: Diagnosis) -> str:
 
 
 def draw(world: SpatialWorld, view: DepthView, found: Diagnosis, path: Path) -> None:
-    """Write a picture: of each camera depths, the arm as rendered, the points from the side, the verdicts.
-
-    Raises:
-        ConfigError: the file cannot be written, or its suffix names no format.
-    """
+    """Write a picture: of each camera depths, the arm as rendered, the points from the side, the verdicts."""
     # A second that errors need not wait.
     from matplotlib.figure import Figure  # noqa: PLC0415
 

@@ -49,11 +49,7 @@ _DERIVED = rf"({'|'.join(KINDS)})-[0-9a-f]{{8}}"
 
 
 def robot_name(world: World, given: str | None = None) -> str:
-    """A robot's name: the example's, else the given one, else one that is derived from its digest.
-
-    Raises:
-        ConfigError: the given name is none, or another robot's.
-    """
+    """A robot's name: the example's, else the given one, else one that is derived from its digest."""
     digest = robot_digest(world)
     example = next((name for name, one in examples().items() if robot_digest(one) == digest), None)
     derived = f"{world.kind}-{digest[:8]}"
@@ -92,16 +88,7 @@ def shown_name(world: World, given: str | None) -> str:
 
 
 def model_name(world: World, given: str | None = None, *, path: bool = False) -> str:
-    """The registered model of a robot; :data:`MODEL_NAME` and :data:`PATH_MODEL_NAME` are the default one's.
-
-    Args:
-        world: its robot.
-        given: the robot's name, as :func:`robot_name` takes it.
-        path: whether the model is one of paths.
-
-    Raises:
-        ConfigError: as :func:`robot_name`.
-    """
+    """The registered model of a robot, of configurations or of paths; ``given`` as in :func:`robot_name`."""
     name = robot_name(world, given)
     if robot_digest(world) == robot_digest(default_world()):
         return PATH_MODEL_NAME if path else MODEL_NAME
@@ -111,12 +98,6 @@ def model_name(world: World, given: str | None = None, *, path: bool = False) ->
 def model_of(robot: str) -> str:
     """The registered model of a robot's name."""
     return MODEL_NAME if robot == robot_name(default_world()) else f"{robot}{_SUFFIX}"
-
-
-def names_beside(model: str) -> tuple[str, ...]:
-    """The models of the robot that a model is named after, of configurations and of paths; else itself."""
-    robot = _robot_of(model)
-    return (model,) if robot is None else (f"{robot}{_SUFFIX}", f"{robot}{_PATH_SUFFIX}")
 
 
 def is_own(model: str, world: World) -> bool:

@@ -42,7 +42,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from cspace.errors import ConfigError, CspaceError, RegistryUnavailableError, StorageBusyError, StorageError
 from cspace.files import discard, holding
 from cspace.planning.cost import calibration_error
-from services.command_errors import report_error
+from services.commands import report_error
 from services.names import OUTCOMES_EXPERIMENT, OUTCOMES_FILE, TAG_KEEP_UNTIL, TAG_STAGE, VIEW, VIEWS_FILE
 
 if TYPE_CHECKING:
@@ -174,12 +174,9 @@ class _Write:
 
 
 class Spool:
-    """Keeps outcomes in a folder that several processes may share; threads may share one, too.
+    """Keeps outcomes in a folder of ``max_bytes`` at most; processes may share it, and threads may share one.
 
-    Args:
-        folder: made with the first outcome.
-        max_bytes: of all files. One client may fill a quarter.
-        count: called with a result and the number of outcomes.
+    ``count`` is called with a result and the number of outcomes.
     """
 
     def __init__(self, folder: Path, max_bytes: int, count: Callable[[Result, int], None]) -> None:

@@ -15,13 +15,7 @@ _SOON_S = 5.0
 
 
 class Estimate:
-    """How long work will still take, by its pace since the beginning.
-
-    Args:
-        total: pieces in all.
-        done: pieces that were done before.
-        clock: seconds, monotonic.
-    """
+    """How long work will still take, by its pace since the beginning."""
 
     def __init__(self, total: int, done: int = 0, clock: Callable[[], float] = time.monotonic) -> None:
         self._total, self._first, self._clock, self._began = total, done, clock, clock()
@@ -48,14 +42,7 @@ def time_left(seconds: float | None) -> str:
 
 
 class Progress:
-    """Counts pieces of work that are done.
-
-    Args:
-        what: is being done.
-        total: pieces in all.
-        show: takes the lines where there is no terminal.
-        unit: what a piece is.
-    """
+    """Counts pieces of work that are done."""
 
     def __init__(self, what: str, total: int, show: Callable[[str], None], unit: str = "run") -> None:
         self._what, self._total, self._done, self._show = what, total, 0, show

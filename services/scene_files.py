@@ -26,16 +26,7 @@ from cspace.yaml_file import read_yaml, read_yaml_file
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneFile:
-    """What a scene file says.
-
-    Args:
-        path: where it lies.
-        name: of the robot, for the names of its models; None where it has none.
-        world: robot and camera, and the family that scenes are drawn from.
-        scene: the robot among the file's obstacles; None where it lists none.
-        start: (d,) rad.
-        goal: (d,) rad.
-    """
+    """What a scene file says: start and goal (d,) rad, and a scene where it lists obstacles."""
 
     path: Path
     name: str | None
@@ -45,11 +36,7 @@ class SceneFile:
     goal: NDArray[np.float64] | None
 
     def problem(self) -> Problem:
-        """Start and goal in the scene.
-
-        Raises:
-            ScenarioError: the file lacks obstacles, start or goal.
-        """
+        """Start and goal in the scene."""
         if self.scene is None or self.start is None or self.goal is None:
             parts = {"obstacles": self.scene, "start": self.start, "goal": self.goal}
             raise ScenarioError(
@@ -66,11 +53,7 @@ def schema(kind: str = FIRST) -> dict[str, Any]:
 
 
 def read_scene_file(path: Path) -> SceneFile:
-    """Read a scene file; ``robot`` may be the path of a robot's file, from the scene file's folder.
-
-    Raises:
-        ScenarioError: it cannot be read, is no YAML, or a value does not fit.
-    """
+    """Read a scene file; ``robot`` may be the path of a robot's file, from the scene file's folder."""
     values = read_yaml_file(path, ScenarioError)
     if isinstance(values, dict) and str(values.get("robot")).endswith(".json"):
         with _naming(path):
@@ -79,16 +62,7 @@ def read_scene_file(path: Path) -> SceneFile:
 
 
 def read_scene_text(data: bytes, path: Path, kinds: Sequence[str] = tuple(KINDS)) -> SceneFile:
-    """Read what a scene file holds.
-
-    Args:
-        data: UTF-8.
-        path: what it is called in errors.
-        kinds: of worlds that are read.
-
-    Raises:
-        ScenarioError: as :func:`read_scene_file`.
-    """
+    """Read what a scene file holds, UTF-8; ``path`` is what it is called in errors."""
     return _read(path, read_yaml(data, str(path), ScenarioError), kinds)
 
 
@@ -111,11 +85,7 @@ def _read(path: Path, values: Any, kinds: Sequence[str] = tuple(KINDS)) -> Scene
 
 
 def given_scenes(world: World, files: Sequence[SceneFile]) -> Any:
-    """The obstacles of files as the scenes of a world, some of them held out.
-
-    Raises:
-        ScenarioError: a file has another robot or camera, or no obstacles.
-    """
+    """The obstacles of files as the scenes of a world, some of them held out."""
     for one in files:
         if one.scene is None:
             raise ScenarioError(f"{one.path} holds no scene", expected="obstacles")

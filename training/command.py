@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from cspace.errors import CspaceError, InputError
-from services.command_errors import report_error
-from services.results import report_result
+from services.commands import report_error, report_result
 from training.config import JobConfig
 from training.jobs.environment import Environment, job_environment, job_folder, job_tags
 

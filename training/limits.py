@@ -17,7 +17,7 @@ from cspace.bundle.verification import load_verified
 from cspace.errors import BundleError, CspaceError, InputError
 from cspace.world import World
 from cspace.worlds import add_world_options, described_world
-from services.command_errors import report_error
+from services.commands import report_error
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

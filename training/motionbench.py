@@ -38,7 +38,7 @@ from cspace.worlds.spatial.benchmark import (
 from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles
 from cspace.worlds.spatial.poses import Pose, pose_of, quaternion_pose
 from cspace.worlds.spatial.world import shipped
-from services.command_errors import report_error
+from services.commands import report_error
 
 PACKAGE, VERSION = "vamp-planner", "0.6.4"
 # Of the archive that the problems were first taken from.

@@ -17,9 +17,9 @@ from pathlib import Path
 
 from cspace.bundle.verification import load_verified
 from cspace.errors import CspaceError, InputError
-from services.command_errors import report_error
+from services.commands import report_error
 from services.names import model_name, recorded_name
-from services.registry.connection import tracking_uri
+from services.registry import tracking_uri
 from training.jobs.registration import ALIASES, register_untrained
 from training.paths.writing import made_or_found
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from cspace.bundle import Bundle
 from cspace.bundle.verification import load_verified
 from cspace.errors import BundleError, ConfigError, CspaceError, InputError
-from services.command_errors import report_error
+from services.commands import report_error
 from training.clusters.calibration import (
     PlanCalibration,
     fit_plan_calibration,

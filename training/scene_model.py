@@ -36,9 +36,9 @@ from cspace.worlds.spatial.scenes import draw_layout, scenes_of, seen, waiting
 from cspace.worlds.spatial.view import DepthView
 from cspace.worlds.spatial.world import SpatialWorld, usual
 from services import progress
-from services.command_errors import report_error
+from services.commands import report_error
 from services.names import SCENE_MODEL_FILE
-from services.registry.connection import connect, tracking_uri
+from services.registry import connect, tracking_uri
 from training.jobs.scene_models import fetch, register
 from training.models.checkpoint import (
     Progress,

@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 
 from cspace.errors import ConfigError, CspaceError, InputError
-from services.command_errors import report_error
-from services.results import report_result
+from services.commands import report_error, report_result
 from training.config import TrainConfig
 from training.jobs.environment import Environment, job_environment, job_folder
 

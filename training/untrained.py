@@ -21,9 +21,9 @@ from cspace.bundle import Bundle, BundleSpec, RandomInput, write_bundle
 from cspace.errors import ConfigError, CspaceError, InputError
 from cspace.world import World
 from cspace.worlds import robot_digest
-from services.command_errors import report_error
+from services.commands import report_error
 from services.names import label, model_name
-from services.registry.connection import tracking_uri
+from services.registry import tracking_uri
 from training.clusters.bundling import FALLBACK_THRESHOLD, head_graphs, with_choices
 from training.config import HeadConfig, TrainConfig
 from training.jobs.environment import provenance

@@ -11,14 +11,13 @@ from functools import partial
 from pathlib import Path
 
 from cspace.errors import ConfigError, CspaceError, InputError, ModelNotFoundError
-from services.command_errors import report_error
+from services.commands import report_error, report_result
 from services.evaluator import compare, recalibrate
 from services.evaluator.benchmark.__main__ import main as planning_benchmark
 from services.evaluator.evaluation import BUDGETS, run_metrics
 from services.evaluator.job import Outcome, evaluate_version, executor, make_request
 from services.evaluator.report import REPORT_FOLDER, scenes_text, terminal_table
-from services.registry.connection import connect, tracking_uri
-from services.results import report_result
+from services.registry import connect, tracking_uri
 
 SHIPPED_FOLDER = Path(__file__).parents[2] / "inference_api" / "pretrained"
 COMMANDS: Mapping[str, Callable[[Sequence[str], Mapping[str, str]], int]] = {

@@ -22,7 +22,7 @@ from services.evaluator.metrics import Task
 from services.evaluator.report import MEASURES_TABLE
 from services.evaluator.tables import aligned, markdown
 from services.names import TAG_PRESET, recorded_name, shown_name
-from services.registry.connection import connect, tracking_uri
+from services.registry import connect, tracking_uri
 from services.registry.entities import FoundRun, ModelReference
 from services.registry.models import ModelRegistry
 from services.registry.promotion import decisions_of, utc

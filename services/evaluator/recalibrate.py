@@ -30,11 +30,11 @@ from cspace.bundle.verification import load_verified
 from cspace.errors import ConfigError, CspaceError, EvaluationError, InputError, ModelNotFoundError
 from cspace.planning.calibration import fit_calibration
 from cspace.planning.cost import confidence_of_cost
-from services.command_errors import report_error
+from services.commands import report_error
 from services.evaluator.statistics import Interval, log_losses, mean_interval
 from services.names import ALIAS_CHALLENGER, EXPERIMENT, MODEL_NAME, OUTCOMES_FILE, TAG_MODEL, TAG_STAGE
 from services.outcomes import Row, reliability, uploaded
-from services.registry.connection import connect, tracking_uri
+from services.registry import connect, tracking_uri
 from services.registry.entities import ID, ModelReference, ModelVersion
 from services.registry.models import ModelRegistry
 from services.registry.tracking import Tracking
@@ -100,15 +100,7 @@ def recalibrate(
     tracking: Tracking,
     registry: ModelRegistry,
 ) -> Recalibrated:
-    """Fit to a version's outcomes, and register; the same outcomes make the same version.
-
-    Args:
-        model: whose plans.
-        site: outcomes of one place; None for all.
-        most_per_client: share of the plans that may be of one client.
-        tracking: where outcomes were uploaded.
-        registry: holds the version, and gets the new one.
-    """
+    """Fit to a version's outcomes, of a site or of all, and register, once for the same outcomes."""
     version = registry.look_up(model)
     plans = plans_of(str(version), site, most_per_client, tracking)
     parameters = careful_fit(plans.cost, plans.free, plans.client)

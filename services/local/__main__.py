@@ -10,10 +10,16 @@ from functools import partial
 from pathlib import Path
 
 from cspace.errors import ConfigError, CspaceError, PortTakenError, ServiceError
-from services.command_errors import confirmed
+from services.commands import confirmed
 from services.evaluator.tables import aligned
-from services.local.own_arm import import_arm, serve_untrained, tour_of_arm
-from services.local.quickstart import TOURS, addresses, quickstart
+from services.local.quickstart import (
+    TOURS,
+    addresses,
+    import_arm,
+    quickstart,
+    serve_untrained,
+    tour_of_arm,
+)
 from services.local.settings import (
     BIN,
     HOST,

@@ -1,4 +1,4 @@
-"""The main job: services, training, evaluation, promotion, serving, planning, summary."""
+"""The main job, on an example or on an arm of your own: services, training, evaluation, serving, planning."""
 
 import os
 import re
@@ -14,12 +14,14 @@ from pathlib import Path
 import httpx
 from pydantic import BaseModel, ValidationError
 
-from cspace.errors import JobError, PlanningError, ServiceStartError
+from cspace.errors import ConfigError, JobError, PlanningError, ScenarioError, ServiceStartError
+from cspace.world import World
+from cspace.worlds import named_world, robot_digest
+from services.commands import PREFIX
 from services.evaluator.tables import aligned
-from services.local.settings import BIN, Settings, shell_values
+from services.local.settings import BIN, Settings, make_state, shell_values
 from services.local.stack import POLL_S, SERVICES, Report, up
-from services.names import MLFLOW_TRAINING, MODEL_NAME
-from services.results import PREFIX
+from services.names import MLFLOW_TRAINING, MODEL_NAME, label, model_name
 
 EVALUATE = "python -m services.evaluator --model {model} --without-shipped"
 SERVED_LIMIT_S = 60.0
@@ -180,3 +182,60 @@ def addresses(settings: Settings) -> str:
         ("a shell for `ray job submit`", 'eval "$(.venv/bin/python -m services.local env)"'),
     ]
     return aligned(rows)
+
+
+def import_arm(settings: Settings, urdf: Path, options: Sequence[str], say: Report) -> Path:
+    """Import a description with the options of ``python -m training.robots import``; the robot's file."""
+    make_state(settings)
+    file = settings.home / "arms" / f"{urdf.name.partition('.')[0]}.json"
+    command = [sys.executable, "-m", "training.robots", "import", str(urdf), *options, "--out", str(file)]
+    if run_shown(settings, command, timed(say))[0] != 0:
+        remedy = "see docs/arm-in-space.md for what it does with each part of a description"
+        raise ConfigError(f"{urdf} was not imported", got="the error above", remedy=remedy)
+    # Named as the model is: an import under another name leaves this file to its model.
+    named = file.with_name(f"{_name(named_world(str(file)))}.json")
+    for end in (".json", ".report.json", ".report.png"):
+        file.with_suffix(end).replace(named.with_suffix(end))
+    return named
+
+
+def tour_of_arm(file: Path) -> Tour:
+    """The main job of a robot's file; submitted again, its training goes on where it stopped."""
+    world = named_world(str(file))
+    job = f"arm-{_name(world)[:40]}-{robot_digest(world)[:8]}"
+    robot = shlex.quote(f"data.robot={file}")
+    return Tour(
+        robot=str(file),
+        train=f"python training/cluster_train.py --preset panda_quick --job {job} --set {robot}",
+        evaluate=f"{EVALUATE} --scenarios 20",
+        families=("table", "shelf"),
+    )
+
+
+def serve_untrained(settings: Settings, file: Path, say: Report) -> None:
+    """Serve a robot's file by the shipped scene model, without training, and plan a problem with it."""
+    world, progress = named_world(str(file)), timed(say)
+    name = _name(world)
+    progress("starting the services")
+    up(settings, SERVICES, progress)
+    folder = settings.home / "arms" / f"{name}-untrained-{robot_digest(world)[:8]}"
+    command = [sys.executable, "-m", "training.untrained", str(file), str(folder), "--register", "champion"]
+    code, lines = run_shown(settings, command, progress)
+    if code != 0:
+        raise JobError("the model was not made", got=f"exit code {code}, the lines above")
+    reference = lines[-1].split()[-1]
+    progress(f"waiting until the inference API serves {reference}")
+    wait_served(settings.url("api"), reference, default=False)
+    options = ("--robot", str(file), "--whole-plan")
+    plan_and_draw(settings, settings.home / "figures" / f"{name}-untrained", progress, ("table",), options)
+    model = model_name(world, name)
+    say(f"\n{addresses(settings)}\n\nPOST /plan, /validity and /sample take model={model}.")
+    say(f"Look at it: python -m services.planner.viewer --api {settings.url('api')} --model {model}")
+
+
+def _name(world: World) -> str:
+    name = label(world)
+    if name is None:
+        remedy = "give it one of letters, digits and dashes, which no example has, with --name"
+        raise ScenarioError("the robot has no name for a model of its own", remedy=remedy)
+    return name

@@ -22,7 +22,7 @@ from cspace.strict_json import parse_json
 from cspace.world import World
 from cspace.worlds import examples, named_world, simulator_of
 from cspace_client import OutcomeSender
-from services.command_errors import finite, report_error
+from services.commands import finite, report_error
 from services.planner.client import DEFAULT_TIMEOUT_S, SamplingClient, usual_api
 from services.planner.ompl_planner import DEFAULT_UNIFORM_SHARE
 from services.planner.planning import (

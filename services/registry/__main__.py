@@ -7,13 +7,13 @@ import argparse
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from itertools import zip_longest
 from pathlib import Path
 
 from cspace.errors import CspaceError, InputError, ModelNotFoundError
-from services.command_errors import confirmed, report_error
+from services.commands import confirmed, report_error
 from services.names import ALIAS_CHAMPION, TAG_SIGNATURE
-from services.registry import promotion
-from services.registry.connection import tracking_uri
+from services.registry import promotion, tracking_uri
 from services.registry.entities import ModelReference, ModelVersion
 from services.registry.models import ModelRegistry
 from services.registry.promotion import PREFIX, Decision, decisions_of, utc
@@ -104,14 +104,14 @@ def _show(registry: ModelRegistry, options: argparse.Namespace) -> None:
 
 
 def _history(registry: ModelRegistry, options: argparse.Namespace) -> None:
-    found = promotion.history(registry, options.name)
+    found = promotion.champions(registry, options.name)
     if not found:
         print(
             f"{registry.by_alias(options.name, ALIAS_CHAMPION)} is the champion, and no decision is recorded"
         )
-    for period in found:
-        version, since, until, reason = period.cells
-        print(f"{options.name}/{version:<6} {since:<23}  to  {until:<23}  {reason}")
+    for one, after in zip_longest(found, found[1:]):
+        until = utc(after.created_ms) if after else ""
+        print(f"{options.name}/{one.version:<6} {utc(one.created_ms)}  to  {until:<23}  {one.reasons[0]}")
 
 
 def _promote(registry: ModelRegistry, options: argparse.Namespace) -> None:

@@ -37,10 +37,10 @@ _ADDRESSES = re.compile(
     re.VERBOSE,
 )
 _PATHS = re.compile(r"(?<![\w.])~?/[^\s'\":;,()<>]+")
-# The disk or the rights of this machine, never a network.
-_DISK = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EFBIG})
-# MLflow gathers the failures of its downloads as text.
-_IN_WORDS = re.compile(r"\[Errno (\d{1,3})\]")
+# The disk or the rights of this machine, never a network; MLflow gathers the failures of downloads as text.
+_DISK = re.compile(
+    rf"\[Errno ({errno.ENOSPC}|{errno.EDQUOT}|{errno.EROFS}|{errno.EACCES}|{errno.EFBIG})\]", re.ASCII
+)
 # A name that MLflow calls invalid names nothing, and a missing alias is an "invalid parameter" to it.
 _MISSING = frozenset({"RESOURCE_DOES_NOT_EXIST", "INVALID_PARAMETER_VALUE", "NOT_FOUND"})
 _AWAY = frozenset({"TEMPORARILY_UNAVAILABLE", "REQUEST_LIMIT_EXCEEDED", "DEADLINE_EXCEEDED"})
@@ -67,44 +67,32 @@ def mapped(action: str, *, lookup: bool = False) -> Iterator[None]:
         yield
     except (MlflowException, OSError) as error:
         raise _translated(action, error, lookup) from error
-    except (json.JSONDecodeError, ParseError, KeyError) as error:
+    except (json.JSONDecodeError, ParseError, KeyError, ImportError) as error:
         raise RegistryError(
             f"{action}: the answer is not MLflow's",
-            expected="an MLflow tracking server",
+            expected="an http address of an MLflow server; others need the whole of mlflow",
             got=_truncate(_line(str(error))),
             remedy="check MLFLOW_TRACKING_URI",
-        ) from error
-    except ImportError as error:
-        raise RegistryError(
-            f"{action}: this address needs more than mlflow-skinny",
-            expected="an http address",
-            got=_truncate(_line(str(error))),
-            remedy="install mlflow, or start a server on the database and give its address",
         ) from error
 
 
 def _translated(action: str, error: Exception, lookup: bool) -> RegistryError | StorageError:
-    from requests.exceptions import HTTPError, RequestException  # noqa: PLC0415
+    from requests.exceptions import RequestException  # noqa: PLC0415
 
-    words = _truncate(_line(str(error)) or type(error).__name__)
+    words, chain = _truncate(_line(str(error)) or type(error).__name__), list(causes(error))
     code = getattr(error, "error_code", None)
     # The exceptions of requests are OSErrors, and MLflow wraps them and those of the disk alike.
-    disk = _disk_failure(error)
-    if disk is None and code is None and not isinstance(error, RequestException):
-        disk = getattr(error, "strerror", None) or type(error).__name__
-    if disk is not None:
+    sent = next((one for one in chain if isinstance(one, RequestException)), None)
+    disk = _DISK.search(" ".join(map(str, chain)))
+    if disk is not None or (code is None and sent is None):
         return StorageError(
             f"{action}: a file of this machine cannot be read or written",
             expected="a folder with room and rights",
-            got=disk,
+            got=words if disk is None else os.strerror(int(disk[1])),
             remedy="free some space, or choose another folder",
         )
-    inner = error if code is None else error.__cause__ or error.__context__
-    response = getattr(inner, "response", None)
-    if code in _AWAY or (
-        isinstance(inner, RequestException)
-        and (not isinstance(inner, HTTPError) if code else response is None or response.status_code >= 500)
-    ):
+    response = getattr(sent, "response", None)
+    if code in _AWAY or (sent is not None and (response is None or response.status_code >= 500)):
         return unavailable(action, words)
     if lookup and code in _MISSING:
         return ModelNotFoundError(
@@ -121,18 +109,6 @@ def unavailable(action: str, got: str) -> RegistryUnavailableError:
         got=got,
         remedy="start it, or wait until its database is back",
     )
-
-
-def _disk_failure(error: BaseException) -> str | None:
-    """What this machine's disk lacks, if that is anywhere in the chain of causes."""
-    for one in causes(error):
-        numbers = [one.errno] if isinstance(one, OSError) else []
-        if getattr(one, "error_code", None) is not None:
-            numbers += map(int, _IN_WORDS.findall(str(one)))
-        for number in numbers:
-            if number in _DISK:
-                return os.strerror(number)
-    return None
 
 
 def causes(error: BaseException | None) -> Iterator[BaseException]:

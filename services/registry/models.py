@@ -1,7 +1,7 @@
 """Registered models on an MLflow server.
 
-Looking up and downloading work with ``mlflow-skinny`` alone; registering needs the whole of MLflow. A version
-belongs to one of MLflow's logged models, which ties it to its run and, through the run's inputs, to the data.
+A version belongs to one of MLflow's logged models, which ties it to its run and, through the run's inputs, to
+the data. ``mlflow-skinny`` is enough.
 """
 
 import os
@@ -11,12 +11,9 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
-from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 from urllib.parse import unquote, urlsplit
 
-import numpy as np
 from mlflow import MlflowClient
 from mlflow.artifacts import download_artifacts
 from mlflow.entities import LoggedModel, LoggedModelOutput, LoggedModelStatus, Metric, Run
@@ -33,9 +30,6 @@ from services.registry.tracking import MAX_BATCH, MAX_DIGEST, all_pages
 
 # Where the bundle lies inside the saved model.
 BUNDLE_PATH = "artifacts/bundle"
-MODEL_CODE = Path(__file__).with_name("pyfunc_model.py")
-_REQUIREMENTS = ("numpy", "onnx", "onnxruntime", "pillow", "pydantic")
-_PAGE = 100
 # A redirect and a presigned address lead wherever the answering server likes. MLflow reads these from the
 # environment only; whoever needs them sets them.
 _FOLLOW_NOTHING = {"MLFLOW_ALLOW_HTTP_REDIRECTS": "false", "MLFLOW_ENABLE_PROXY_MULTIPART_DOWNLOAD": "false"}
@@ -79,7 +73,7 @@ class ModelRegistry:
         all_tags = {**tags, **world_tags(spec.world), TAG_DIGEST: digest}
 
         def create(run: Run) -> None:
-            model = _logged_model(self._client, name, bundle_folder, spec, run, all_tags)
+            model = _logged_model(self._client, name, bundle_folder, run, all_tags)
             _create_model(self._client, name)
             # The UI links a version to its logged model by the short form, which only a server can resolve.
             is_server = self._client.tracking_uri.startswith("http")
@@ -151,11 +145,8 @@ class ModelRegistry:
 
     def versions(self, name: str) -> tuple[ModelVersion, ...]:
         """All versions, newest first; empty for an unknown model."""
-        if "'" in name:
-            # It would end the filter's quotes, and MLflow has no way to escape it.
-            return ()
         with self._asking(f"listing the versions of {name}"):
-            found = all_pages(self._client.search_model_versions, f"name='{name}'", max_results=_PAGE)
+            found = all_pages(self._client.search_model_versions, f"name='{name}'")
             # MLflow's search for versions leaves the aliases out.
             aliases = self._client.get_registered_model(name).aliases if found else {}
         complete = [
@@ -167,7 +158,7 @@ class ModelRegistry:
     def names(self) -> tuple[str, ...]:
         """The registered models, in alphabetical order."""
         with self._asking("listing the models"):
-            found = all_pages(self._client.search_registered_models, max_results=_PAGE)
+            found = all_pages(self._client.search_registered_models)
             return tuple(sorted(model.name for model in found))
 
     def delete(self, name: str, number: int) -> None:
@@ -299,7 +290,6 @@ def _logged_model(
     client: MlflowClient,
     name: str,
     bundle_folder: Path,
-    spec: BundleSpec,
     run: Run,
     tags: Mapping[str, str],
 ) -> LoggedModel:
@@ -314,8 +304,8 @@ def _logged_model(
     status = LoggedModelStatus.FAILED
     try:
         with tempfile.TemporaryDirectory(prefix="cspace-model-") as folder:
-            _save_model(bundle_folder, spec, Path(folder), model.model_id, tags)
-            client.log_model_artifacts(model.model_id, f"{folder}/model")
+            shutil.copytree(bundle_folder, Path(folder) / BUNDLE_PATH)
+            client.log_model_artifacts(model.model_id, folder)
         client.log_outputs(info.run_id, [LoggedModelOutput(model.model_id, step=0)])
         _carry_metrics(client, run, model.model_id)
         status = LoggedModelStatus.READY
@@ -338,35 +328,3 @@ def _carry_metrics(client: MlflowClient, run: Run, model_id: str) -> None:
         points.append(Metric(key, last.value, last.timestamp, last.step, model_id, name, digest, run_id))
     for first in range(0, len(points), MAX_BATCH):
         client.log_batch(run_id, metrics=points[first : first + MAX_BATCH])
-
-
-def _save_model(
-    bundle_folder: Path, spec: BundleSpec, folder: Path, model_id: str, metadata: Mapping[str, str]
-) -> None:
-    """Write a bundle in MLflow's format into ``model``: a model from code with ONNX artifacts, no pickle."""
-    import mlflow.pyfunc  # noqa: PLC0415 - needs pandas, which serving does not have
-    import pandas as pd  # noqa: PLC0415 - as above
-    from mlflow.models import Model  # noqa: PLC0415 - as above
-    from mlflow.models.signature import ModelSignature  # noqa: PLC0415 - as above
-    from mlflow.types import ColSpec, DataType, ParamSchema, ParamSpec, Schema, TensorSpec  # noqa: PLC0415
-    from mlflow.types.schema import Array  # noqa: PLC0415 - as above
-
-    defaults: dict[str, Any] = {"n": 300, "seed": 0}
-    columns: list[ColSpec | TensorSpec] = [ColSpec(DataType.binary, "image")]
-    columns += [ColSpec(Array(DataType.double), name) for name in spec.endpoints]
-    samples = TensorSpec(np.dtype(np.float32), (-1, -1, spec.dim))
-    params = ParamSchema([ParamSpec(name, DataType.long, value) for name, value in defaults.items()])
-    ends = {name: [[0.0] * spec.dim] for name in spec.endpoints}
-    example = pd.DataFrame({"image": [spec.world.blank_picture()], **ends})
-    # The saved artifact takes the name of its folder.
-    shutil.copytree(bundle_folder, folder / "bundle")
-    mlflow.pyfunc.save_model(
-        folder / "model",
-        python_model=str(MODEL_CODE),
-        artifacts={"bundle": str(folder / "bundle")},
-        mlflow_model=Model(model_uuid=model_id, model_id=model_id),
-        signature=ModelSignature(Schema(columns), Schema([samples]), params),
-        input_example=(example, defaults),
-        pip_requirements=[f"{name}=={version(name)}" for name in _REQUIREMENTS],
-        metadata=dict(metadata),
-    )

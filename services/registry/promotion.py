@@ -1,19 +1,17 @@
 """Which version answers: the log of decisions, and what people do with versions by hand.
 
-The log is kept on the versions themselves, one tag ``decision.0001.5f0c2a91`` an entry, holding JSON. It is
-append-only: the last part of a tag is random, because the registry has no "set if absent" that would keep two
-evaluations of one moment from the same number. Every move of the champion by hand is a decision as the
-evaluator's are, with the words ``by hand`` among its reasons.
+The log is kept on the versions themselves, one tag ``decision.<ms since 1970>.<random>`` an entry, holding
+JSON. It is append-only: the last part keeps two evaluations of one moment apart. Every move of the champion
+by hand is a decision as the evaluator's are, with the words ``by hand`` among its reasons.
 """
 
 import json
-import re
 import secrets
 import tempfile
 import time
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -37,7 +35,6 @@ from services.names import (
     is_kept,
     is_own,
     model_name,
-    names_beside,
 )
 from services.registry import signing
 from services.registry.entities import ModelVersion
@@ -45,7 +42,6 @@ from services.registry.models import ModelRegistry
 from services.registry.tracking import Tracking
 
 PREFIX = "decision."
-_KEY = re.compile(rf"{re.escape(PREFIX)}(\d+)(?:\.[0-9a-f]+)?", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -92,20 +88,17 @@ def record_decision(registry: ModelRegistry, decision: Decision) -> None:
     The log comes first: a champion without a reason must not be, a reason whose alias was not moved is
     recorded again by a second run of the evaluation.
     """
-    version = registry.version(decision.name, decision.version)
-    number = max((entry[0] for entry in _entries(version)), default=0) + 1
-    key = f"{PREFIX}{number:04d}.{secrets.token_hex(4)}"
+    key = f"{PREFIX}{decision.created_ms:013d}.{secrets.token_hex(4)}"
     registry.set_tags(decision.name, decision.version, {key: decision.to_json()})
     if decision.promoted:
-        if TAG_ROLLED_BACK in version.tags:
-            registry.remove_tag(decision.name, decision.version, TAG_ROLLED_BACK)
+        registry.remove_tag(decision.name, decision.version, TAG_ROLLED_BACK)
         registry.set_alias(decision.name, ALIAS_CHAMPION, decision.version)
 
 
 def decisions_of(version: ModelVersion) -> tuple[Decision, ...]:
-    """The log of one version, oldest first; entries of one number in the order of their time."""
-    entries = [(number, Decision.from_json(text)) for number, text in _entries(version)]
-    return tuple(decision for _, decision in sorted(entries, key=lambda one: (one[0], one[1].created_ms)))
+    """The log of one version, oldest first."""
+    found = (Decision.from_json(text) for key, text in version.tags.items() if key.startswith(PREFIX))
+    return tuple(sorted(found, key=lambda decision: decision.created_ms))
 
 
 def decisions(registry: ModelRegistry, name: str) -> tuple[Decision, ...]:
@@ -122,51 +115,13 @@ def champions(registry: ModelRegistry, name: str) -> tuple[Decision, ...]:
     return tuple(decision for decision in decisions(registry, name) if decision.promoted)
 
 
-@dataclass(frozen=True, slots=True)
-class ChampionPeriod:
-    """A time during which one version was the champion; what was deleted with a version is None."""
-
-    version: int
-    since_ms: int | None
-    until_ms: int | None
-    reason: str | None
-
-    @property
-    def cells(self) -> tuple[str, str, str, str]:
-        """Version, begin, end and reason as text; servers follow within seconds."""
-        is_deleted = self.reason is None
-        since, until = ("" if moment is None else utc(moment) for moment in (self.since_ms, self.until_ms))
-        return str(self.version), since, until, "deleted since" if is_deleted else str(self.reason)
-
-
-def history(registry: ModelRegistry, name: str) -> tuple[ChampionPeriod, ...]:
-    """Which version of a model was the champion when, oldest first."""
-    periods: list[ChampionPeriod] = []
-    for decision in champions(registry, name):
-        before, now_ms = decision.against, decision.created_ms
-        if periods and periods[-1].version == before:
-            periods[-1] = replace(periods[-1], until_ms=now_ms)
-        elif before is not None:
-            periods.append(ChampionPeriod(before, None, now_ms, None))
-        periods.append(ChampionPeriod(decision.version, now_ms, None, decision.reasons[0]))
-    return tuple(periods)
-
-
 def utc(moment_ms: int) -> str:
     """A moment as people read it."""
     return datetime.fromtimestamp(moment_ms / 1000, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
 
 
-def _entries(version: ModelVersion) -> list[tuple[int, str]]:
-    """The log's entries with their numbers."""
-    matched = ((_KEY.fullmatch(key), text) for key, text in version.tags.items())
-    return [(int(match[1]), text) for match, text in matched if match is not None]
-
-
 BUNDLE_FOLDER, RECORD = "bundle", "version.json"
-BY_HAND, STEP_BACK = "by hand", "rolled back from"
 _MAX_RECORD_BYTES = 2**20
-ROLLED_BACK = f"{BY_HAND}: {STEP_BACK}"
 
 
 def promote(registry: ModelRegistry, version: ModelVersion, reason: str) -> Decision:
@@ -184,14 +139,8 @@ def roll_back(registry: ModelRegistry, name: str, reason: str) -> Decision:
     """
     present = registry.by_alias(name, ALIAS_CHAMPION).number
     there = {version.number: version for version in registry.versions(name)}
-    row: list[int] = []
-    for decision in champions(registry, name):
-        # A step back takes off the row what it left behind.
-        if decision.reasons[0].startswith(ROLLED_BACK) and decision.version in row:
-            del row[len(row) - row[::-1].index(decision.version) :]
-        else:
-            row.append(decision.version)
-    earlier = [number for number in row if number != present and number in there]
+    row = (there.get(decision.version) for decision in champions(registry, name))
+    earlier = [one for one in row if one and one.number != present and TAG_ROLLED_BACK not in one.tags]
     if not earlier:
         raise ModelNotFoundError(
             f"{name} cannot be rolled back",
@@ -199,7 +148,7 @@ def roll_back(registry: ModelRegistry, name: str, reason: str) -> Decision:
             got=f"version {present} alone",
             remedy="promote another version, or delete this one and the shipped model answers",
         )
-    decision = _by_hand(registry, there[earlier[-1]], f"{STEP_BACK} {present}: {reason}")
+    decision = _by_hand(registry, earlier[-1], f"rolled back from {present}: {reason}")
     # Before the alias moves: whoever repeats a command that was cut short must not step back twice.
     now = datetime.now(UTC).isoformat(timespec="seconds")
     registry.set_tags(name, present, {TAG_ROLLED_BACK: now})
@@ -262,8 +211,7 @@ def _require_name(registry: ModelRegistry, name: str, spec: BundleSpec) -> None:
     if is_own(name, spec.world):
         return
     digest = robot_digest(spec.world)
-    held = (version for model in names_beside(name) for version in registry.versions(model))
-    other = next((one for one in held if one.tags.get(TAG_ROBOT, digest) != digest), None)
+    other = next((one for one in registry.versions(name) if one.tags.get(TAG_ROBOT, digest) != digest), None)
     if other is None and not is_kept(name):
         return
     known = "" if other is None else f", and {other} is of robot {other.tags[TAG_ROBOT][:8]}"
@@ -288,9 +236,7 @@ def _tags(record: Path) -> Mapping[str, str]:
     except ValidationError as error:
         raise refused(error, ConfigError, str(record), "import what `export` wrote") from error
     left_out = (TAG_DIGEST, TAG_ROLLED_BACK, TAG_SIGNATURE)
-    return {
-        key: value for key, value in tags.items() if not key.startswith("decision.") and key not in left_out
-    }
+    return {key: value for key, value in tags.items() if not key.startswith(PREFIX) and key not in left_out}
 
 
 def _by_hand(registry: ModelRegistry, version: ModelVersion, reason: str) -> Decision:
@@ -305,7 +251,7 @@ def _by_hand(registry: ModelRegistry, version: ModelVersion, reason: str) -> Dec
         version.name,
         version.number,
         promoted=True,
-        reasons=(f"{BY_HAND}: {reason}",),
+        reasons=(f"by hand: {reason}",),
         metrics=decisions[-1].metrics if decisions else {},
         against=champion,
         created_ms=time.time_ns() // 1_000_000,

@@ -23,6 +23,7 @@ from mlflow.entities import Dataset, DatasetInput, Experiment, InputTag, Metric,
 from mlflow.exceptions import MlflowException
 from mlflow.store.artifact.artifact_repository_registry import get_artifact_repository
 from mlflow.store.entities import PagedList
+from mlflow.utils import get_results_from_paginated_fn
 
 from cspace.errors import RegistryError
 from services.names import (
@@ -40,9 +41,7 @@ from services.registry.errors import mapped, retry
 
 # Limits of the server: metrics and parameters in one call, and characters of a data set's digest.
 MAX_BATCH, _MAX_PARAMS, MAX_DIGEST = 1000, 100, 36
-# A call costs about as much for one metric as for many.
-_BUFFERED, _BUFFERED_S = 500, 5.0
-_PARENT = "mlflow.parentRunId"
+_PAGE, _PARENT = 1000, "mlflow.parentRunId"
 Answer = TypeVar("Answer")
 Item = TypeVar("Item")
 
@@ -213,7 +212,7 @@ class RunLog:
         self.run_id = run_id
         self._tracking, self._client = tracking, tracking.client
         self._points: list[Metric] = []
-        self._since_s, self._is_open = 0.0, False
+        self._is_open = False
 
     def open(self) -> None:
         """Mark the run as under way."""
@@ -230,23 +229,20 @@ class RunLog:
             self._ask("logging parameters", partial(self._client.log_batch, self.run_id, params=batch))
 
     def metrics(self, metrics: Mapping[str, float], step: int, time_ms: int | None = None) -> None:
-        """Log metrics of one step, buffered.
-
-        Points of the same step, value and ``time_ms`` (now, without one) are one point.
-        """
-        if not self._points:
-            self._since_s = time.monotonic()
-        at = time.time_ns() // 1_000_000 if time_ms is None else time_ms
-        self._points += [Metric(name, float(value), at, step) for name, value in metrics.items()]
-        if len(self._points) >= _BUFFERED or time.monotonic() - self._since_s >= _BUFFERED_S:
-            self.flush()
+        """Send metrics of one step; points of the same step, value and ``time_ms`` (else now) are one."""
+        self._add(metrics, step, time_ms)
+        self.flush()
 
     def history(self, rows: Iterable[Mapping[str, float]]) -> None:
         """Log and send a trial's metrics, each row with its ``step`` and ``time_ms``."""
         for row in rows:
             values = {name: value for name, value in row.items() if name not in ("step", "time_ms")}
-            self.metrics(values, int(row["step"]), int(row["time_ms"]))
+            self._add(values, int(row["step"]), int(row["time_ms"]))
         self.flush()
+
+    def _add(self, metrics: Mapping[str, float], step: int, time_ms: int | None) -> None:
+        at = time.time_ns() // 1_000_000 if time_ms is None else time_ms
+        self._points += [Metric(name, float(value), at, step) for name, value in metrics.items()]
 
     def flush(self) -> None:
         """Send the metrics that wait."""
@@ -349,14 +345,9 @@ class RunLog:
 
 def all_pages(search: Callable[..., PagedList[Item]], *arguments: Any, **options: Any) -> list[Item]:
     """Everything that one of the client's searches finds."""
-    found: list[Item] = []
-    token: str | None = None
-    while True:
-        page = search(*arguments, page_token=token, **options)
-        found += page
-        token = page.token or None
-        if token is None:
-            return found
+    return get_results_from_paginated_fn(  # type: ignore[no-any-return]
+        lambda number, token: search(*arguments, max_results=number, page_token=token, **options), _PAGE
+    )
 
 
 def _found(run: Run) -> FoundRun:

@@ -1,24 +1,19 @@
-"""What only MLflow can show: lineage, its own way to load a model, and that nothing global was touched."""
+"""What only MLflow can show: which run and which data a version comes from."""
 
 from dataclasses import dataclass
 from pathlib import Path
 
-import mlflow
-import numpy as np
-import pandas as pd
 import pytest
 from mlflow import MlflowClient
 
 from cspace.bundle import Bundle
-from cspace.png import encode_png
 from services.registry.entities import ModelVersion, Shown
 from services.registry.models import ModelRegistry
 from services.registry.tracking import Tracking
-from tests.bundles import picture, write_tiny_bundle
+from tests.bundles import write_tiny_bundle
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
 
 pytestmark = MLFLOW_WARNINGS
-ROOT = Path(__file__).parents[2]
 DIGEST = "fedcba9876543210" * 4
 
 
@@ -28,7 +23,6 @@ class Registered:
 
     uri: str
     version: ModelVersion
-    bundle: Bundle
 
 
 @pytest.fixture(scope="module", params=["database", pytest.param("server", marks=pytest.mark.e2e)])
@@ -65,29 +59,6 @@ def test_a_version_leads_to_its_run_and_to_the_data(registered: Registered) -> N
     assert metric.dataset_digest == DIGEST[:36]
 
 
-def test_a_model_loads_the_way_of_mlflow_and_gives_the_bundle_s_samples(
-    registered: Registered, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("MLFLOW_TRACKING_URI", registered.uri)
-    name, bundle = registered.version.name, registered.bundle
-    frame = pd.DataFrame({"image": [encode_png(picture(0)), encode_png(picture(1))]})
-    model = mlflow.pyfunc.load_model(f"models:/{name}/1")
-    samples = model.predict(frame, params={"n": 20, "seed": 5})
-    expected = [bundle.sample(picture(row), 20, 5 + row).samples for row in range(2)]
-    np.testing.assert_array_equal(samples, np.stack(expected))
-    assert samples.dtype == np.float32
-
-
-def test_a_saved_model_holds_no_pickle(registered: Registered, tmp_path: Path) -> None:
-    client = MlflowClient(tracking_uri=registered.uri, registry_uri=registered.uri)
-    source = client.get_model_version_download_uri(registered.version.name, "1")
-    folder = mlflow.artifacts.download_artifacts(
-        artifact_uri=source, dst_path=str(tmp_path / "all"), tracking_uri=registered.uri
-    )
-    names = {path.suffix for path in Path(folder).rglob("*") if path.is_file()}
-    assert names <= {"", ".json", ".npz", ".onnx", ".py", ".txt", ".yaml"}
-
-
 def _register(uri: str, folder: Path, name: str) -> Registered:
     bundle = Bundle.load(write_tiny_bundle(folder))
     with Tracking(uri).start("lineage", "global") as run:
@@ -99,4 +70,4 @@ def _register(uri: str, folder: Path, name: str) -> Registered:
         made = ModelRegistry(uri).register(
             name, folder, run.run_id, bundle.digest, {"data_digest": DIGEST}, alias="challenger"
         )
-    return Registered(uri, made, bundle)
+    return Registered(uri, made)

@@ -50,7 +50,7 @@ class FakeRunLog(RunLog):
             if self._run.params.setdefault(name, value) != value:
                 raise RegistryError(f"the parameter {name} has a value already")
 
-    def metrics(self, metrics: Mapping[str, float], step: int, time_ms: int | None = None) -> None:
+    def _add(self, metrics: Mapping[str, float], step: int, time_ms: int | None) -> None:
         for name, value in metrics.items():
             points = self._run.history.setdefault(name, [])
             if (step, float(value)) not in points:

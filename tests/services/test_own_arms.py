@@ -10,7 +10,7 @@ import pytest
 from cspace.errors import ConfigError, JobError, PlanningError, ScenarioError
 from cspace.worlds import robot_digest
 from cspace.worlds.spatial.world import shipped, usual
-from services.local.own_arm import import_arm, serve_untrained, tour_of_arm
+from services.local.quickstart import import_arm, serve_untrained, tour_of_arm
 from services.local.settings import Settings
 from services.names import label
 from services.planner.__main__ import parse_command
@@ -120,7 +120,7 @@ esac
     )
     stub.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(stub))
-    monkeypatch.setattr("services.local.own_arm.up", lambda *_: None)
+    monkeypatch.setattr("services.local.quickstart.up", lambda *_: None)
     return said
 
 
@@ -129,7 +129,7 @@ def test_an_arm_without_training_is_registered_served_and_planned_with(
 ) -> None:
     said, served, lines = stub_python(tmp_path, monkeypatch, 0, 1), [], []
     monkeypatch.setattr(
-        "services.local.own_arm.wait_served", lambda _, reference, *, default: served.append(reference)
+        "services.local.quickstart.wait_served", lambda _, reference, *, default: served.append(reference)
     )
     settings = Settings(home=tmp_path / "home")
     serve_untrained(settings, file, lines.append)
@@ -147,7 +147,7 @@ def test_a_step_that_fails_ends_it(
     file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, making: int, planning: int, says: str
 ) -> None:
     stub_python(tmp_path, monkeypatch, making, planning)
-    monkeypatch.setattr("services.local.own_arm.wait_served", lambda *_, **__: None)
+    monkeypatch.setattr("services.local.quickstart.wait_served", lambda *_, **__: None)
     settings = Settings(home=tmp_path / "home")
     with pytest.raises((JobError, PlanningError), match=says):
         serve_untrained(settings, file, lambda _: None)

@@ -15,13 +15,13 @@ from cspace.dataset import Dataset, open_dataset
 from cspace.errors import ConfigError, DatasetError
 from cspace.simulator import ORIGINS, Split
 from cspace.space import JointSpace
+from services.commands import numbers
 from services.evaluator.report import gallery
 from services.evaluator.scenes import Scene, Stage
 from services.names import ALIAS_CHALLENGER, TAG_MODEL, label, recorded_name
 from services.planner.samples import BundleSampler
 from services.registry.models import ModelRegistry
 from services.registry.tracking import RunLog
-from services.results import numbers
 from training.clusters.bundling import TrainedParts, make_bundle
 from training.clusters.clustering import Partition, cluster, group
 from training.config import CLUSTERS_FILE, TrainConfig

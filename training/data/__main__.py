@@ -20,8 +20,8 @@ from cspace.dataset import Dataset, open_dataset
 from cspace.errors import ConfigError, CspaceError, DatasetError, ScenarioError, StorageError
 from cspace.strict_json import refused
 from cspace.worlds import add_world_options, described_world
-from services.command_errors import report_error
-from services.registry.connection import tracking_uri
+from services.commands import report_error
+from services.registry import tracking_uri
 from services.scene_files import given_scenes, read_scene_file
 from training.data.config import USUAL_OF_ARMS, DatasetConfig, PathDatasetConfig
 from training.data.merge import merge

@@ -32,7 +32,7 @@ from cspace.worlds.spatial.camera_info import read_pinhole, undistorted
 from cspace.worlds.spatial.depth_files import METRES, rounded_mm
 from cspace.worlds.spatial.poses import quaternion_pose
 from cspace.worlds.spatial.world import SpatialWorld, add_options, described
-from services.command_errors import finite
+from services.commands import finite
 from services.progress import Progress
 
 _LOG = logging.getLogger(__name__)

@@ -12,7 +12,7 @@ from typing import Any
 
 from cspace.bundle import Provenance
 from cspace.errors import ConfigError
-from services.registry.connection import tracking_uri
+from services.registry import tracking_uri
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,7 @@
 
 from cspace.bundle import Bundle
 from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, EXPERIMENT, TAG_STAGE, recorded_name
-from services.registry.connection import connect
+from services.registry import connect
 from services.registry.entities import ID
 from training.jobs.job import world_tag
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from cspace.bundle import Bundle
 from cspace.dataset import Dataset, open_dataset
+from services.commands import numbers
 from services.names import ALIAS_CHALLENGER, TAG_MODEL, recorded_name
 from services.registry.models import ModelRegistry
-from services.results import numbers
 from training.config import PathTrainConfig
 from training.data.generate import generate
 from training.jobs.figures import path_curves

@@ -15,7 +15,7 @@ from typing import Any
 from cspace import bounded
 from cspace.errors import ConfigError, CspaceError, ScenarioError
 from cspace.files import replacing
-from services.command_errors import finite, report_error
+from services.commands import finite, report_error
 from training.robots.chain import Limits
 from training.robots.importing import Request, import_robot
 from training.robots.spheres import Allowances

@@ -11,7 +11,7 @@ from cspace.errors import ConfigError, CspaceError, ScenarioError
 from cspace.query import MAX_SAMPLES
 from cspace.simulator import PartlySeen, ProblemRequest, Split
 from cspace.worlds import examples, named_world, partly_seen
-from services.command_errors import finite, report_error
+from services.commands import finite, report_error
 from services.evaluator.benchmark.job import REPORT, Request, executor, run_benchmark
 from services.evaluator.benchmark.sources import bundled, parse_named, served
 from services.evaluator.benchmark.variants import (
@@ -29,7 +29,7 @@ from services.evaluator.benchmark.variants import (
     pick,
     table,
 )
-from services.registry.connection import tracking_uri
+from services.registry import tracking_uri
 from services.registry.tracking import Tracking
 
 WORLDS = examples()

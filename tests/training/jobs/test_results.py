@@ -3,8 +3,8 @@
 import json
 import sys
 
+from services.commands import RESULT_FILE, report_result
 from services.local.quickstart import last_result
-from services.results import RESULT_FILE, report_result
 from training.clusters.pipeline import TrainResult
 
 RESULT = TrainResult("r1", "arm", 3, "d1", "d2", {"loss": 0.12345678}, {"vae": (10.0, 14.5)}, ("vae-losses",))

@@ -1,12 +1,14 @@
-"""What a job says at its end: a block for people, and the same as JSON in a file."""
+"""What commands share: how one ends, a question to its user, numbers among its options."""
 
+import argparse
 import json
+import math
 import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from cspace.errors import StorageError
+from cspace.errors import ConfigError, CspaceError, StorageError
 from cspace.files import replacing
 
 RESULT_FILE = "result.json"
@@ -14,15 +16,34 @@ PREFIX = "RESULT "
 """Of the line for programs."""
 
 
+def report_error(error: CspaceError, *wrong: type[CspaceError], program: str = "error") -> int:
+    """Print an error after the program's name; returns 2 for the errors of a wrong request, 1 for others."""
+    sys.stderr.write(f"{program}: {error}\n")
+    return 2 if isinstance(error, wrong) else 1
+
+
+def confirmed(question: str) -> bool:
+    """Whether the person at the terminal says yes."""
+    if not sys.stdin.isatty():
+        raise ConfigError("there is nobody to ask", expected="a terminal", remedy="confirm with --yes")
+    return input(f"{question} [y/N] ").strip().lower() in {"y", "yes"}
+
+
+def finite(text: str) -> float:
+    """The type of an option that is a finite number; ``float`` would take ``inf`` and ``nan``."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"expected a finite number, got {text[:80]!r}")
+    return value
+
+
 def report_result(result: Mapping[str, Any], rows: Mapping[str, str], folder: Path | None) -> None:
-    """Keep the result in the job's folder, which is made if it has to be, and print it.
+    """Print a job's result as a block of rows, and keep it as JSON in the job's folder if it has one.
 
     Programs read the file, or the line ``RESULT`` with the same JSON, the last of a log; a terminal has none.
-
-    Args:
-        result: plain values.
-        rows: of the block, by what they tell.
-        folder: of the job; None where it has none, then there is no file.
     """
     text = json.dumps(result)
     shown = dict(rows) if folder is None else {**rows, "as JSON": _kept(text, folder / RESULT_FILE)}
@@ -30,8 +51,7 @@ def report_result(result: Mapping[str, Any], rows: Mapping[str, str], folder: Pa
     lines = ["", "result", *(f"  {name.ljust(width)}  {row}" for name, row in shown.items() if row)]
     if not sys.stdout.isatty():
         lines.append(f"{PREFIX}{text}")
-    sys.stdout.write("\n".join(lines) + "\n")
-    sys.stdout.flush()
+    print("\n".join(lines), flush=True)  # noqa: T201
 
 
 def _kept(text: str, path: Path) -> str:

@@ -1,7 +1,7 @@
 import pytest
 
 from cspace.errors import BundleError, ConfigError, ModelNotFoundError, ScenarioError
-from services.command_errors import report_error
+from services.commands import report_error
 
 
 @pytest.mark.parametrize(
