@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, Field, WithJsonSchema, model_validator
 
 from cspace.bundle import Bundle
-from cspace.errors import InputError
+from cspace.errors import ImageError, InputError
 from cspace.query import is_digest
 from cspace.view_file import View, check_ages, unstamped
-from cspace.world import CheckCancelled, Finding
+from cspace.world import POSE_CODES, CheckCancelled, Finding
 from cspace_client.wire import (
     DIGEST,
     MAX_EXPLAINED,
@@ -182,8 +182,16 @@ def view_of(request: SceneFields) -> View:
     return replace(view, cameras=cameras)
 
 
-def prepare(models: ModelStore, bundle: Bundle, view: View, check_cancelled: CheckCancelled) -> Prepared:
+def prepare(
+    models: ModelStore,
+    bundle: Bundle,
+    view: View,
+    check_cancelled: CheckCancelled,
+    check_pose: bool = False,
+) -> Prepared:
     """Pictures decoded and encoded for a bundle, from memory where they were before.
+
+    With ``check_pose`` a pose or state by which the arm is clearly elsewhere is refused.
 
     Raises:
         ImageError: a picture or a camera is none that is accepted.
@@ -205,7 +213,16 @@ def prepare(models: ModelStore, bundle: Bundle, view: View, check_cancelled: Che
             without_state=examined.without_state,
         )
 
-    return models.prepared(bundle, view.digest(), make)
+    prepared = models.prepared(bundle, view.digest(), make)
+    wrong = [one for one in prepared.findings if one.code in POSE_CODES]
+    if check_pose and wrong:
+        raise ImageError(
+            f"the arm is not where `state` and the camera's pose put it: {wrong[0].code}",
+            expected="the arm in the picture where `state` and `pose` say",
+            got=wrong[0].seen,
+            remedy=f"{wrong[0].remedy}; POST /doctor looks closer; check_pose false answers all the same",
+        )
+    return prepared
 
 
 @contextmanager

@@ -62,7 +62,7 @@ def sample(
     query = fitted(_query_of(request), bundle.spec, has_validity=bundle.has_validity)
     if has_known(request):
         models.planner.require()
-    prepared = prepare(models, bundle, view_of(request), place.check_cancelled)
+    prepared = prepare(models, bundle, view_of(request), place.check_cancelled, request.check_pose)
     # A ``.npy`` holds samples alone: nobody would see the scores of those that are not filtered.
     with needs_kernels():
         found = bundle.answer(
