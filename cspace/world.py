@@ -23,6 +23,20 @@ Arrays = Mapping[str, NDArray[Any]]
 CheckCancelled = Callable[[], None]
 # Codes of findings that servers act on.
 ARM_IN_PICTURE, LITTLE_IN_REACH = "arm-in-picture", "little-in-reach"
+# Of wrong poses and states: what names a cause, and those by which requests are refused.
+CAUSES = frozenset(
+    {
+        "depth-unit",
+        "quaternion-order",
+        "inverted-pose",
+        "body-frame",
+        "opengl-frame",
+        "transposed-rotation",
+        "translation-unit",
+        "upside-down",
+    }
+)
+POSE_CODES = CAUSES | {"arm-elsewhere"}
 # Above it a picture is unlike any of training.
 _NOVEL = 0.999
 

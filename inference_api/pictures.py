@@ -11,8 +11,9 @@ from cachetools import LRUCache
 from fastapi import Depends, Request
 
 from cspace.bundle import Bundle, Picture
+from cspace.errors import ImageError
 from cspace.view_file import View
-from cspace.world import CheckCancelled, Finding, World
+from cspace.world import POSE_CODES, CheckCancelled, Finding, World
 
 # A dozen arrays of space, or all the flat ones.
 MAX_BYTES = 20 * 2**20
@@ -45,13 +46,29 @@ class PictureCache:
             MAX_BYTES, lambda prepared: prepared.picture.size_bytes
         )
 
-    def prepare(self, bundle: Bundle, view: View, check_cancelled: CheckCancelled) -> Prepared:
+    def prepare(
+        self, bundle: Bundle, view: View, check_cancelled: CheckCancelled, check_pose: bool = False
+    ) -> Prepared:
         """Pictures for a bundle, from memory where they were before.
+
+        With ``check_pose`` a pose or state by which the arm is clearly elsewhere is refused.
 
         Raises:
             ImageError: a picture or a camera is none that is accepted.
             InputError: what is known does not fit.
         """
+        prepared = self._prepared(bundle, view, check_cancelled)
+        wrong = [one for one in prepared.findings if one.code in POSE_CODES]
+        if check_pose and wrong:
+            raise ImageError(
+                f"the arm is not where `state` and the camera's pose put it: {wrong[0].code}",
+                expected="the arm in the picture where `state` and `pose` say",
+                got=wrong[0].seen,
+                remedy=f"{wrong[0].remedy}; POST /doctor looks closer; check_pose false answers all the same",
+            )
+        return prepared
+
+    def _prepared(self, bundle: Bundle, view: View, check_cancelled: CheckCancelled) -> Prepared:
         key = bundle.digest, view.digest()
         with self._lock:
             known = self._kept.get(key)

@@ -71,7 +71,7 @@ def plan(
     with needs_kernels():
         # Before the pictures: a wrong start costs nothing.
         fitted_problem(spec, given)
-        prepared = pictures.prepare(bundle, view, place.check_cancelled)
+        prepared = pictures.prepare(bundle, view, place.check_cancelled, request.check_pose)
         findings = _findings(spec.world, prepared, query)
         if given.min_confidence is None and any(one.code == LITTLE_IN_REACH for one in findings):
             # The calibration of other scenes does not hold here, so that paths are refused by default.

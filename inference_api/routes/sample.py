@@ -63,7 +63,7 @@ def sample(
     query = fitted(_query_of(request), bundle.spec, has_validity=bundle.has_validity)
     if has_known(request):
         kernels.require()
-    prepared = pictures.prepare(bundle, view_of(request), place.check_cancelled)
+    prepared = pictures.prepare(bundle, view_of(request), place.check_cancelled, request.check_pose)
     # A ``.npy`` holds samples alone: nobody would see the scores of those that are not filtered.
     with needs_kernels():
         found = bundle.answer(

@@ -81,7 +81,7 @@ def validity(
         )
     if request.explain or has_known(request):
         kernels.require()
-    prepared = pictures.prepare(bundle, view_of(request), place.check_cancelled)
+    prepared = pictures.prepare(bundle, view_of(request), place.check_cancelled, request.check_pose)
     picture, scoring = prepared.picture, time.perf_counter()
     confidence, unseen = bundle.predict(picture, configurations, place.check_cancelled)
     ended = time.perf_counter()

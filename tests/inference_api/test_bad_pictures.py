@@ -15,9 +15,9 @@ from cspace.png import encode_png
 from cspace.simulator import Split
 from cspace.worlds import examples, simulator_of
 from cspace.worlds.spatial.camera import DepthCamera, encode_depth, looking
-from cspace.worlds.spatial.poses import pose_of
+from cspace.worlds.spatial.poses import make_pose, pose_of, turn
 from tests.bundles import picture
-from tests.cspace.worlds.spatial.test_doctor import CAMERA, PICTURE, STATE
+from tests.cspace.worlds.spatial.test_doctor import CAMERA, PICTURE, STATE, order_wxyz
 from tests.inference_api.answers import assert_problem
 from tests.inference_api.client import ApiClient
 
@@ -201,3 +201,42 @@ def test_wrong_requests_are_refused_as_elsewhere(api: ApiClient, page: str) -> N
     assert_problem(ask(api, page, [wall()], [RIGHT], n="3"), 422, "invalid-value")
     assert_problem(ask(api, page, [wall()], [RIGHT], state="[1.0]"), 422, "invalid-image")
     assert_problem(ask(api, page, [wall()], [RIGHT], robot="0" * 64), 409, "other-robot")
+
+
+def posed(api: ApiClient, matrix: NDArray[np.float64], **fields: str) -> httpx.Response:
+    camera = camera_of(matrix, **{name: getattr(CAMERA, name) for name in ("fx", "fy", "cx", "cy")})
+    asked = PAGES["/validity"] | {"state": json.dumps(STATE)} | fields
+    return ask(api, "/validity", [PICTURE], [camera], **asked)
+
+
+@pytest.mark.parametrize(
+    ("cause", "turned"),
+    [
+        ("inverted-pose", np.linalg.inv),
+        ("opengl-frame", lambda pose: pose @ np.diag([1.0, -1.0, -1.0, 1.0])),
+        ("quaternion-order", order_wxyz),
+        (
+            "elsewhere",
+            lambda pose: make_pose(turn((0.0, 0.0, 1.0), np.radians(10)) @ pose[:3, :3], pose[:3, 3]),
+        ),
+    ],
+)
+def test_a_pose_by_which_the_arm_is_elsewhere_is_refused_with_its_cause(
+    api: ApiClient, cause: str, turned: Any
+) -> None:
+    words = {
+        "inverted-pose": "base in the camera",
+        "opengl-frame": "OpenGL",
+        "quaternion-order": "quaternion",
+        "elsewhere": "arm-elsewhere",
+    }
+    problem = assert_problem(posed(api, turned(CAMERA.matrix)), 422, "invalid-image")
+    assert words[cause] in json.dumps(problem)
+
+
+def test_a_right_pose_is_answered_and_a_wrong_one_where_it_is_not_checked(api: ApiClient) -> None:
+    assert posed(api, CAMERA.matrix).status_code == 200
+    turned = make_pose(turn((0.0, 0.0, 1.0), np.radians(10)) @ CAMERA.matrix[:3, :3], CAMERA.matrix[:3, 3])
+    answer = posed(api, turned, check_pose="false")
+    assert answer.status_code == 200
+    assert "arm-elsewhere" in codes(answer.json())

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cspace.errors import ImageError
-from cspace.world import ARM_IN_PICTURE, LITTLE_IN_REACH, Finding, Image
+from cspace.world import ARM_IN_PICTURE, CAUSES, LITTLE_IN_REACH, Finding, Image
 from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.camera import FARTHEST_MM, NEAREST_MM, DepthCamera, in_range
 from cspace.worlds.spatial.sensor import (
@@ -81,7 +81,12 @@ class _Reach:
 
 
 def diagnose(
-    arm: SerialArm, sensor: DepthSensor, view: DepthView, single: Sequence[Image], fused: Image
+    arm: SerialArm,
+    sensor: DepthSensor,
+    view: DepthView,
+    single: Sequence[Image],
+    fused: Image,
+    posed: Sequence[Finding] = (),
 ) -> tuple[Finding, ...]:
     """The findings of a view.
 
@@ -91,6 +96,7 @@ def diagnose(
         view: as it came.
         single: what each picture says alone, (X, Y, Z, 2) each.
         fused: what all say together.
+        posed: what is wrong with the pose by the arm in the picture, which an error then names.
 
     Raises:
         ImageError: no picture shows any of the space that the arm can reach.
@@ -106,7 +112,8 @@ def diagnose(
             expected="free space or surfaces within "
             f"{shoulder_reach_m(arm):.2f} m of the arm's first joint in at least one picture",
             got=_looks(view),
-            remedy="check that pose is the camera in the robot's base with z forward, x right and y down "
+            remedy="; ".join(f"{one.seen}: {one.remedy}" for one in posed if one.code in CAUSES)
+            or "check that pose is the camera in the robot's base with z forward, x right and y down "
             "(OpenGL and Blender have z backwards), and that depths are in mm, or send depth_scale_m",
         )
     found = [

@@ -148,6 +148,26 @@ def quaternion_pose(place_m: ArrayLike, quaternion_xyzw: ArrayLike) -> NDArray[n
     return make_pose(turn, place_m)
 
 
+def quaternion_of(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The quaternion x, y, z, w of a rotation (3, 3), up to its sign."""
+    (a, b, c), (d, e, f), (g, h, i) = rotation
+    outer = np.array(
+        [
+            [1 + a - e - i, b + d, c + g, h - f],
+            [b + d, 1 - a + e - i, f + h, c - g],
+            [c + g, f + h, 1 - a - e + i, d - b],
+            [h - f, c - g, d - b, 1 + a + e + i],
+        ]
+    )
+    row = outer[np.argmax(np.diag(outer))]
+    return np.asarray(row / np.linalg.norm(row))
+
+
+def turn_deg(rotation: NDArray[np.float64]) -> float:
+    """How far a rotation (3, 3) turns."""
+    return float(np.degrees(np.arccos(np.clip((np.trace(rotation) - 1.0) / 2.0, -1.0, 1.0))))
+
+
 def _matrix(pose: Any) -> NDArray[np.float64] | None:
     try:
         matrix = np.asarray(pose, dtype=np.float64)

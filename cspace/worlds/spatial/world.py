@@ -36,7 +36,7 @@ from cspace.worlds.spatial.diagnostics import (
     unseen_m,
     view_findings,
 )
-from cspace.worlds.spatial.doctor import diagnosed, nothing_in_reach
+from cspace.worlds.spatial.doctor import diagnosed, nothing_in_reach, pose_findings
 from cspace.worlds.spatial.furniture import SpatialScenes
 from cspace.worlds.spatial.obstacles import BOX_VALUES, CYLINDER_VALUES
 from cspace.worlds.spatial.planning_scene import PlanningScene
@@ -111,11 +111,12 @@ class SpatialWorld(World):
     def examined(self, view: DepthView, check_cancelled: CheckCancelled | None = None) -> Examined:
         """:meth:`observed`, (1, X, Y, Z, 2), with what is to be said of the view."""
         known = None if view.known is None else self.situation(view.known)
+        posed = pose_findings(self.body if known is None else known.arm, view)
         single = self._each(view, check_cancelled, known)
         image = fused(single)
         if known is not None:
             known.complete(image, self.sensor.grid, check_cancelled or (lambda: None))
-        findings = diagnose(self.body, self.sensor, view, single, image)
+        findings = (*diagnose(self.body, self.sensor, view, single, image, posed), *posed)
         return Examined(image[None], findings, None in view.states, known, len(view.pictures))
 
     def situation(self, known: PlanningScene) -> Any:
@@ -147,8 +148,7 @@ class SpatialWorld(World):
             cheap = self.examined(view, check_cancelled).findings
         except ImageError as error:
             cheap = (nothing_in_reach(error), *view_findings(self.body, self.sensor, view))
-        spheres = _spheres(self.body, view)
-        return diagnosed(self.body, self.sensor, view, spheres, cheap, check_cancelled or (lambda: None))
+        return diagnosed(self.body, self.sensor, view, cheap, check_cancelled or (lambda: None))
 
     def _each(
         self, view: DepthView, check_cancelled: CheckCancelled | None, known: Any = None
