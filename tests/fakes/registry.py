@@ -187,35 +187,28 @@ class FakeRegistry(ModelRegistry):
         got = files.digest
         if got != digest:
             raise BundleIntegrityError("another bundle", expected=digest, got=got)
-        self._check_there()
-        if self._runs is not None and run_id not in self._runs:
-            raise RegistryError(f"there is no run {run_id}")
-        known = self._versions.setdefault(name, [])
-        same = [one for one in known if one and (one.run_id, one.digest) == (run_id, digest)]
-        if same:
-            number = same[0].number
-        else:
-            number = len(known) + 1
-            now_ms = time.time_ns() // 1_000_000
-            known.append(ModelVersion(name, number, run_id, digest, (), {}, now_ms))
-            shutil.copytree(bundle_folder, self._place(name, number))
         world = BundleSpec.from_json(files.contents[SPEC_FILE]).world
-        self.set_tags(name, number, {**tags, **world_tags(world), "digest": digest})
-        if alias is not None:
-            self.set_alias(name, alias, number)
-        return self.version(name, number)
+        all_tags = {**tags, **world_tags(world), TAG_DIGEST: digest}
+        return self._once(name, run_id, all_tags, alias, bundle_folder)
 
     def record(
         self, name: str, run_id: str, tags: Mapping[str, str], *, alias: str | None = None
     ) -> ModelVersion:
+        return self._once(name, run_id, tags, alias, None)
+
+    def _once(  # type: ignore[override]
+        self, name: str, run_id: str, tags: Mapping[str, str], alias: str | None, bundle: Path | None
+    ) -> ModelVersion:
         self._check_there()
         if self._runs is not None and run_id not in self._runs:
             raise RegistryError(f"there is no run {run_id}")
-        known = self._versions.setdefault(name, [])
-        number = next((one.number for one in known if one and one.run_id == run_id), len(known) + 1)
-        if number > len(known):
-            digest, now_ms = tags.get(TAG_DIGEST, ""), time.time_ns() // 1_000_000
-            known.append(ModelVersion(name, number, run_id, digest, (), {}, now_ms))
+        known, digest = self._versions.setdefault(name, []), tags.get(TAG_DIGEST, "")
+        same = [one.number for one in known if one and (one.run_id, one.digest) == (run_id, digest)]
+        number = same[0] if same else len(known) + 1
+        if not same:
+            known.append(ModelVersion(name, number, run_id, digest, (), {}, time.time_ns() // 1_000_000))
+            if bundle is not None:
+                shutil.copytree(bundle, self._place(name, number))
         self.set_tags(name, number, tags)
         if alias is not None:
             self.set_alias(name, alias, number)

@@ -22,29 +22,13 @@ def test_progress_is_told_in_lines_where_there_is_no_terminal():
     assert lines == ["planning: 2/2"]
 
 
-def test_nobody_knows_the_time_before_something_is_done_and_some_time_has_passed():
-    clock = Clock()
-    estimate = Estimate(10, clock=clock)
-    clock.now += 1.0
-    assert estimate.left(1) == ""
-    clock.now += 100.0
-    assert estimate.left(0) == ""
-
-
 def test_the_estimate_goes_by_the_pace_of_what_this_attempt_has_done():
     clock = Clock()
     estimate = Estimate(100, done=50, clock=clock)
-    clock.now += 10.0
-    assert estimate.left(60) == ", about 40 s left"
-
-
-def test_the_last_steps_are_neither_zero_nor_negative():
-    clock = Clock()
-    estimate = Estimate(100, clock=clock)
-    clock.now += 100.0
-    assert estimate.left(99) == ", almost done"
-    assert estimate.left(100) == ""
-    assert estimate.left(101) == ""
+    clock.now += 1.0
+    assert estimate.left(51) == ""
+    clock.now += 9.0
+    assert [estimate.left(done) for done in (50, 60, 100)] == ["", ", about 40 s left", ""]
 
 
 @pytest.mark.parametrize(

@@ -56,9 +56,8 @@ def test_a_line_stays_a_line_of_bounded_length() -> None:
     assert len(anonymous("é" * 10_000)) <= MAX_LENGTH + 4
 
 
-@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EROFS])
-def test_a_full_disk_is_found_however_deep_it_is_wrapped(number: int) -> None:
-    full = OSError(number, "words")
+def test_a_full_disk_is_found_however_deep_it_is_wrapped() -> None:
+    full = OSError(errno.ENOSPC, "words")
     wrapped = requests.exceptions.ChunkedEncodingError("words")
     wrapped.__context__ = MlflowException("words")
     wrapped.__context__.__cause__ = full
