@@ -180,7 +180,7 @@ FIRST = "problems/box_panda/scene0001.yaml"
         ({FIRST: b"world: ["}, "no YAML"),
         ({FIRST: b"world: {}"}, "box 1: KeyError 'collision_objects'"),
         ({FIRST: TEXTS[0][0].replace(b"cylinder", b"sphere")}, "a shape is unknown.*'sphere'"),
-        ({FIRST: TEXTS[0][0].replace(b"0.03", b"-0.03")}, "radius_m does not fit; expected above 0"),
+        ({FIRST: TEXTS[0][0].replace(b"0.03", b"-0.03")}, "radius_m does not fit; expected greater than 0"),
         ({FIRST.replace("scene", "request"): None}, "box 1: KeyError"),
         ({FIRST.replace("box", "kitchen"): b"{}"}, "kitchen 1: KeyError"),
     ],
