@@ -70,6 +70,7 @@ def _resized(camera: DepthCamera, by: float) -> DepthCamera:
     return replace(camera, fx=camera.fx * by, fy=camera.fy * by, cx=camera.cx * by, cy=camera.cy * by)
 
 
+# ruff: noqa: ARG005 # each takes what one of them needs
 FAULTS: dict[str, Callable[[DepthView, DepthCamera, np.ndarray, Rng], DepthView]] = {
     "depth-unit": lambda v, c, p, r: _scaled(v, r.choice((10, 0.1, 5, 4, 8))),
     "ray-distance": lambda v, c, p, r: _scaled(v, np.linalg.norm(c.rays(), axis=-1)),

@@ -146,7 +146,7 @@ def seen_checkers(
 def load_known(world: World) -> None:
     """Have the compiled code of what is known beside pictures in this process, where a world's can be."""
     if world.kind in _PARTLY_SEEN:
-        _part(world.kind, "situation").load_kernels(world)
+        _part(world.kind, "scene_checker").load_kernels(world)
 
 
 def tool_constraints(

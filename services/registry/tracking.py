@@ -345,9 +345,10 @@ class RunLog:
 
 def all_pages(search: Callable[..., PagedList[Item]], *arguments: Any, **options: Any) -> list[Item]:
     """Everything that one of the client's searches finds."""
-    return get_results_from_paginated_fn(  # type: ignore[no-any-return, no-untyped-call]
+    found: list[Item] = get_results_from_paginated_fn(  # type: ignore[no-untyped-call]
         lambda number, token: search(*arguments, max_results=number, page_token=token, **options), _PAGE
     )
+    return found
 
 
 def _found(run: Run) -> FoundRun:

@@ -3,17 +3,12 @@
 import io
 import subprocess
 import sys
-import threading
-import warnings
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from cspace.errors import ImageError
-from cspace.png import encode_png
 from cspace.worlds.planar.camera import decode_png
 from tests.cspace.png_files import (
     GREY,
@@ -111,22 +106,3 @@ def test_the_largest_picture_takes_less_than_40_mb(tmp_path) -> None:
     assert path.stat().st_size > 4_000_000
     done = subprocess.run([sys.executable, "-c", MEMORY, str(path)], capture_output=True, check=True)
     assert int(done.stdout) * 1024 < 40_000_000
-
-
-def test_many_threads_leave_the_warnings_of_the_process_alone() -> None:
-    good = encode_png(np.full((20, 20, 3), 7, np.uint8))
-    start = threading.Barrier(8)
-
-    def work(_: int) -> None:
-        start.wait()
-        for _ in range(60):
-            assert (decode_png(good) == 7).all()
-            with pytest.raises(ImageError):
-                decode_png(good[:-30])
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("default")
-        before = list(warnings.filters)
-        with ThreadPoolExecutor(8) as pool:
-            list(pool.map(work, range(8)))
-        assert warnings.filters == before

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from cspace.errors import JobError, StorageError
-from cspace.files import HALF_PREFIX, HALF_SUFFIX, discard, holding, replacing, write_json
+from cspace.files import holding, replacing, write_json
 
 
 def test_a_file_takes_the_place_of_the_one_that_was_there(tmp_path: Path) -> None:
@@ -18,17 +18,6 @@ def test_a_file_takes_the_place_of_the_one_that_was_there(tmp_path: Path) -> Non
         write_json(target, {"number": number})
         assert json.loads(target.read_text()) == {"number": number}
     assert list(tmp_path.iterdir()) == [target]
-
-
-def test_until_the_end_readers_see_what_was_there(tmp_path: Path) -> None:
-    target = tmp_path / "record.json"
-    target.write_text("old")
-    with replacing(target) as beside:
-        beside.write_text("new")
-        assert target.read_text() == "old"
-        assert (beside.parent, beside.name.startswith(HALF_PREFIX)) == (tmp_path, True)
-        assert beside.name.endswith(HALF_SUFFIX)
-    assert target.read_text() == "new"
 
 
 def interrupted(target: Path, error: BaseException, folder: bool) -> None:
@@ -64,13 +53,6 @@ def test_what_cannot_be_written_is_told_in_the_systems_words_without_a_path(tmp_
         beside.mkdir(parents=True)
     assert caught.value.what == "the bundle cannot be written"
     assert str(tmp_path) not in str(caught.value)
-
-
-def test_what_is_not_there_can_be_discarded(tmp_path: Path) -> None:
-    discard(tmp_path / "nothing")
-    (tmp_path / "folder" / "inner").mkdir(parents=True)
-    discard(tmp_path / "folder")
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_lock_file_is_held_by_one_at_a_time_and_given_back_after_an_error(tmp_path: Path) -> None:

@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from cspace.errors import DatasetError
-from cspace.space import JointSpace, circles, difference, embed, to_float32, wrap
+from cspace.space import JointSpace, difference
 
-TORUS = circles(2)
 MIXED = JointSpace((-pi, -1.0), (pi, 2.0), (True, False))
 rows = arrays(np.float64, (5, 2), elements=st.floats(-1e3, 1e3))
 
@@ -90,38 +89,9 @@ def test_what_is_outside_comes_in_by_whole_turns_or_to_the_nearer_limit():
     assert wide.bound([3.9])[0] == 3.9
 
 
-def test_what_is_outside_by_rounding_stays_at_its_limit():
-    whole = JointSpace((-pi,), (pi,), (False,))
-    assert whole.bound([pi + 1e-6])[0] == pi
-    assert whole.bound([-pi - 1e-6])[0] == -pi
-
-
-@given(rows)
-def test_on_the_torus_every_number_is_that_of_the_plain_functions(configurations):
-    np.testing.assert_array_equal(TORUS.bound(configurations), wrap(configurations))
-    np.testing.assert_array_equal(TORUS.to_float32(configurations), to_float32(configurations))
-    np.testing.assert_array_equal(TORUS.embed(configurations), embed(configurations))
-
-
-@pytest.mark.parametrize("dim", [1, 7])
-def test_uniform_draws_on_the_torus_are_those_of_one_range_for_all_joints(dim):
-    drawn = circles(dim).sample_uniform(np.random.default_rng(3), 100)
-    np.testing.assert_array_equal(drawn, np.random.default_rng(3).uniform(-np.pi, np.pi, (100, dim)))
-    assert circles(dim).volume == (2.0 * np.pi) ** dim
-
-
 def test_the_embedding_keeps_limited_joints_in_rad_behind_the_circles():
     np.testing.assert_allclose(MIXED.embed([pi / 2.0, 1.5]), [0.0, 1.0, 1.5], atol=1e-15)
     assert MIXED.volume == pytest.approx(6.0 * pi)
-
-
-def test_a_space_says_what_it_is():
-    assert TORUS.to_dict() == {"kind": "torus", "dim": 2, "unit": "rad"}
-    assert MIXED.to_dict() == {
-        "kind": "mixed", "dim": 2, "unit": "rad",
-        "lower": [-pi, -1.0], "upper": [pi, 2.0], "periodic": [True, False],
-    }  # fmt: skip
-    assert JointSpace((-4.0,), (1.0,), (False,)).to_dict()["kind"] == "box"
 
 
 LIMITED = JointSpace((-2.9671, -pi), (2.8973, pi), (False, True), ("shoulder", "wrist"))
@@ -132,12 +102,6 @@ LIMITED = JointSpace((-2.9671, -pi), (2.8973, pi), (False, True), ("shoulder", "
 )
 def test_what_rounding_moved_beyond_a_limit_is_taken_as_the_limit(rows):
     np.testing.assert_array_equal(LIMITED.admitted(rows, "rows lie outside"), [[2.8973, 0.0]])
-
-
-def test_what_is_inside_is_taken_as_it_is():
-    rows = [[-2.9671, 4.0], [0.25, -12.5]]
-    np.testing.assert_array_equal(LIMITED.admitted(rows, "rows lie outside"), rows)
-    assert LIMITED.admitted(np.empty((0, 2)), "rows lie outside").shape == (0, 2)
 
 
 @pytest.mark.parametrize(

@@ -195,7 +195,7 @@ class SpatialPartlySeen:
         known, holding = None, None
         if request.held:
             obstacles, known = in_hand(world.body, layout.obstacles, ends[1])
-            layout, holding = replace(layout, obstacles=obstacles), world.situation(known).arm
+            layout, holding = replace(layout, obstacles=obstacles), world.scene_checker(known).arm
         if not CollisionChecker(holding or world.body, layout.obstacles).valid_batch(ends).all():
             return None
         rng = np.random.default_rng([25, pictures, *family.removeprefix(PREFIX).encode(), *number])

@@ -244,7 +244,7 @@ def seen_checkers(
     """See :func:`cspace.worlds.seen_checkers`; distances are those of the picture's voxels.
 
     Obstacles are known to stand there, too, whatever the picture shows. What else is known is a
-    :class:`cspace.worlds.spatial.situation.Situation`.
+    :class:`cspace.worlds.spatial.scene_checker.SceneChecker`.
     """
     arm, bodies = (world.body, NO_BODIES) if known is None else (known.arm, known.bodies)
     grid = world.sensor.grid

@@ -37,7 +37,7 @@ _BETTER, _FITS = 0.06, 0.5
 _BASE_AGREES = 0.75
 # Two within this of each other tie.
 _TIE = 0.02
-# Below this score of the arm, or above this share of pixels that see through it, it is not where it should be.
+# Below this score of the arm, or above this share of pixels that see through it, it is elsewhere.
 _DISAGREES, _SEEN_THROUGH = 0.35, 0.4
 # Of the pixels that other hypotheses would see.
 _BLANK_ARM, _BLANK_PICTURE = 0.6, 0.03
@@ -142,7 +142,7 @@ def _is_elsewhere(stated: Score, few: int = FEW_PIXELS) -> bool:
 
 
 def _named(found: Sequence[Explanation], stated: Score, better: float = _BETTER) -> list[Explanation]:
-    """The explanations that are clearly better than the request as sent: the best, and one that ties with it."""
+    """The explanations that are clearly better than the request as sent: the best, and one that ties."""
     good = [one for one in found if one.score.arm >= _FITS and one.score.total > stated.total + better]
     return [one for one in good[:2] if one.score.total > good[0].score.total - _TIE]
 
@@ -156,8 +156,8 @@ def _unexplained(stated: Score, number: int, few: int = FEW_PIXELS) -> list[Find
     """What is said of an arm that is not where it should be, if no hypothesis is better."""
     if _is_elsewhere(stated, few):
         seen = (
-            f"{stated.through:.0%} of the pixels that should show the arm see through it, and no single cause "
-            f"explains where it is (score as sent {stated.total:.2f})"
+            f"{stated.through:.0%} of the pixels that should show the arm see through it, and no single "
+            f"cause explains where it is (score as sent {stated.total:.2f})"
         )
         remedy = (
             "check that `state` is of the moment of the picture and in rad, and the camera's pose and numbers"
@@ -166,7 +166,10 @@ def _unexplained(stated: Score, number: int, few: int = FEW_PIXELS) -> list[Find
         return [Finding(ELSEWHERE, seen, effect, remedy, (number,))]
     if stated.rendered < few:
         seen = "almost none of the arm is in view by `state` and the camera's pose"
-        remedy = "check the pose: x right, y down, z forward, quaternion as x, y, z, w; ignore this if it looks past the arm"
+        remedy = (
+            "check the pose: x right, y down, z forward, quaternion as x, y, z, w; ignore this if it looks "
+            "past the arm"
+        )
         return [
             Finding(NOT_IN_VIEW, seen, "if the arm is in the picture, " + _WRONG_PLACE, remedy, (number,))
         ]

@@ -1,7 +1,7 @@
 """What a planner knows beside its pictures: bodies, what the arm holds, what may touch, what to ignore.
 
 The words are MoveIt's: a planning scene has world objects, attached objects and allowed collisions. NumPy
-alone; :mod:`cspace.worlds.spatial.situation` checks configurations against it.
+alone; :mod:`cspace.worlds.spatial.scene_checker` checks configurations against it.
 """
 
 import base64

@@ -110,7 +110,7 @@ class SpatialWorld(World):
 
     def examined(self, view: DepthView, check_cancelled: CheckCancelled | None = None) -> Examined:
         """:meth:`observed`, (1, X, Y, Z, 2), with what is to be said of the view."""
-        known = None if view.known is None else self.situation(view.known)
+        known = None if view.known is None else self.scene_checker(view.known)
         posed = pose_findings(self.body if known is None else known.arm, view)
         single = self._each(view, check_cancelled, known)
         image = fused(single)
@@ -119,10 +119,10 @@ class SpatialWorld(World):
         findings = (*diagnose(self.body, self.sensor, view, single, image, posed), *posed)
         return Examined(image[None], findings, None in view.states, known, len(view.pictures))
 
-    def situation(self, known: PlanningScene) -> Any:
-        """What is known, for this arm, as a :class:`cspace.worlds.spatial.situation.Situation`."""
+    def scene_checker(self, known: PlanningScene) -> Any:
+        """What is known, for this arm, as a :class:`cspace.worlds.spatial.scene_checker.SceneChecker`."""
         try:
-            return import_module("cspace.worlds.spatial.situation").Situation(self.body, known)
+            return import_module("cspace.worlds.spatial.scene_checker").SceneChecker(self.body, known)
         except ImportError as error:
             raise InputError(
                 "known bodies cannot be checked here",
@@ -135,7 +135,7 @@ class SpatialWorld(World):
         self, configuration: NDArray[np.floating], image: NDArray[np.uint8], known: Known | None
     ) -> Contact | None:
         """See :meth:`cspace.world.World.contact`."""
-        found: Any = self.situation(PlanningScene()) if known is None else known
+        found: Any = self.scene_checker(PlanningScene()) if known is None else known
         return cast("Contact | None", found.contact(configuration, image, self.sensor.grid))
 
     def diagnosis(self, data: bytes | View, check_cancelled: CheckCancelled | None = None) -> Diagnosis:

@@ -47,7 +47,7 @@ _MOST_CELLS = 100_000
 _UNSEEN = {NO_READING: "unread", OUT_OF_VIEW: "out of view"}
 
 
-class Situation:
+class SceneChecker:
     """A planning scene for one arm, as checks take it; needs the compiler.
 
     Attributes:
@@ -392,7 +392,7 @@ def load_kernels(world: Any) -> None:
     """Have the compiled code in this process."""
     box = BoxShape((0.1, 0.1, 0.1))
     known = PlanningScene((Body("box", box),), (Attached("held", box),), ignore=(Body("free", box),))
-    made = Situation(world.body, known)
+    made = SceneChecker(world.body, known)
     made.explains(np.zeros((1, 3)))
     made.complete(np.zeros(world.sensor.picture_shape, dtype=np.uint8), world.sensor.grid)
     made.free(np.zeros((1, world.dim)))

@@ -18,8 +18,8 @@ from cspace.worlds.spatial.bodies import points_to_bodies
 from cspace.worlds.spatial.checks import CollisionChecker
 from cspace.worlds.spatial.obstacles import Obstacles
 from cspace.worlds.spatial.planning_scene import read_planning_scene, read_stl
+from cspace.worlds.spatial.scene_checker import SceneChecker, bodies_of, cover
 from cspace.worlds.spatial.sensor import FREE
-from cspace.worlds.spatial.situation import Situation, bodies_of, cover
 from cspace.worlds.spatial.view import write_view
 from cspace.worlds.spatial.visibility import distances_m
 
@@ -105,23 +105,23 @@ def test_what_is_known_is_checked_as_the_simulator_checks_its_scenes():
         }
         for at, one in enumerate(obstacles.cylinders)
     ]
-    found = Situation(ARM, scene_of(scene=bodies)).free(ROWS)
+    found = SceneChecker(ARM, scene_of(scene=bodies)).free(ROWS)
     alone = CollisionChecker(replace(ARM, touching=()), obstacles)
     np.testing.assert_array_equal(found, alone.valid_batch(ROWS))
     assert 0.1 < found.mean() < 0.95
 
 
 def test_the_base_may_stand_in_a_table_and_pairs_that_are_allowed_may_touch():
-    situation = Situation(ARM, scene_of(scene=[TABLE]))
-    assert situation.free(READY[None]).all()
-    assert not situation.free(ROWS).all()
+    checker = SceneChecker(ARM, scene_of(scene=[TABLE]))
+    assert checker.free(READY[None]).all()
+    assert not checker.free(ROWS).all()
     allowed = [[part.name, "table"] for part in ARM.parts]
-    assert Situation(ARM, scene_of(scene=[TABLE], allowed=allowed)).free(ROWS).all()
+    assert SceneChecker(ARM, scene_of(scene=[TABLE], allowed=allowed)).free(ROWS).all()
 
 
 def test_in_ignored_volumes_a_robot_is_certainly_free_where_it_touches_neither_bodies_nor_itself():
-    assert not Situation(ARM, scene_of(scene=[TABLE])).certain(ROWS).any()
-    everything = Situation(ARM, scene_of(scene=[TABLE], ignore=[{"box": {"size_m": [4.0, 4.0, 4.0]}}]))
+    assert not SceneChecker(ARM, scene_of(scene=[TABLE])).certain(ROWS).any()
+    everything = SceneChecker(ARM, scene_of(scene=[TABLE], ignore=[{"box": {"size_m": [4.0, 4.0, 4.0]}}]))
     alone = CollisionChecker(ARM, Obstacles((), ())).valid_batch(ROWS)
     assert not alone.all()
     certain = everything.certain(ROWS)
@@ -129,12 +129,12 @@ def test_in_ignored_volumes_a_robot_is_certainly_free_where_it_touches_neither_b
     above = {"box": {"size_m": [4.0, 4.0, 4.0]}, "pose": at(0.0, 0.0, 2.1)}
     moving = ARM.sphere_links() > 0
     low = ARM.sphere_centres_m(ROWS)[:, moving, 2] - ARM.spheres_m()[moving, 3]
-    found = Situation(ARM, scene_of(scene=[TABLE], ignore=[above])).certain(ROWS)
+    found = SceneChecker(ARM, scene_of(scene=[TABLE], ignore=[above])).certain(ROWS)
     np.testing.assert_array_equal(found, certain & (low.min(axis=1) >= 0.1))
     assert 0 < found.sum() < certain.sum()
     rod = {"name": "rod", "cylinder": {"radius_m": 0.01, "length_m": 0.4}, "pose": at(0.0, 0.0, 2.6)}
     held = scene_of(attached=[rod], ignore=[{"box": {"size_m": [4.0, 4.0, 4.0]}}])
-    assert Situation(ARM, held).certain(READY[None]).tolist() == [False]
+    assert SceneChecker(ARM, held).certain(READY[None]).tolist() == [False]
 
 
 def test_an_attached_body_touches_what_the_hand_does_not():
@@ -143,19 +143,19 @@ def test_an_attached_body_touches_what_the_hand_does_not():
     tool = ARM.tool_frames(READY[None])[0]
     x, y, z = (tool @ (0.0, 0.0, 0.25, 1.0))[:3]
     ball = {"name": "ball", "sphere": {"radius_m": 0.03}, "pose": at(x, y, z)}
-    assert Situation(ARM, scene_of(scene=[ball])).free(READY[None]).all()
-    situation = Situation(ARM, scene_of(scene=[ball], attached=[held]))
-    assert not situation.free(READY[None]).any()
+    assert SceneChecker(ARM, scene_of(scene=[ball])).free(READY[None]).all()
+    checker = SceneChecker(ARM, scene_of(scene=[ball], attached=[held]))
+    assert not checker.free(READY[None]).any()
     image = np.zeros(WORLD.sensor.picture_shape, np.uint8)
-    contact = situation.contact(READY, image, GRID)
+    contact = checker.contact(READY, image, GRID)
     assert (contact.kind, contact.link, contact.other) == ("known", "rod", "ball")
     assert np.linalg.norm(np.subtract(contact.position_m, (x, y, z))) < 0.06
     assert "rod touches ball by" in contact.text
     allowed = scene_of(scene=[ball], attached=[held], allowed=[["ball", "rod"]])
-    assert Situation(ARM, allowed).free(READY[None]).all()
+    assert SceneChecker(ARM, allowed).free(READY[None]).all()
     # A rod back through the forearm.
     back = held | {"pose": at(0.0, 0.0, -0.2)}
-    found = Situation(ARM, scene_of(attached=[back])).contact(READY, image, GRID)
+    found = SceneChecker(ARM, scene_of(attached=[back])).contact(READY, image, GRID)
     assert (found.kind, found.link) == ("self", "rod")
 
 
@@ -247,4 +247,4 @@ def test_a_scene_that_is_none_is_refused_with_the_place(fields, words):
 )
 def test_names_that_stand_for_nothing_are_refused(fields, words):
     with pytest.raises(InputError, match=words):
-        Situation(ARM, scene_of(**fields))
+        SceneChecker(ARM, scene_of(**fields))
