@@ -203,7 +203,7 @@ def _quaternion(one: Request) -> Meant:
 
 
 def _inverse(one: Request) -> Meant:
-    inverse: NDArray[np.float64] = np.linalg.inv(one.camera.matrix)
+    inverse = np.asarray(np.linalg.inv(one.camera.matrix), dtype=np.float64)
     yield one.with_pose(inverse), "the pose is of the robot's base in the camera", "send its inverse"
 
 
