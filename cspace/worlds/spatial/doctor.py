@@ -24,7 +24,9 @@ from cspace.worlds.spatial.hypotheses import (
     Explanation,
     Request,
     Score,
+    best_of,
     explanations,
+    moved,
     to_surface,
 )
 from cspace.worlds.spatial.poses import turn_deg
@@ -33,8 +35,11 @@ from cspace.worlds.spatial.view import DepthView
 from cspace.worlds.spatial.visibility import SLACK_M, reduced, self_filter
 
 # How much better than the request as sent a hypothesis has to be, and how well it has to fit.
-_BETTER, _FITS = 0.06, 0.5
+_BETTER, _FITS, _LEAST = 0.06, 0.5, 0.25
 _BASE_AGREES = 0.75
+# Of the pixels that read something, the score of an arm that is where it should be; a turned camera that
+# gives so much more shows that it is not.
+_AGREES, _CLEARLY, _TURNS_RAD = 0.5, 0.25, np.radians((-11.0, -6.0, 6.0, 11.0))
 # Two within this of each other tie.
 _TIE = 0.02
 # Below this score of the arm, or above this share of pixels that see through it, it is elsewhere.
@@ -79,7 +84,7 @@ def diagnosed(
     """Looks closely at a view; ``cheap`` are the warnings that other answers carry."""
     findings, shots = [one for one in cheap if one.code not in (POSE_CODES | {NOT_IN_VIEW})], list[_Shot]()
     notes, poses = list[str](), list[SuggestedPose]()
-    moved = len(set(view.states)) > 1
+    is_moving = len(set(view.states)) > 1
     for number, (picture, camera, state) in enumerate(
         zip(view.pictures, view.cameras, view.states, strict=True)
     ):
@@ -90,7 +95,7 @@ def diagnosed(
         findings += _of_readings(shot)
         rest_m = shot.depth_m
         if state is None:
-            findings += _of_base(shot, arm, (number,) if moved else ())
+            findings += _of_base(shot, arm, (number,) if is_moving else ())
         elif arm.sphere_count:
             units, own = reduced(picture, camera)
             found = _of_arm(Request(arm, units.astype(float), own, state), number, check_cancelled)
@@ -108,7 +113,7 @@ def diagnosed(
                 findings += _of_rest(shot, rest_m, arm, spheres)
         notes += _of_level(replace(shot, depth_m=rest_m))
         # An arm that has moved is no reason why pictures should agree.
-        shots.append(replace(shot, depth_m=rest_m) if moved else shot)
+        shots.append(replace(shot, depth_m=rest_m) if is_moving else shot)
     findings += _of_pairs(shots, check_cancelled)
     return Diagnosis(tuple(_merged(findings)), tuple(notes), tuple(poses))
 
@@ -123,12 +128,13 @@ def pose_findings(arm: SerialArm, view: DepthView) -> tuple[Finding, ...]:
             continue
         one = Request(arm, picture.astype(float), camera, state).coarse()
         stated = one.score(FEW_COARSE)
-        if stated.rendered >= FEW_COARSE and not _is_elsewhere(stated, FEW_COARSE):
+        if stated.pixels >= FEW_COARSE and stated.arm >= _AGREES * (1.0 - stated.blank):
             continue
-        found = sorted(explanations(one, stated, FRAMES, lambda: None), key=lambda other: -other.score.total)
-        best = _named(found, stated, 2 * _BETTER)
+        explained = explanations(one, stated, FRAMES, lambda: None)
+        best = _named(sorted(explained, key=lambda other: -other.score.total), stated, 2 * _BETTER)
+        is_elsewhere = _is_elsewhere(stated, FEW_COARSE) or _fits_turned(one, stated)
         findings += [_finding(other, stated, number) for other in best] or _unexplained(
-            stated, number, FEW_COARSE
+            stated, number, is_elsewhere, FEW_COARSE
         )
     return tuple(_merged(findings))
 
@@ -137,13 +143,27 @@ def pose_findings(arm: SerialArm, view: DepthView) -> tuple[Finding, ...]:
 FEW_COARSE = 12
 
 
+def _fits_turned(one: Request, stated: Score) -> bool:
+    """Whether a camera that is turned a little sees the arm clearly better, as one that hides it does not."""
+    turned = (
+        moved(one, np.append(np.zeros(3), axis)) for axis in np.outer(_TURNS_RAD, np.eye(3)).reshape(-1, 3)
+    )
+    found = best_of(one, turned).score(FEW_COARSE)
+    return found.total > stated.total + _CLEARLY and found.arm >= _AGREES * (1.0 - found.blank)
+
+
 def _is_elsewhere(stated: Score, few: int = FEW_PIXELS) -> bool:
     return stated.pixels >= few and (stated.through >= _SEEN_THROUGH or stated.agree < _DISAGREES)
 
 
 def _named(found: Sequence[Explanation], stated: Score, better: float = _BETTER) -> list[Explanation]:
     """The explanations that are clearly better than the request as sent: the best, and one that ties."""
-    good = [one for one in found if one.score.arm >= _FITS and one.score.total > stated.total + better]
+    good = [
+        one
+        for one in found
+        if one.score.arm >= max(_FITS * (1.0 - one.score.blank), _LEAST)
+        and one.score.total > stated.total + better
+    ]
     return [one for one in good[:2] if one.score.total > good[0].score.total - _TIE]
 
 
@@ -152,19 +172,21 @@ def _finding(one: Explanation, stated: Score, number: int) -> Finding:
     return Finding(one.code, seen, _WRONG_PLACE, one.remedy, (number,))
 
 
-def _unexplained(stated: Score, number: int, few: int = FEW_PIXELS) -> list[Finding]:
+def _unexplained(stated: Score, number: int, is_elsewhere: bool, few: int = FEW_PIXELS) -> list[Finding]:
     """What is said of an arm that is not where it should be, if no hypothesis is better."""
-    if _is_elsewhere(stated, few):
+    if is_elsewhere:
+        share = stated.pixels / max(stated.rendered, 1)
         seen = (
-            f"{stated.through:.0%} of the pixels that should show the arm see through it, and no single "
-            f"cause explains where it is (score as sent {stated.total:.2f})"
+            f"of the pixels that should show the arm {stated.agree * share:.0%} read it and "
+            f"{stated.through * share:.0%} see through it, and no single cause explains where it is "
+            f"(score as sent {stated.total:.2f})"
         )
         remedy = (
             "check that `state` is of the moment of the picture and in rad, and the camera's pose and numbers"
         )
         effect = "the arm's readings count as obstacles, and what is behind it as the arm"
         return [Finding(ELSEWHERE, seen, effect, remedy, (number,))]
-    if stated.rendered < few:
+    if stated.rendered < few // 3:
         seen = "almost none of the arm is in view by `state` and the camera's pose"
         remedy = (
             "check the pose: x right, y down, z forward, quaternion as x, y, z, w; ignore this if it looks "
@@ -184,7 +206,9 @@ def _of_arm(one: Request, number: int, check_cancelled: CheckCancelled) -> Diagn
     scores = ", ".join(f"{other.code} {other.score.total:.2f}" for other in found[:3])
     note = f"picture {number}: score as sent {stated.total:.2f}; best {scores}"
     named = _named(found, stated)
-    findings = [_finding(other, stated, number) for other in named] or _unexplained(stated, number)
+    findings = [_finding(other, stated, number) for other in named] or _unexplained(
+        stated, number, _is_elsewhere(stated)
+    )
     poses = [
         _suggested(number, one.camera, other)
         for other in named

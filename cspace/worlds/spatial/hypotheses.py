@@ -238,9 +238,9 @@ def _translation_unit(one: Request) -> Meant:
 
 
 def _base_height(one: Request) -> Meant:
-    moved = best_of(one.coarse(), (_raised(one.coarse(), height) for height in _HEIGHTS_M))
+    found = best_of(one.coarse(), (_raised(one.coarse(), height) for height in _HEIGHTS_M))
     fit = fitted(
-        one, lambda given, by: _raised(given, by[0]), [moved.camera.pose[2][3] - one.camera.pose[2][3]]
+        one, lambda given, by: _raised(given, by[0]), [found.camera.pose[2][3] - one.camera.pose[2][3]]
     )
     up_m = fit.camera.pose[2][3] - one.camera.pose[2][3]
     what = f"the pose is in a frame {abs(up_m):.2f} m {'below' if up_m < 0 else 'above'} the arm's base"
@@ -328,11 +328,12 @@ def _aligned(one: Request) -> Meant:
 
 
 def _moved_camera(one: Request) -> Meant:
-    fit = fitted(one, _moved, np.zeros(6))
+    fit = fitted(one, moved, np.zeros(6))
     yield fit, "the camera stands elsewhere", "calibrate again or take the suggested pose"
 
 
-def _moved(one: Request, by: Array) -> Request:
+def moved(one: Request, by: Array) -> Request:
+    """With the camera moved by (6,): m, and rad about its own place as a rotation vector."""
     pose, angle = one.camera.matrix, float(np.linalg.norm(by[3:]))
     if angle > 0.0:
         pose[:3, :3] = turn(by[3:] / angle, angle) @ pose[:3, :3]
@@ -356,7 +357,7 @@ HYPOTHESES = FRAMES | {
     "intrinsics": (_intrinsics, 0.01),
     "mirrored-picture": (_mirrored, 0.0),
     "rotated-picture": (_rotated, 0.0),
-    "joints-permuted": (_permuted, 0.01),
+    "joints-permuted": (_permuted, 0.05),
     "aligned-depth": (_aligned, 0.03),
     "base-height": (_base_height, 0.02),
     "joint-off": (_joint, 0.03),
@@ -410,8 +411,8 @@ def fitted(
                 return now
             points, gaps = points[near], gaps[near]
             others = [change(one, by + step) for step in 1e-4 * np.eye(len(by))]
-            moved = [to_surface(_placed(points, one, other), other.spheres) for other in others]
-            jacobian = (np.stack(moved, axis=1) - gaps[:, None]) / 1e-4
+            shifted = [to_surface(_placed(points, one, other), other.spheres) for other in others]
+            jacobian = (np.stack(shifted, axis=1) - gaps[:, None]) / 1e-4
             gaps = gaps - np.clip(np.median(gaps), -_SKIN_M, 0.0)
             left = (jacobian * (np.clip(1.0 - (gaps / gate_m) ** 2, 0.0, None) ** 2)[:, None]).T
             step = -np.linalg.solve(left @ jacobian + _PRIOR * len(gaps) * np.eye(len(by)), left @ gaps)
