@@ -1,7 +1,7 @@
-"""What may be wrong with a depth picture, its camera or the state, and how well each explanation fits. NumPy alone.
+"""Hypotheses about a depth picture, its camera and the state, and how well each fits. NumPy alone.
 
-A hypothesis turns a request into the requests that were meant if it is true. One score compares all of them: how
-well the readings agree with the arm, with the free space along their rays, and with what does not move.
+A hypothesis turns a request into the requests that were meant if it is true. One score compares all: how well
+the readings agree with the arm, with the free space along their rays, and with what does not move.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence

@@ -266,7 +266,7 @@ class ViewFields(KnownFields):
         None, ge=1e-6, le=1.0, description="Metres per unit of the pictures: 0.001 when absent, 1 for floats."
     )
     check_pose: bool = Field(
-        True,
+        default=True,
         description="Refuse a `state` or pose by which the arm is clearly not where the pictures show it.",
     )
 
