@@ -34,7 +34,7 @@ def test_a_mistake_ends_with_3_a_remedy_a_pose_and_a_picture(tmp_path, capsys):
     wrong = file_of(tmp_path, shifted())
     assert main([wrong]) == 3
     output = capsys.readouterr().out
-    assert output.startswith("extrinsics (picture 0): the arm is seen ")
+    assert output.startswith("extrinsics (picture 0): the camera stands elsewhere")
     assert "do: calibrate again or take the suggested pose" in output
     assert main([wrong, "--json", "--picture", str(tmp_path / "seen.png")]) == 3
     found = json.loads(capsys.readouterr().out)

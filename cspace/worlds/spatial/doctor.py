@@ -37,12 +37,12 @@ from cspace.worlds.spatial.visibility import SLACK_M, reduced, self_filter
 # How much better than the request as sent a hypothesis has to be, and how well it has to fit.
 _BETTER, _FITS, _LEAST = 0.06, 0.5, 0.25
 _BASE_AGREES = 0.75
-# Of the pixels that read something, the score of an arm that is where it should be; a turned camera that
-# gives so much more shows that it is not.
+# Of the pixels that read something, the score of an arm that is where it should be; a turned camera with
+# so much more shows that it is not.
 _AGREES, _CLEARLY, _TURNS_RAD = 0.5, 0.25, np.radians((-11.0, -6.0, 6.0, 11.0))
 # Two within this of each other tie.
 _TIE = 0.02
-# Below this score of the arm, or above this share of pixels that see through it, it is elsewhere.
+# Below this agreement, or above this share of pixels that see through it, the arm is elsewhere.
 _DISAGREES, _SEEN_THROUGH = 0.35, 0.4
 # Of the pixels that other hypotheses would see.
 _BLANK_ARM, _BLANK_PICTURE = 0.6, 0.03
@@ -144,7 +144,7 @@ FEW_COARSE = 12
 
 
 def _fits_turned(one: Request, stated: Score) -> bool:
-    """Whether a camera that is turned a little sees the arm clearly better, as one that hides it does not."""
+    """Whether a camera that is turned a little sees the arm clearly better; an arm that is hidden is not."""
     turned = (
         moved(one, np.append(np.zeros(3), axis)) for axis in np.outer(_TURNS_RAD, np.eye(3)).reshape(-1, 3)
     )
@@ -157,7 +157,7 @@ def _is_elsewhere(stated: Score, few: int = FEW_PIXELS) -> bool:
 
 
 def _named(found: Sequence[Explanation], stated: Score, better: float = _BETTER) -> list[Explanation]:
-    """The explanations that are clearly better than the request as sent: the best, and one that ties."""
+    """What is clearly better than the request as sent: the best, and one that ties with it."""
     good = [
         one
         for one in found
@@ -174,12 +174,12 @@ def _finding(one: Explanation, stated: Score, number: int) -> Finding:
 
 def _unexplained(stated: Score, number: int, is_elsewhere: bool, few: int = FEW_PIXELS) -> list[Finding]:
     """What is said of an arm that is not where it should be, if no hypothesis is better."""
+    share = stated.pixels / max(stated.rendered, 1)
     if is_elsewhere:
-        share = stated.pixels / max(stated.rendered, 1)
         seen = (
             f"of the pixels that should show the arm {stated.agree * share:.0%} read it and "
-            f"{stated.through * share:.0%} see through it, and no single cause explains where it is "
-            f"(score as sent {stated.total:.2f})"
+            f"{stated.through * share:.0%} see through it, and no "
+            f"single cause explains where it is (score as sent {stated.total:.2f})"
         )
         remedy = (
             "check that `state` is of the moment of the picture and in rad, and the camera's pose and numbers"
@@ -189,8 +189,8 @@ def _unexplained(stated: Score, number: int, is_elsewhere: bool, few: int = FEW_
     if stated.rendered < few // 3:
         seen = "almost none of the arm is in view by `state` and the camera's pose"
         remedy = (
-            "check the pose: x right, y down, z forward, quaternion as x, y, z, w; ignore this if it looks "
-            "past the arm"
+            "check the pose: x right, y down, z forward, quaternion as x, y, z, w; "
+            "ignore this if it looks past the arm"
         )
         return [
             Finding(NOT_IN_VIEW, seen, "if the arm is in the picture, " + _WRONG_PLACE, remedy, (number,))

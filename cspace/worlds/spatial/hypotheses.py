@@ -1,13 +1,12 @@
-"""What may be wrong with a depth picture, its camera or the state, and how well each explanation fits.
+"""Hypotheses about a depth picture, its camera and the state, and how well each fits. NumPy alone.
 
-A hypothesis turns a request into the requests that were meant if it is true. One score compares all of them:
-how well the readings agree with the arm, with the free space along their rays, and with what does not move.
-Needs NumPy alone.
+A hypothesis turns a request into the requests that were meant if it is true. One score compares all: how well
+the readings agree with the arm, with the free space along their rays, and with what does not move.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -203,7 +202,7 @@ def _quaternion(one: Request) -> Meant:
 
 
 def _inverse(one: Request) -> Meant:
-    inverse = np.asarray(np.linalg.inv(one.camera.matrix), dtype=np.float64)
+    inverse = np.linalg.inv(one.camera.matrix)
     yield one.with_pose(inverse), "the pose is of the robot's base in the camera", "send its inverse"
 
 
@@ -253,17 +252,13 @@ def _raised(one: Request, height_m: float) -> Request:
     return one.with_pose(pose)
 
 
-def _turned_about(axis: NDArray[np.float64], one: Request, by: Sequence[float]) -> Request:
-    return _turned(one, axis * by[0])
-
-
 def _joint(one: Request) -> Meant:
     few, is_near = one.coarse(), one.score().arm > _NEAR
     for joint, axis in enumerate(np.eye(one.arm.dim)):
         found = few if is_near else best_of(few, (_turned(few, axis * by) for by in _JOINT_SCAN_RAD))
         fit = fitted(
             one,
-            partial(_turned_about, axis),
+            lambda given, by, axis=axis: _turned(given, axis * by[0]),
             [found.state[joint] - one.state[joint]],
         )
         off = fit.state[joint] - one.state[joint]
