@@ -17,6 +17,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import torch
@@ -34,6 +35,7 @@ from cspace.simulator import Problem, ProblemRequest, Split
 from cspace.worlds import checker_of, examples, partly_seen, picture_file_of
 from cspace.worlds.spatial.benchmark import BENCH_FAMILIES, PREFIX
 from cspace.worlds.spatial.checks import world_checkers
+from cspace.worlds.spatial.scenes import SpatialScene
 from cspace.worlds.spatial.sensor import FARTHEST, FREE, GridBox
 from cspace.worlds.spatial.visibility import distances_m
 from services.evaluator.benchmark.sources import plan_query
@@ -65,6 +67,11 @@ def opened_field(checkpoint: Path) -> Graph:
     net.load_state_dict({name.removeprefix("net."): value for name, value in weights.items()})
     grid = world.sensor.grid
     return Graph("field.onnx", field_graph(net, grid.counts, grid.low_m), {"image"}, {"occupancy"})
+
+
+def scene_of(problem: Problem) -> SpatialScene:
+    """The scene of an arm in space."""
+    return cast("SpatialScene", problem.scenario)
 
 
 def away_from(
@@ -103,7 +110,7 @@ def searched(
     problem: Problem, picture: NDArray[np.uint8], probability: NDArray[np.float32], room_m: float
 ) -> tuple[NDArray[np.float64] | None, int]:
     """A path and the level that it was found in."""
-    world, ends = problem.scenario.world, np.stack([problem.start, problem.goal])
+    world, ends = scene_of(problem).world, np.stack([problem.start, problem.goal])
     arm, grid = world.body, world.sensor.grid
     moving = arm.sphere_links() > 0
     centres = arm.sphere_centres_m(ends)[:, moving].reshape(-1, 3)
@@ -137,11 +144,12 @@ def main() -> int:
             problem = problems_of.problem(request, PREFIX + family, index, options.pictures)
             if problem is None:
                 continue
-            world, truth = problem.scenario.world, checker_of(problem.scenario)
-            examined = world.examine_picture(picture_file_of(problem.scenario))
+            scene, truth = scene_of(problem), checker_of(problem.scenario)
+            world = scene.world
+            examined = world.examine_picture(picture_file_of(scene))
             picture = examined.images[0]
             if options.truth:
-                probability = occupancy(world, problem.scenario.obstacles).astype(np.float32)
+                probability = occupancy(world, scene.obstacles).astype(np.float32)
             else:
                 image = world.sensor.to_network(picture[None])
                 probability = field.run({"image": image}, {"occupancy": world.sensor.grid.counts})[
