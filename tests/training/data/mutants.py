@@ -165,7 +165,7 @@ def urdf(rng: Rng, folder: Path, out: str) -> Read:
 
 
 def xacro(rng: Rng, folder: Path, out: str) -> Read:
-    more = rng.choice((*SNIPPETS, "")).replace("{out}", out)
+    more = rng.choice((rng.choice(SNIPPETS), "")).replace("{out}", out)
     return _robot(folder / "two.xacro", changed_xml(rng, XACRO.replace("<joint", more + "<joint", 1), out))
 
 
