@@ -6,7 +6,7 @@ the readings agree with the arm, with the free space along their rays, and with 
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import combinations
 
 import numpy as np
@@ -202,7 +202,7 @@ def _quaternion(one: Request) -> Meant:
 
 
 def _inverse(one: Request) -> Meant:
-    inverse = np.linalg.inv(one.camera.matrix)
+    inverse = np.asarray(np.linalg.inv(one.camera.matrix), dtype=np.float64)
     yield one.with_pose(inverse), "the pose is of the robot's base in the camera", "send its inverse"
 
 
@@ -252,13 +252,17 @@ def _raised(one: Request, height_m: float) -> Request:
     return one.with_pose(pose)
 
 
+def _turned_about(axis: Array, one: Request, by: Array) -> Request:
+    return _turned(one, axis * by[0])
+
+
 def _joint(one: Request) -> Meant:
     few, is_near = one.coarse(), one.score().arm > _NEAR
     for joint, axis in enumerate(np.eye(one.arm.dim)):
         found = few if is_near else best_of(few, (_turned(few, axis * by) for by in _JOINT_SCAN_RAD))
         fit = fitted(
             one,
-            lambda given, by, axis=axis: _turned(given, axis * by[0]),
+            partial(_turned_about, axis),
             [found.state[joint] - one.state[joint]],
         )
         off = fit.state[joint] - one.state[joint]
