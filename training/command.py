@@ -21,15 +21,7 @@ STOPPED = 3
 
 @dataclass(frozen=True, slots=True)
 class JobCommand:
-    """What tells one job's command from another's.
-
-    Args:
-        description: for the help.
-        example: of an override.
-        config: kind of the job's configuration.
-        run: runs a job and returns its result. It imports the frameworks, so that a wrong key is told at
-            once, and not after these have loaded.
-    """
+    """What tells one job's command from another's."""
 
     description: str
     example: str

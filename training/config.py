@@ -84,15 +84,7 @@ class JobConfig(Section):
 
     @classmethod
     def load(cls, preset: str, overrides: Sequence[str] = ()) -> Self:
-        """A preset with ``key.sub=value`` overrides, validated.
-
-        Args:
-            preset: name of a file in ``PRESETS`` without its ending.
-            overrides: YAML scalars by dotted key, such as ``global.steps=200``.
-
-        Raises:
-            ConfigError: an unknown preset or key, or a value of the wrong type or range.
-        """
+        """A preset with ``key.sub=value`` overrides, validated."""
         values = cls._read(preset)
         values["preset"] = preset
         for override in overrides:
@@ -115,11 +107,7 @@ class JobConfig(Section):
 
     @property
     def world(self) -> World:
-        """Robot and sensor of the data.
-
-        Raises:
-            InputError: the data do not fit.
-        """
+        """Robot and sensor of the data."""
         return self.data.world if self.data_folder is None else Manifest.read(self.data_folder).world
 
     @property

@@ -45,17 +45,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def write_limited(source: Bundle, folder: Path, world: World) -> Path:
-    """Write a bundle's networks with the joint limits of another world's robot, which are no wider.
-
-    Args:
-        source: whose networks, description and scenes.
-        folder: where the new one goes; must not exist.
-        world: with the source's robot, but for limits and the pose it waits in.
-
-    Raises:
-        BundleError: the robot has another number of joints, or a wider limit; nothing is left behind.
-        StorageError: the folder exists or cannot be written.
-    """
+    """Write a bundle's networks with the joint limits of another world's robot, which are no wider."""
     own, new = source.spec.world.space, world.space
     fits = own.dim == new.dim and own.periodic == new.periodic
     if not fits or not own.contains([new.lower, new.upper]).all():

@@ -102,17 +102,7 @@ def _moved(rng: np.random.Generator, camera: DepthCamera) -> DepthCamera:
 
 @dataclass(frozen=True, slots=True)
 class SceneTask:
-    """Some scenes of one arm, into one file.
-
-    Args:
-        folder: of the file.
-        arm: as :func:`named_arm` takes it.
-        split: of the scenes.
-        first: index of the first of them.
-        count: how many.
-        views: of each scene.
-        seed: of all draws.
-    """
+    """Some scenes of one arm, into one file."""
 
     folder: Path
     arm: str

@@ -69,11 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def run(config: TrainConfig, environment: Environment, trials: int, scenarios: int) -> dict[str, Any]:
-    """Search, and return the run's id with what was tried, best first.
-
-    Raises:
-        CspaceError: bad data, or no trial that came to an end.
-    """
+    """Search, and return the run's id with what was tried, best first."""
     # Imported here so that a wrong key is told at once, not after the frameworks have loaded.
     from training.clusters.pipeline import (  # noqa: PLC0415
         cluster_data,

@@ -78,18 +78,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def made_or_found(folder: Path, world: World, config: HeadConfig) -> Bundle:
-    """The model that the folder holds already, or one that is made there.
-
-    Args:
-        folder: of the bundle.
-        world: the arm's.
-        config: of the head, with its scene model.
-
-    Raises:
-        BundleError: the folder holds no sound bundle.
-        ConfigError: the scene model cannot be read.
-        StorageError: the folder holds another model, or cannot be written.
-    """
+    """The model that the folder holds already, or one that is made there."""
     file = config.scene_model_file
     if file is None or not file.is_file():
         raise ConfigError("there is no scene model", expected="validity.scene_model", got=str(file))

@@ -49,18 +49,9 @@ FALLBACK_THRESHOLD = 0.8
 
 @dataclass(frozen=True, slots=True)
 class TrainedParts:
-    """What the trials left: folders of checkpoints, and the arrays they were trained on.
+    """What the trials left: folders of checkpoints, and the arrays they were trained on."""
 
-    Args:
-        encoder: the VAE's, or the generator's own where the two were trained together.
-        generators: one, or in a mixture that of every cluster.
-        gate: None without one.
-        validity: the file of a scene model, or of a trained head the folder; None without either.
-        arrays: the data.
-        start_run_id: of the job whose weights the trials started from; None where they started from nothing.
-    """
-
-    encoder: Path
+    encoder: Path  # the VAE's, or the generator's own where the two were trained together
     generators: tuple[Path, ...]
     gate: Path | None
     validity: Path | None
@@ -69,18 +60,7 @@ class TrainedParts:
 
 
 def make_bundle(folder: Path, config: TrainConfig, dataset: Dataset, parts: TrainedParts) -> Bundle:
-    """Export the networks, write the bundle, and load it again as any reader would.
-
-    Args:
-        folder: must not exist.
-        config: of the training.
-        dataset: that it was trained on.
-        parts: what the trials left.
-
-    Raises:
-        BundleError: the exported graphs do not make a bundle.
-        StorageError: the folder exists or cannot be written.
-    """
+    """Export the networks, write the bundle, and load it again as any reader would."""
     gan, latent_dim, dim = generator_config(config), config.vae.latent_dim, dataset.dim
     sensor, has_head = dataset.world.sensor, parts.validity is not None
     encoder = load_encoder(config.vae, sensor, parts.encoder)
@@ -119,13 +99,7 @@ def make_bundle(folder: Path, config: TrainConfig, dataset: Dataset, parts: Trai
 
 
 def head_graphs(config: HeadConfig, world: World, checkpoint: Path) -> dict[str, bytes]:
-    """The graphs of a validity head: a trained one's, or for any arm those of a scene model.
-
-    Args:
-        config: of the head.
-        world: whose configurations it scores.
-        checkpoint: file of the scene model, or folder of the trained head, which may have started from it.
-    """
+    """The graphs of a validity head: a trained one's, or for any arm those of a scene model."""
     if config.grid is None:
         flat = trained(lambda: make_head(config, world), checkpoint, "head")
         return {"validity": validity_graph(flat, world.sensor.pixels, world.dim)}

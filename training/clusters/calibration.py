@@ -32,29 +32,13 @@ from training.trials.arrays import load_encoder
 
 
 def require_head(source: Bundle) -> None:
-    """Refuse a bundle that scores nothing.
-
-    Raises:
-        BundleError: it has no validity head.
-    """
+    """Refuse a bundle that scores nothing."""
     if not source.has_validity:
         raise BundleError("the bundle has no validity head", expected=VALIDITY_FILE, got=str(source.folder))
 
 
 def write_fitted(source: Bundle, folder: Path, spec: BundleSpec, name: str, note: Mapping[str, Any]) -> Path:
-    """Write a bundle's networks and golden case with a description of which something was fitted again.
-
-    Args:
-        source: whose networks.
-        folder: where the new one goes; must not exist.
-        spec: of the source, with what was fitted.
-        name: of what its making is told of beside that of the source, ``*_fitted_again``.
-        note: what is told; the digest of the source comes with it.
-
-    Raises:
-        BundleError: the parts do not make a bundle; nothing is left behind.
-        StorageError: the folder exists or cannot be written.
-    """
+    """Write a bundle's networks and golden case with a description of which something was fitted again."""
     entry = {f"{name}_fitted_again": {**note, "source_digest": source.digest}}
     provenance = replace(spec.provenance, config={**spec.provenance.config, **entry})
     golden = GoldenCase.from_npz((source.folder / GOLDEN_FILE).read_bytes())
@@ -99,15 +83,10 @@ CANDIDATES = tuple(round(0.5 + 0.05 * step, 2) for step in range(10))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scored:
-    """Configurations in one scenario.
+    """Configurations in one scenario."""
 
-    Args:
-        confidence: (n,) by the validity head.
-        free: (n,) whether each is.
-    """
-
-    confidence: NDArray[np.floating]
-    free: NDArray[np.bool_]
+    confidence: NDArray[np.floating]  # (n,) by the validity head
+    free: NDArray[np.bool_]  # (n,) whether each is
 
     def passing(self, threshold: float) -> tuple[float, float]:
         """Shares of all: what reaches the threshold, and what reaches it and is free."""
@@ -122,11 +101,6 @@ def choose_threshold(
 
     Both the mean over scenarios and their 10th percentile count, for a sampler that is right on average may
     fail one scenario in ten; the percentile may miss as much again as the mean.
-
-    Args:
-        proposed: configurations, by scenario.
-        target_precision: of the mean, 0 to 1.
-        candidates: rising thresholds.
 
     Returns:
         The threshold; the highest candidate where none is enough.
@@ -174,16 +148,7 @@ MOST = 0.9
 
 @dataclass(frozen=True, slots=True)
 class CollisionBound:
-    """A bound on the collisions of one kind of configurations, and what was measured in other scenes.
-
-    Args:
-        at_most: bound on the expected share of what passes that collides.
-        in_most: bound on that share in nine scenes of ten.
-        scenes: that it was made on.
-        measured: mean share that collided in the other scenes.
-        violations: share of the other scenes in which more than ``in_most`` did.
-        others: how many these were.
-    """
+    """A bound on the collisions of one kind of configurations, and what was measured in other scenes."""
 
     at_most: float
     in_most: float
@@ -207,10 +172,6 @@ class CollisionBound:
 
 def choose_bounded(scenes: Sequence[Scored], at_most: float) -> float:
     """The lowest threshold whose bound is small enough, by the scenes that choose.
-
-    Args:
-        scenes: all of them, samples of the bundle.
-        at_most: the bound that is wanted.
 
     Returns:
         The highest threshold where none is low enough.
@@ -255,17 +216,11 @@ _FOLDS = 3
 
 @dataclass(frozen=True, slots=True)
 class Planned:
-    """The best paths of validation problems.
+    """The best paths of validation problems."""
 
-    Args:
-        cost: (n,) of each, see :mod:`cspace.planning.cost`.
-        free: (n,) whether it is collision-free, by the ground truth.
-        pictures: (n,) that its scene was seen by.
-    """
-
-    cost: NDArray[np.float64]
-    free: NDArray[np.bool_]
-    pictures: NDArray[np.int64]
+    cost: NDArray[np.float64]  # (n,) of each, see :mod:`cspace.planning.cost`
+    free: NDArray[np.bool_]  # (n,) whether it is collision-free, by the ground truth
+    pictures: NDArray[np.int64]  # (n,) that its scene was seen by
 
     def among(self, rows: NDArray[np.bool_]) -> "Planned":
         """Those of some rows (n,)."""
@@ -274,18 +229,9 @@ class Planned:
 
 @dataclass(frozen=True, slots=True)
 class PlanCalibration:
-    """What was fitted, and how well such fits predict plans that had no part in them, each third in turn.
+    """What was fitted, and how well such fits predict plans that had no part in them, each third in turn."""
 
-    Args:
-        parameters: (a, b) for one picture, two and so on.
-        plans: that it was fitted to.
-        collide: share of them that collide.
-        error: calibration error of their confidence, ten bins.
-        errors: the same by number of pictures.
-        plain_error: the same of exp(-D).
-    """
-
-    parameters: tuple[tuple[float, float], ...]
+    parameters: tuple[tuple[float, float], ...]  # (a, b) for one picture, two and so on
     plans: int
     collide: float
     error: float

@@ -24,16 +24,10 @@ _DRAWS_PER_POINT = 5
 
 @dataclass(frozen=True, slots=True)
 class Clustering:
-    """A partition of the configuration space.
+    """A partition of the configuration space."""
 
-    Args:
-        centres: (k, e) in the embedding.
-        labels: (M,) cluster of each configuration.
-        space: the joint space.
-    """
-
-    centres: NDArray[np.float64]
-    labels: NDArray[np.int64]
+    centres: NDArray[np.float64]  # (k, e) in the embedding
+    labels: NDArray[np.int64]  # (M,) cluster of each configuration
     space: JointSpace
 
     def label(self, configurations: NDArray[np.floating[Any]]) -> NDArray[np.int64]:
@@ -52,15 +46,10 @@ class Clustering:
 
 @dataclass(frozen=True, slots=True)
 class Partition:
-    """Cells of the configuration space and what they are grouped into, one cluster a local trial.
-
-    Args:
-        cells: without a gate, as many as there are clusters.
-        clusters: (k,) cluster of each cell.
-    """
+    """Cells of the configuration space and what they are grouped into, one cluster a local trial."""
 
     cells: Clustering
-    clusters: NDArray[np.int64]
+    clusters: NDArray[np.int64]  # (k,) cluster of each cell
 
     @property
     def labels(self) -> NDArray[np.int64]:
@@ -81,11 +70,7 @@ class Partition:
 
     @classmethod
     def read(cls, path: Path, configurations: NDArray[np.float32], space: JointSpace) -> "Partition | None":
-        """The partition of the same (M, d) configurations that an earlier attempt saved; None without one.
-
-        Raises:
-            ConfigError: it is of other configurations.
-        """
+        """The partition of the same (M, d) configurations that an earlier attempt saved; None without one."""
         try:
             with np.load(path, allow_pickle=False) as kept:
                 found = cls(Clustering(kept["centres"], kept["cells"], space), kept["clusters"])
@@ -102,11 +87,7 @@ class Partition:
 
     @classmethod
     def load(cls, path: Path, configurations: NDArray[np.float32], space: JointSpace) -> "Partition":
-        """Other (M, d) configurations in the cells of an earlier partition.
-
-        Raises:
-            ConfigError: a cluster holds none of them.
-        """
+        """Other (M, d) configurations in the cells of an earlier partition."""
         with np.load(path, allow_pickle=False) as kept:
             cells = Clustering(kept["centres"], np.empty(0, dtype=np.int64), space)
             found = cls(replace(cells, labels=cells.label(configurations)), kept["clusters"])
@@ -126,18 +107,7 @@ def cluster(
     seed: int,
     space: JointSpace,
 ) -> Clustering:
-    """Partition (M, d) configurations into ``count`` clusters.
-
-    Args:
-        configurations: rad.
-        count: k.
-        fit_samples: rows that the centres are fitted on; all rows are labelled.
-        seed: of the rows and of k-means.
-        space: the joint space.
-
-    Raises:
-        ConfigError: fewer configurations than clusters.
-    """
+    """Partition (M, d) configurations into ``count`` clusters."""
     total = len(configurations)
     if total < count:
         raise ConfigError(
@@ -164,13 +134,7 @@ def _state(seed: int, use: str) -> int:
 
 
 def group(cells: Clustering, count: int, seed: int) -> NDArray[np.int64]:
-    """Neighbouring cells put together: the cluster of each of k cells, (k,), by k-means over their centres.
-
-    Args:
-        cells: a partition into k cells.
-        count: clusters, at most k.
-        seed: of k-means.
-    """
+    """The cluster of each of k cells, (k,), by k-means over their centres."""
     if count == len(cells.centres):
         return np.arange(count)
     model = KMeans(count, n_init=4, random_state=_state(seed, "clusters of cells"))
@@ -178,16 +142,7 @@ def group(cells: Clustering, count: int, seed: int) -> NDArray[np.int64]:
 
 
 def points_in_cells(cells: Clustering, points: int, seed: int) -> CellPoints:
-    """Configurations spread evenly over the joint space, ``points`` in each cell.
-
-    Args:
-        cells: a partition into k cells.
-        points: in each.
-        seed: of the draws.
-
-    Raises:
-        ConfigError: a cell holds none of the draws.
-    """
+    """Configurations spread evenly over the joint space, ``points`` in each cell."""
     rng = np.random.default_rng(derived_seed(seed, "points in cells"))
     count, space = len(cells.centres), cells.space
     draws = space.sample_uniform(rng, _DRAWS_PER_POINT * points * count)

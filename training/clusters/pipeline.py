@@ -113,11 +113,7 @@ def prepare_data(config: TrainConfig, data_folder: Path) -> Dataset:
 
 
 def open_outcomes(config: TrainConfig, dataset: Dataset) -> Dataset | None:
-    """The data set of outcomes that a head learns from beside the other; None without one.
-
-    Raises:
-        DatasetError: it is none, or of another robot or sensor.
-    """
+    """The data set of outcomes that a head learns from beside the other; None without one."""
     folder = config.data.outcomes
     if folder is None:
         return None
@@ -179,9 +175,6 @@ def cluster_data(job: Job[TrainConfig], dataset: Dataset) -> TrainingArrays:
     """Stage 2: k-means over the configuration space, and cells for the gate; before anything is trained.
 
     A job that goes on reads the clusters that it wrote.
-
-    Raises:
-        ConfigError: the data do not fit the clusters that are asked for.
     """
     config, path = job.config, job.folder / CLUSTERS_FILE
     free, ids = uniform_free(dataset)
@@ -274,11 +267,7 @@ def train_global(
 
 
 def encoder_checkpoint(job: Job[TrainConfig], vae: TrialOutcome | None) -> Path:
-    """Where the encoder's weights are: in the job's own VAE trial, or where the configuration says.
-
-    Raises:
-        ConfigError: nowhere.
-    """
+    """Where the encoder's weights are: in the job's own VAE trial, or where the configuration says."""
     given = job.config.vae.checkpoint
     if vae is not None:
         return vae.checkpoint
@@ -288,11 +277,7 @@ def encoder_checkpoint(job: Job[TrainConfig], vae: TrialOutcome | None) -> Path:
 
 
 def require_encoder(job: Job[TrainConfig], dataset: Dataset) -> None:
-    """See that an encoder that the configuration names is there and fits, before anything is trained.
-
-    Raises:
-        ConfigError: it is not, or does not.
-    """
+    """See that an encoder that the configuration names is there and fits, before anything is trained."""
     config = job.config.vae
     if config.checkpoint is None:
         return
@@ -319,18 +304,7 @@ BUNDLE_FOLDER = "bundle"
 
 @dataclass(frozen=True, slots=True)
 class TrainResult:
-    """What a job leaves behind.
-
-    Args:
-        run_id: the parent run.
-        model: the registered model's name.
-        version: the new version.
-        digest: the bundle's digest.
-        data_digest: the data set's digest.
-        metrics: last metrics of the global trial.
-        trials: start and end of every trial, Unix time by the workers' clocks.
-        figures: names of the pictures logged with the run.
-    """
+    """What a job leaves behind."""
 
     run_id: str
     model: str
@@ -354,12 +328,7 @@ class TrainResult:
 
 
 def run_job(job: Job[TrainConfig]) -> TrainResult:
-    """Run the whole job, or go on with it: finished trials stay, others start from their checkpoints.
-
-    Raises:
-        CspaceError: bad data, a failed trial, or a registry that does not answer.
-        KeyboardInterrupt: it was asked to stop; it can be resumed.
-    """
+    """Run the whole job, or go on with it: finished trials stay, others start from their checkpoints."""
     with job.running() as run:
         dataset = prepare_data(job.config, job.environment.data_folder)
         # The configuration's name for the robot, else that of its data, else that of its description.

@@ -17,13 +17,7 @@ from services.registry.connection import tracking_uri
 
 @dataclass(frozen=True, slots=True)
 class Environment:
-    """Where a job works.
-
-    Args:
-        tracking_uri: the tracking server's address.
-        data_folder: absolute, on storage that all nodes share.
-        patience_s: how long the job's driver waits for a tracking server that is away.
-    """
+    """Where a job works."""
 
     tracking_uri: str
     data_folder: Path
@@ -34,9 +28,6 @@ def job_environment() -> Environment:
     """MLFLOW_TRACKING_URI and CSPACE_DATA_DIR, which the Ray head of ``make up`` hands to its jobs.
 
     CSPACE_TRACKING_PATIENCE_S, where it is set, is how long a job waits for a tracking server that is away.
-
-    Raises:
-        ConfigError: one is missing or no number, or the folder is not absolute.
     """
     folder = os.environ.get("CSPACE_DATA_DIR", "")
     remedy = "submit to the Ray head of `make up`, which sets both, or export them"
@@ -81,12 +72,7 @@ UNKNOWN = "unknown"
 
 @dataclass(frozen=True, slots=True)
 class SourceState:
-    """The state of the source tree.
-
-    Args:
-        commit: the commit's name, or "unknown" outside a checkout.
-        dirty: whether tracked files differ from it; None outside a checkout.
-    """
+    """The state of the source tree."""
 
     commit: str
     dirty: bool | None
@@ -109,13 +95,7 @@ def source_state() -> SourceState:
 
 
 def job_tags(preset: str, seed: int, script: str) -> dict[str, str]:
-    """What a job's run is found by, and what MLflow's UI shows as its source.
-
-    Args:
-        preset: of its configuration.
-        seed: likewise.
-        script: in the project's folder.
-    """
+    """What a job's run is found by, and what MLflow's UI shows as its source."""
     source = source_state()
     return {
         "preset": preset,
@@ -147,12 +127,7 @@ def command_line() -> str:
 
 
 def provenance(config: Mapping[str, Any], **known: Any) -> Provenance:
-    """How a bundle was made that this process makes now.
-
-    Args:
-        config: how it was made; plain values.
-        known: further fields of the provenance: ``data_digest``, ``seeds``, ``metrics``.
-    """
+    """How a bundle was made that this process makes now."""
     source = source_state()
     return Provenance(
         git_commit=source.commit,

@@ -19,14 +19,7 @@ _SPEC = "bundle.json"
 
 
 def earlier_job(config: JobConfig, start_from: str, environment: Environment) -> str:
-    """The run of the job that ``start_from`` means, whose networks are of the configuration's shapes.
-
-    Raises:
-        ConfigError: it means none, the job's folder is gone or not that of a finished job of this kind, or
-            its robot or its sizes are others; the setting is named.
-        ModelNotFoundError: there is no such version.
-        RegistryUnavailableError: the registry stayed away.
-    """
+    """The run of the job that ``start_from`` means, whose networks are of the configuration's shapes."""
     run_id = start_from if _RUN_ID.fullmatch(start_from) else _maker(start_from, environment)
     folder = _owner(run_id, environment)
     try:
@@ -60,11 +53,7 @@ def earlier_job(config: JobConfig, start_from: str, environment: Environment) ->
 
 
 def require_folder(folder: Path) -> Path:
-    """A job's folder, whose weights another one starts from.
-
-    Raises:
-        ConfigError: it is gone.
-    """
+    """A job's folder, whose weights another one starts from."""
     if (folder / RECORD).is_file():
         return folder
     raise ConfigError(

@@ -58,23 +58,12 @@ def job_label(config: JobConfig, name: str | None) -> str:
 
 
 def shown_tags(config: JobConfig, name: str | None, stage: str) -> dict[str, str]:
-    """Tags of a job's run, or of a trial's.
-
-    Args:
-        config: of the job.
-        name: of the job; None for one that only its run names.
-        stage: what the run is of: ``cluster-train``, ``local``.
-    """
+    """Tags of a job's run, or of a trial's."""
     return {TAG_STAGE: stage, TAG_JOB: name or "", TAG_PRESET: config.preset}
 
 
 def world_tag(world: World, given: str | None) -> dict[str, str]:
-    """The tag of the world and the robot that a job is for.
-
-    Args:
-        world: of its data.
-        given: the robot's name, as :func:`services.names.robot_name` takes it.
-    """
+    """The tag of the world and the robot that a job is for."""
     return {TAG_WORLD: f"{world.kind}, {robot_name(world, given)}"}
 
 
@@ -109,19 +98,7 @@ Answer = TypeVar("Answer")
 
 @dataclass(frozen=True, slots=True)
 class Job(Generic[Config]):
-    """A job under way.
-
-    Args:
-        config: what it trains.
-        environment: where it works.
-        tracking: its server, which is waited for.
-        run: the parent run.
-        folder: of its trials, named after the run; ``job.json`` there holds configuration and child runs.
-        children: child run by trial.
-        name: under which it can be submitted again; None for a job that only its run names.
-        start_run_id: of the job whose weights its trials start from; None where they start from nothing.
-        extra_tags: tags that all of its runs have.
-    """
+    """A job under way."""
 
     config: Config
     environment: Environment
@@ -142,21 +119,7 @@ class Job(Generic[Config]):
         stage: str = "cluster-train",
         name: str | None = None,
     ) -> "Job[Config]":
-        """A new job with a run of its own, or the one that was submitted under this name before.
-
-        Args:
-            config: what it trains; under a name that is known, the same as before.
-            environment: where it works.
-            tags: of the run.
-            stage: what its run is of.
-            name: of the job: letters, digits, ``-`` and ``_``.
-
-        Raises:
-            ConfigError: the name is none, or belongs to a job of another configuration; ``start_from`` is
-                none, or of another robot or other sizes.
-            StorageError: the data folder is full or cannot be written.
-            RegistryUnavailableError: the tracking server stayed away.
-        """
+        """A new job with a run of its own, or the one that was submitted under this name before."""
         if name is not None and not _NAME.fullmatch(name):
             raise ConfigError(
                 "a job's name does not fit",
@@ -183,17 +146,7 @@ class Job(Generic[Config]):
 
     @classmethod
     def resume(cls, run_id: str, environment: Environment, kind: type[Config]) -> "Job[Config]":
-        """A job that was stopped, with the runs that it had.
-
-        Args:
-            run_id: of the parent run.
-            environment: the same as the job's.
-            kind: of configuration that it had.
-
-        Raises:
-            ConfigError: no such job worked in this data folder, or one of another kind.
-            RegistryUnavailableError: the tracking server stayed away.
-        """
+        """A job that was stopped, with the runs that it had."""
         folder = job_folder(environment, run_id)
         try:
             record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
@@ -215,12 +168,7 @@ class Job(Generic[Config]):
 
     @contextmanager
     def running(self) -> Iterator[RunLog]:
-        """The run, for as long as this process works on the job; in the end the server has all of its trials.
-
-        Raises:
-            JobError: another process works on it.
-            RegistryUnavailableError: the tracking server stayed away at the end.
-        """
+        """The run, while this process works on the job; at its end the server has all trials."""
         with holding(self.folder / "lock", self._busy()):
             _LOG.info("run: %s", self.run.run_id)
             self._tidy()
@@ -259,11 +207,7 @@ class Job(Generic[Config]):
 
     @property
     def start_folder(self) -> Path | None:
-        """The folder of the job whose weights its trials start from; None where they start from nothing.
-
-        Raises:
-            ConfigError: it is gone.
-        """
+        """The folder of the job whose weights its trials start from; None where they start from nothing."""
         start = self.start_run_id
         return None if start is None else require_folder(job_folder(self.environment, start))
 
@@ -293,11 +237,7 @@ class Job(Generic[Config]):
             discard(half)
 
     def same(self, config: Config) -> "Job[Config]":
-        """This job, if it has these settings.
-
-        Raises:
-            ConfigError: it has others.
-        """
+        """This job, if it has these settings."""
         ours, given = flatten(self.config.to_dict()), flatten(config.to_dict())
         changed = sorted(key for key in ours.keys() | given.keys() if ours.get(key) != given.get(key))
         if changed:
@@ -320,11 +260,7 @@ def kept_bundle(folder: Path) -> Bundle | None:
 
 
 def prepare(environment: Environment) -> None:
-    """See that the data folder can be written and has room, before the long work.
-
-    Raises:
-        StorageError: it cannot, or has not.
-    """
+    """See that the data folder can be written and has room, before the long work."""
     try:
         (environment.data_folder / "jobs" / "names").mkdir(parents=True, exist_ok=True)
         probe = environment.data_folder / "jobs" / ".probe"
@@ -348,18 +284,7 @@ def _record(
 
 
 def registered_name(job: Job[Config], world: World, given: str | None, *, path: bool) -> str:
-    """The name under which a job registers; to be asked before the long work.
-
-    Args:
-        job: under way.
-        world: whose robot it trains for.
-        given: the robot's name in its configuration.
-        path: whether the model is one of paths.
-
-    Raises:
-        ConfigError: the name is another robot's, or the registry has versions of another robot under it.
-        RegistryUnavailableError: the registry stayed away.
-    """
+    """The name under which a job registers; to be asked before the long work."""
     digest, name = robot_digest(world), model_name(world, given, path=path)
     if given is None:
         return name

@@ -10,18 +10,7 @@ ALIASES = (ALIAS_CHALLENGER, ALIAS_CHAMPION)
 
 
 def register_untrained(bundle: Bundle, uri: str, model: str, alias: str, stage: str) -> str:
-    """Make a bundle the next version of a model, by a run that holds its settings; ``name/version``.
-
-    Args:
-        bundle: what is registered.
-        uri: of the tracking server.
-        model: name of the registered model.
-        alias: one of ``ALIASES``.
-        stage: what the run is of.
-
-    Raises:
-        RegistryError: the registry does not answer.
-    """
+    """Make a bundle the next version of a model, by a run that holds its settings; ``name/version``."""
     tracking, registry = connect(uri)
     provenance = bundle.spec.provenance
     tags = {TAG_STAGE: stage, **world_tag(bundle.spec.world, recorded_name(provenance.config))}

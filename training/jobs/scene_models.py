@@ -36,16 +36,6 @@ def register(
 
     Better is a higher accuracy on average over the held-out arms, with no arm for which 0.5 percentage points
     more of what passes a confidence of 0.9 are in collision. The same weights are registered once.
-
-    Args:
-        file: named ``scene_model.safetensors``, of :func:`training.models.checkpoint.save_scene_model`.
-        figures: of each held-out arm, as :func:`training.scene_model.measure` finds them.
-        params: how they were trained.
-        tracking: keeps the weights.
-        registry: in which they become a version.
-
-    Raises:
-        RegistryError: the tracking server is away, or holds something else.
     """
     digest = hashlib.sha256(file.read_bytes()).hexdigest()
     flat = {f"{arm}.{name}": value for arm, found in figures.items() for name, value in found.items()}
@@ -64,20 +54,7 @@ def register(
 
 
 def fetch(reference: str, file: Path, tracking: Tracking, registry: ModelRegistry) -> ModelVersion:
-    """Write the weights of a version.
-
-    Args:
-        reference: ``scene-model``, for its champion, ``scene-model@alias`` or ``scene-model/version``.
-        file: is replaced.
-        tracking: that keeps the weights.
-        registry: that knows the version.
-
-    Raises:
-        InputError: the reference is of another model.
-        ModelNotFoundError: there is no such version, or its run has lost the weights.
-        BundleIntegrityError: the weights are not those that were registered.
-        RegistryError: the tracking server is away.
-    """
+    """Write the weights of a version."""
     named = ModelReference.parse(reference)
     if named.name != SCENE_MODEL_NAME:
         raise InputError(

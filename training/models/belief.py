@@ -39,13 +39,7 @@ def ball(arm: GridArm) -> GridArm:
 
 
 class Ball(nn.Module):
-    """Places (n, 3) m to the probability that a ball there touches something, (n,), for one picture.
-
-    Args:
-        model: that is asked.
-        world: in whose pictures.
-        scale: a and b of the log odds a x + b, with x those of the model.
-    """
+    """Places (n, 3) m to the probability that a ball there touches something, (n,), for one picture."""
 
     def __init__(self, model: SceneModel, world: World, scale: tuple[float, float] = (1.0, 0.0)) -> None:
         super().__init__()
@@ -73,10 +67,6 @@ def belief_graph(model: SceneModel, world: World) -> bytes:
     The probability that a ball of a voxel's radius touches something is fitted to places that no camera sees
     in simulated scenes of the arm: taken from the model as it is, it would be too low, for a ball is smaller
     than all that the model has learned with.
-
-    Args:
-        model: that is asked.
-        world: an arm that sees with depth cameras.
     """
     ball_of = Ball(model, world).eval()
     ball_of.scale = _fitted(ball_of, world)

@@ -14,15 +14,10 @@ from training.models.joints import Joints
 
 @dataclass(frozen=True, slots=True)
 class CellPoints:
-    """Points spread evenly over each cell.
+    """Points spread evenly over each cell."""
 
-    Args:
-        points: (k, p, d) float32 rad.
-        spacing_rad: (k,) float32, side of the cube that is one point's part of its cell.
-    """
-
-    points: NDArray[np.float32]
-    spacing_rad: NDArray[np.float32]
+    points: NDArray[np.float32]  # (k, p, d) float32 rad
+    spacing_rad: NDArray[np.float32]  # (k,) float32, side of the cube that is one point's part of its cell
 
 
 class Base(nn.Module, ABC):
@@ -49,10 +44,7 @@ class UniformBase(Base):
 class CellBase(Base):
     """Evenly inside cells that are drawn by their probability under the scenario.
 
-    Args:
-        cells: k cells with their points.
-        probabilities: (S, k) float32, not negative; a row need not sum to one.
-        space: the joint space.
+    ``probabilities`` (S, k) float32, not negative; a row need not sum to one.
     """
 
     points: Tensor

@@ -27,13 +27,7 @@ WEIGHTS, TRAINING, STATE = "weights.safetensors", "training.safetensors", "state
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """Where a trial stands.
-
-    Args:
-        step: steps that are done.
-        run_id: the tracking run that the trial reports to.
-        history: the metrics logged so far, each row with its ``step`` and ``time_ms``.
-    """
+    """Where a trial stands."""
 
     step: int
     run_id: str
@@ -130,11 +124,7 @@ def save_scene_model(path: Path, model: SceneModel) -> None:
 
 
 def load_scene_model(path: Path, world: World) -> SceneModel:
-    """The scene model of a file, for pictures of a world.
-
-    Raises:
-        ConfigError: there is none, or it was trained with voxels of another size.
-    """
+    """The scene model of a file, for pictures of a world."""
     try:
         with safe_open(path, "pt") as file:
             sizes = json.loads(file.metadata()["sizes"])

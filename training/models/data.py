@@ -31,36 +31,22 @@ def rows_of(offsets: Tensor, ids: Tensor, shares: Tensor) -> Tensor:
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Real configurations with the scenario that each belongs to.
+    """Real configurations with the scenario that each belongs to."""
 
-    Args:
-        configurations: (b, d) rad.
-        ids: (b,) scenario index.
-        mu: (b, L) mean of the scenario's latent.
-        sigma: (b, L) its standard deviation.
-    """
-
-    configurations: Tensor
-    ids: Tensor
-    mu: Tensor
-    sigma: Tensor
+    configurations: Tensor  # (b, d) rad
+    ids: Tensor  # (b,) scenario index
+    mu: Tensor  # (b, L) mean of the scenario's latent
+    sigma: Tensor  # (b, L) its standard deviation
 
 
 @dataclass(frozen=True, slots=True)
 class ScenarioSamples(Held):
-    """Configurations of one cluster (or of all) with the latents of their scenarios.
+    """Configurations of one cluster (or of all) with the latents of their scenarios."""
 
-    Args:
-        configurations: (M, d) float32 rad.
-        ids: (M,) int64 scenario of each configuration.
-        mu: (S, L) float32.
-        sigma: (S, L) float32.
-    """
-
-    configurations: Tensor
-    ids: Tensor
-    mu: Tensor
-    sigma: Tensor
+    configurations: Tensor  # (M, d) float32 rad
+    ids: Tensor  # (M,) int64 scenario of each configuration
+    mu: Tensor  # (S, L) float32
+    sigma: Tensor  # (S, L) float32
 
     def draw(self, size: int, rng: torch.Generator) -> Batch:
         """A batch with replacement."""

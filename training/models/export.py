@@ -165,15 +165,7 @@ def exported(
     outputs: list[str],
     free_axes: tuple[Any, ...],
 ) -> bytes:
-    """A module's graph, self-contained and without traces of the machine.
-
-    Args:
-        module: whose forward is exported.
-        inputs: examples.
-        names: of the inputs.
-        outputs: their names.
-        free_axes: for each input, its axes of a free length.
-    """
+    """A module's graph, self-contained and without traces of the machine."""
     module.eval()
     with _quiet():
         program = torch.onnx.export(
@@ -193,11 +185,7 @@ def exported(
 
 
 def _without_traces(model: Any) -> bytes:
-    """The graph's bytes without the exporter's stack traces, which name folders of the machine it ran on.
-
-    Args:
-        model: an ``onnx.ModelProto``.
-    """
+    """The graph's bytes without the exporter's stack traces, which name folders of the machine it ran on."""
     graph = model.graph
     for part in (
         model,

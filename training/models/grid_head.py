@@ -20,10 +20,8 @@ Counts = tuple[int, int, int]
 class Corners:
     """The eight voxels round each point, and its place between them.
 
-    Args:
-        places: (3, k, n) in voxels from the lowest corner.
-        counts: X, Y, Z of the grid.
-        rows: (n,) where in a table each configuration's scene begins; one number for all.
+    ``places`` (3, k, n) in voxels from the lowest corner; ``rows`` (n,) where in a table each
+    configuration's scene begins; one number for all.
     """
 
     def __init__(self, places: Tensor, counts: Counts, rows: Tensor | int) -> None:
@@ -167,19 +165,12 @@ _RARE = -4.0
 
 @dataclass(frozen=True, slots=True)
 class HeadPrediction:
-    """What the head says of configurations (p, c).
+    """What the head says of configurations (p, c)."""
 
-    Args:
-        clear: (p, c) log of the probability that no obstacle is touched.
-        hazards: (p, c, G) log odds that a group of spheres touches one.
-        itself: (p, c) whether the arm does not touch itself.
-        unseen: (p, c) share of the arm's volume that no camera saw to be free.
-    """
-
-    clear: Tensor
-    hazards: Tensor
-    itself: Tensor
-    unseen: Tensor
+    clear: Tensor  # (p, c) log of the probability that no obstacle is touched
+    hazards: Tensor  # (p, c, G) log odds that a group of spheres touches one
+    itself: Tensor  # (p, c) whether the arm does not touch itself
+    unseen: Tensor  # (p, c) share of the arm's volume that no camera saw to be free
 
     @property
     def free(self) -> Tensor:
@@ -211,13 +202,7 @@ class SceneModel(nn.Module):
 
 
 class GridHead(nn.Module):
-    """See the module; pictures are (p, 2, X, Y, Z) in [0, 1], configurations (p, c, d) rad.
-
-    Args:
-        model: what is learned.
-        arm: whose configurations are asked about.
-        counts: X, Y, Z of its pictures.
-    """
+    """See the module; pictures are (p, 2, X, Y, Z) in [0, 1], configurations (p, c, d) rad."""
 
     spheres: Tensor
     shapes: Tensor
@@ -253,11 +238,7 @@ class GridHead(nn.Module):
 
     @classmethod
     def of(cls, config: ValidityConfig, world: World) -> "GridHead":
-        """The head that settings name.
-
-        Raises:
-            ConfigError: pictures of the world are no arrays of space, or the settings are of another head.
-        """
+        """The head that settings name."""
         if config.grid is None:
             raise ConfigError(
                 "a head of arrays of space needs its sizes", expected="validity.grid", got="none"
@@ -286,12 +267,7 @@ class GridHead(nn.Module):
     ) -> HeadPrediction:
         """The same of frames of the arm, (3, 4 (d + 1), n), in scenes as :meth:`at_spheres` has them.
 
-        Args:
-            pictures: as :meth:`forward` has them.
-            table: of their features.
-            frames: of the arm.
-            scene: (n,) number of the picture; None for one.
-            shape: p and c, whose product is n.
+        ``scene`` (n,) number of the picture; None for one.
         """
         margins, unseen = self.at_spheres(pictures, frames, scene)
         near, sight = margins[self.members].amin(dim=1), unseen[self.members].mean(dim=1)
@@ -313,10 +289,7 @@ class GridHead(nn.Module):
     def at_spheres(self, pictures: Tensor, frames: Tensor, scene: Tensor | None) -> tuple[Tensor, Tensor]:
         """Of all spheres that move, (S, n): margins to the surface seen, m, and whether not seen free.
 
-        Args:
-            pictures: (p, 2, X, Y, Z) in [0, 1].
-            frames: of the arm, (3, 4 (d + 1), n).
-            scene: (n,) number of the picture; None for one.
+        ``pictures`` (p, 2, X, Y, Z) in [0, 1]; ``scene`` (n,) number of the picture; None for one.
         """
         places, values = self.spheres @ frames + self.corner, pictures.reshape(-1)
         near = Corners(places, self.counts, self._begin(scene)).of_values(values)

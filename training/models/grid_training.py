@@ -22,21 +22,13 @@ _MAX_LOG_FREE = -1e-6
 
 @dataclass(frozen=True, slots=True)
 class GridSamples(Held):
-    """Pictures on disk, and labelled configurations in memory.
+    """Pictures on disk, and labelled configurations in memory."""
 
-    Args:
-        images: (S, X, Y, Z, 2) uint8, memory-mapped; a tensor in a GPU's memory.
-        configurations: (M, d) float32 rad, scenario after scenario.
-        free: (M,) bool.
-        hits: (M, G) bool, which groups of spheres touch an obstacle; (M, 0) where nobody knows.
-        offsets: (S + 1,) int64; scenario i owns rows offsets[i] to offsets[i + 1].
-    """
-
-    images: NDArray[np.uint8] | Tensor
-    configurations: Tensor
-    free: Tensor
-    hits: Tensor
-    offsets: Tensor
+    images: NDArray[np.uint8] | Tensor  # (S, X, Y, Z, 2) uint8, memory-mapped; a tensor in a GPU's memory
+    configurations: Tensor  # (M, d) float32 rad, scenario after scenario
+    free: Tensor  # (M,) bool
+    hits: Tensor  # (M, G) bool, which groups of spheres touch an obstacle; (M, 0) where nobody knows
+    offsets: Tensor  # (S + 1,) int64; scenario i owns rows offsets[i] to offsets[i + 1]
 
     def to(self, device: torch.device) -> Self:
         """The same with its tensors on another device; pictures stay where they are, unless that is a GPU."""
@@ -61,19 +53,12 @@ class GridSamples(Held):
 
 @dataclass(frozen=True, slots=True)
 class GridBatch:
-    """What one step learns from.
+    """What one step learns from."""
 
-    Args:
-        images: (p, 2, X, Y, Z) uint8.
-        configurations: (p, c, d) rad.
-        free: (p, c) bool.
-        hits: (p, c, G) bool, or (p, c, 0).
-    """
-
-    images: Tensor
-    configurations: Tensor
-    free: Tensor
-    hits: Tensor
+    images: Tensor  # (p, 2, X, Y, Z) uint8
+    configurations: Tensor  # (p, c, d) rad
+    free: Tensor  # (p, c) bool
+    hits: Tensor  # (p, c, G) bool, or (p, c, 0)
 
     def turned(self, quarters: int) -> "GridBatch":
         """The same scenes turned by quarters about the axis of the base and of the first joint."""
@@ -85,12 +70,7 @@ class GridBatch:
 
 @dataclass(frozen=True, slots=True)
 class ArmSamples(Held):
-    """What is learned with several arms.
-
-    Args:
-        worlds: one each.
-        samples: of each world.
-    """
+    """What is learned with several arms."""
 
     worlds: tuple[World, ...]
     samples: tuple[GridSamples, ...]
@@ -105,11 +85,6 @@ class GridHeadModule(TrialModule):
 
     Configurations come as the data set has them, so that confidences are true to its mixture. Where the arm
     touches itself the head knows, and learns nothing of the scene unless the groups' truth is known.
-
-    Args:
-        config: sizes and budget.
-        samples: pictures and configurations, of one arm or more. A step takes those of one arm.
-        seed: of initialisation and of every draw.
     """
 
     samples: ArmSamples

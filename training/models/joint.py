@@ -20,14 +20,8 @@ class JointModule(WganGpModule):
     VAE's alone. All pictures are encoded once a step, before anything changes; the critic's steps read the
     latents, the generator's step sends its gradient through them.
 
-    Args:
-        config: the WGAN-GP's; ``critic_condition`` is ``projection``.
-        vae: sizes, the KL term's weight, pictures a step that are decoded.
-        samples: all configurations; their latents are replaced.
-        images: (S, 3, P, P) uint8, one a scenario.
-        scale: mean and standard deviation of all configurations, each (d,) rad.
-        seed: of every draw.
-        space: the joint space.
+    ``images`` (S, 3, P, P) uint8, one a scenario; ``scale`` mean and standard deviation of all
+    configurations, each (d,) rad.
     """
 
     images: Tensor

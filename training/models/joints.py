@@ -38,11 +38,7 @@ def on_torus(embedded: Tensor) -> Tensor:
 
 
 class Joints(nn.Module):
-    """A joint space's mathematics on tensors; it has no weights.
-
-    Args:
-        space: circles and limited joints.
-    """
+    """A joint space's mathematics on tensors; it has no weights."""
 
     limited: Tensor
     columns: Tensor

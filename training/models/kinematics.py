@@ -56,14 +56,7 @@ class ArmFrames(nn.Module):
 
 
 def frame_rows(points: Tensor, links: Tensor, count: int, places: float = 1.0) -> Tensor:
-    """What a product with frames (3, 4 c, n) takes to points: (k, 4 c) for points (k, 3) of links (k,).
-
-    Args:
-        points: in the links' frames.
-        links: their numbers.
-        count: c of the links, the base included.
-        places: what the links' places are multiplied by; 0 for directions.
-    """
+    """What a product with frames (3, 4 c, n) takes to points: (k, 4 c) for points (k, 3) of links (k,)."""
     rows = points.new_zeros(len(points), count, 4)
     numbers = torch.arange(len(points))
     rows[numbers, links, :3] = points

@@ -14,11 +14,7 @@ from training.models.settings import LookupConfig
 class ArmLookups(nn.Module):
     """Reads pictures at points along the links of an arm and beside them.
 
-    Args:
-        world: robot and sensor.
-        points_per_link: along each link, from its first joint to its tip.
-        side_m: distance of the two rows of points beside each link, m; with 0 there is the middle row alone.
-
+    ``side_m`` distance of the two rows of points beside each link, m; with 0 there is the middle row alone.
     Shapes: pictures (p, 3, P, P), configurations (p, c, d) rad to (p, c, values).
     """
 
@@ -114,11 +110,8 @@ class PictureReader(nn.Module):
     Its derivative by the configurations has a derivative again, as the gradient penalty needs and
     ``grid_sample`` does not give; and it reads stored bytes, so that no batch of pictures is ever made.
 
-    Args:
-        lookups: where the arm reads.
-        images: (S, P, P, 3) uint8, all pictures.
-
-    Shapes: ids (b,) and configurations (b, d) rad to (b, values) in [-1, 1].
+    ``images`` (S, P, P, 3) uint8, all pictures. Shapes: ids (b,) and configurations (b, d) rad to (b,
+    values) in [-1, 1].
     """
 
     pixels: Tensor
@@ -145,15 +138,10 @@ class PictureReader(nn.Module):
 
 @dataclass(frozen=True, slots=True)
 class Scenes:
-    """The pictures with what look-ups need to know of them.
-
-    Args:
-        world: robot and sensor.
-        images: (S, P, P, 3) uint8.
-    """
+    """The pictures with what look-ups need to know of them."""
 
     world: World
-    images: Tensor
+    images: Tensor  # (S, P, P, 3) uint8
 
 
 def make_lookups(config: LookupConfig, world: World) -> ArmLookups | None:
@@ -164,11 +152,7 @@ def make_lookups(config: LookupConfig, world: World) -> ArmLookups | None:
 
 
 def make_reader(config: LookupConfig, scenes: Scenes | None) -> PictureReader | None:
-    """The reader that a configuration names; None for no look-ups.
-
-    Raises:
-        ConfigError: look-ups without pictures.
-    """
+    """The reader that a configuration names; None for no look-ups."""
     if config.points_per_link == 0:
         return None
     if scenes is None:

@@ -29,10 +29,7 @@ def generator_loss(fake: Tensor) -> Tensor:
 def guided_generator_loss(fake: Tensor, local: list[Tensor], weight: float) -> Tensor:
     """The global generator's loss: its own critic plus the mean of the local ones (eq. multiDirector).
 
-    Args:
-        fake: (b, K) values of the global critic.
-        local: per cluster, (b, K) values of its frozen critic.
-        weight: weight of the local critics' mean; 1 in the paper, 0 switches them off.
+    ``fake`` (b, K) values of the global critic.
     """
     loss = generator_loss(fake)
     if local and weight > 0.0:
@@ -62,10 +59,7 @@ def gradient_penalty(critic: Callable[[Tensor], Tensor], points: Tensor, *, one_
 
     The two-sided form oscillates in two dimensions; the one-sided form bounds the slope and no more.
 
-    Args:
-        critic: maps (b, d) to (b,).
-        points: (b, d), interpolated.
-        one_sided: whether slopes below 1 are left alone.
+    ``points`` (b, d), interpolated.
     """
     points = points.detach().requires_grad_()
     (gradient,) = torch.autograd.grad(critic(points).sum(), points, create_graph=True)
@@ -94,9 +88,7 @@ def fake_term(values: Tensor, epsilon: float | None) -> Tensor:
 
     Half of each keeps the loss invariant to a constant added to f; the printed sum lets f drift away.
 
-    Args:
-        values: (b, K) critic values.
-        epsilon: the smooth maximum's; None for the mean alone.
+    ``values`` (b, K) critic values.
     """
     mean = values.mean(dim=-1)
     if epsilon is None or values.shape[-1] == 1:

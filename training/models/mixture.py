@@ -35,12 +35,8 @@ class Gate(nn.Module):
 class GateModule(TrialModule):
     """Trains the gate by cross entropy on each cell's share of a scenario's free configurations.
 
-    Args:
-        config: sizes and budget.
-        mu: (S, L) latent means.
-        sigma: (S, L) latent standard deviations.
-        shares: (S, k) of every scenario's free configurations in each cell.
-        seed: of initialisation and of every draw.
+    ``mu`` (S, L) latent means; ``sigma`` (S, L) latent standard deviations; ``shares`` (S, k) of every
+    scenario's free configurations in each cell.
     """
 
     mu: Tensor
@@ -78,11 +74,8 @@ def gate_probabilities(gate: Gate, mu: NDArray[np.float32]) -> NDArray[np.float3
 class Experts(nn.Module):
     """Torus generators of one shape, each in charge of some cells.
 
-    Args:
-        generators: one or more.
-        clusters: (k,) the generator that is in charge of each cell.
-
-    Shapes: latent (m, L), base (m, d) rad, noise (m, n), seen (m, looked_up) or None, cell (m,) to (m, d).
+    ``clusters`` (k,) the generator that is in charge of each cell. Shapes: latent (m, L), base (m, d) rad,
+    noise (m, n), seen (m, looked_up) or None, cell (m,) to (m, d).
     """
 
     clusters: Tensor
@@ -113,12 +106,6 @@ class GatedSampler(nn.Module):
 
     Shapes: latent (m, L), cell and place (m, 1) in [0, 1), jitter (m, d) in [-1/2, 1/2), noise (m, n), and
     with look-ups image (1, 3, P, P), to (m, 1, d) rad.
-
-    Args:
-        gate: trained.
-        cells: k cells with their points.
-        experts: who is in charge of which.
-        lookups: of the experts; None without.
     """
 
     points: Tensor

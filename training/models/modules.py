@@ -173,16 +173,7 @@ class AdversarialModule(TrialModule, ABC):
 class WganGpModule(AdversarialModule):
     """WGAN-GP over configurations (Algorithm 1), local or global.
 
-    Args:
-        config: budget, losses and sizes.
-        samples: the cluster's configurations, or all of them.
-        scale: mean and standard deviation of all configurations, each (d,) rad.
-        seed: of initialisation and of every draw.
-        space: the joint space.
-        local_critics: frozen critics of the clusters; the global generator follows them too.
-        local_weight: weight of their mean in the generator's loss.
-        base: what the torus generator starts from; the whole joint space when None.
-        scenes: the pictures, for look-ups; None without.
+    ``scale`` mean and standard deviation of all configurations, each (d,) rad.
     """
 
     config: GanConfig

@@ -21,15 +21,7 @@ def mlp(inputs: int, hidden: int, layers: int, outputs: int) -> nn.Sequential:
 
 @dataclass(frozen=True, slots=True)
 class Sizes:
-    """What generators and critics of one joint space have in common.
-
-    Args:
-        space: the joint space; no sample lies outside its limits.
-        latent_dim: L, of the picture's latent.
-        hidden: width of the perceptron.
-        layers: hidden ones.
-        looked_up: values that the picture shows where the arm would be; 0 without look-ups.
-    """
+    """What generators and critics of one joint space have in common."""
 
     space: JointSpace
     latent_dim: int

@@ -78,40 +78,24 @@ MIN_POINTS = 2
 
 @dataclass(frozen=True, slots=True)
 class PathBatch:
-    """Points of paths.
+    """Points of paths."""
 
-    Args:
-        points: (b, d) rad, one of each path.
-        start: (b, d) rad.
-        goal: (b, d) rad.
-        ids: (b,) scenario.
-        mu: (b, L) mean of the scenario's latent.
-        sigma: (b, L) its standard deviation.
-    """
-
-    points: Tensor
-    start: Tensor
-    goal: Tensor
-    ids: Tensor
-    mu: Tensor
-    sigma: Tensor
+    points: Tensor  # (b, d) rad, one of each path
+    start: Tensor  # (b, d) rad
+    goal: Tensor  # (b, d) rad
+    ids: Tensor  # (b,) scenario
+    mu: Tensor  # (b, L) mean of the scenario's latent
+    sigma: Tensor  # (b, L) its standard deviation
 
 
 @dataclass(frozen=True, slots=True)
 class PathSamples(Held):
-    """Paths of equally many points with the latents of their scenarios.
+    """Paths of equally many points with the latents of their scenarios."""
 
-    Args:
-        paths: (T, P, d) float32 rad, points at equal distances.
-        ids: (T,) int64 scenario of each path.
-        mu: (S, L) float32.
-        sigma: (S, L) float32.
-    """
-
-    paths: Tensor
-    ids: Tensor
-    mu: Tensor
-    sigma: Tensor
+    paths: Tensor  # (T, P, d) float32 rad, points at equal distances
+    ids: Tensor  # (T,) int64 scenario of each path
+    mu: Tensor  # (S, L) float32
+    sigma: Tensor  # (S, L) float32
 
     def draw_rows(self, size: int, rng: torch.Generator) -> tuple[Tensor, Tensor]:
         """Numbers of paths (b,), and which of them are walked from goal to start (b,): every other one."""
@@ -135,11 +119,7 @@ class PathSamples(Held):
 
 
 def equal_paths(dataset: Dataset, points: int) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """All paths of a data set with ``points`` points at equal distances, (T, points, d), and their scenarios.
-
-    Raises:
-        DatasetError: the data set holds no paths, or one of a single point.
-    """
+    """All paths of a data set, resampled to (T, points, d) at equal distances, and their scenarios (T,)."""
     if not {"paths", "path_offsets", "path_scenario"} <= set(dataset.arrays):
         raise DatasetError("the data set holds no paths", expected="paths.npy", got=str(dataset.folder))
     rows, offsets = dataset.arrays["paths"], dataset.arrays["path_offsets"]
@@ -159,16 +139,7 @@ def equal_paths(dataset: Dataset, points: int) -> tuple[NDArray[np.float32], NDA
 
 
 class PathGanModule(AdversarialModule):
-    """WGAN-GP over points of paths (Algorithm 3: start and goal beside the latent).
-
-    Args:
-        config: sizes and budget.
-        samples: the paths.
-        seed: of initialisation and of every draw.
-        space: the joint space.
-        guides: frozen local critics of the configuration space, conditioned on the same latents.
-        guide_reader: of their look-ups; None without.
-    """
+    """WGAN-GP over points of paths (Algorithm 3: start and goal beside the latent)."""
 
     samples: PathSamples
     config: PathGanConfig

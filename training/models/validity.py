@@ -47,23 +47,14 @@ def make_head(config: ValidityConfig, world: World) -> ValidityHead:
 
 @dataclass(frozen=True, slots=True)
 class OccupancySamples(Held):
-    """Pictures with their free and colliding configurations.
+    """Pictures with their free and colliding configurations."""
 
-    Args:
-        images: (S, 3, P, P) uint8.
-        free: (M, d) float32 rad, scenario after scenario.
-        free_offsets: (S + 1,) int64; scenario i owns rows offsets[i] to offsets[i + 1].
-        collision: (N, d) float32 rad.
-        collision_offsets: (S + 1,) int64.
-        scenarios: (T,) int64, the scenarios that have configurations of both kinds.
-    """
-
-    images: Tensor
-    free: Tensor
-    free_offsets: Tensor
-    collision: Tensor
-    collision_offsets: Tensor
-    scenarios: Tensor
+    images: Tensor  # (S, 3, P, P) uint8
+    free: Tensor  # (M, d) float32 rad, scenario after scenario
+    free_offsets: Tensor  # (S + 1,) int64; scenario i owns rows offsets[i] to offsets[i + 1]
+    collision: Tensor  # (N, d) float32 rad
+    collision_offsets: Tensor  # (S + 1,) int64
+    scenarios: Tensor  # (T,) int64, the scenarios that have configurations of both kinds
 
     def draw(
         self, pictures: int, free_count: int, collision_count: int, rng: torch.Generator
@@ -87,12 +78,6 @@ class ValidityModule(TrialModule):
 
     Their numbers are in proportion to the free share of the joint space, for else the confidences would be
     true to another world: drawn in equal numbers, a 0.5 would mean that share.
-
-    Args:
-        config: sizes and budget.
-        samples: pictures and configurations.
-        world: robot and sensor.
-        seed: of initialisation and of every draw.
     """
 
     samples: OccupancySamples

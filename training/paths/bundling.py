@@ -48,16 +48,7 @@ def trained_bundle(
     source: Bundle,
     dataset: Dataset,
 ) -> Bundle:
-    """The bundle of one of a job's trials, which is named after its model.
-
-    Args:
-        folder: of the bundle.
-        job: of the trial.
-        outcome: of the trial.
-        arrays: that it learned from.
-        source: whose encoder and head it sees with.
-        dataset: of the arrays.
-    """
+    """The bundle of one of a job's trials, which is named after its model."""
     train, spec, name = job.config, source.spec, cast("PathModel", outcome.name)
     graph = point_graph(load_points(name, train, arrays, outcome.checkpoint), spec.latent_dim)
     seeds = {"training": train.seed, "data": dataset.generator_seed}

@@ -32,16 +32,7 @@ UNTRAINED = "ways"
 
 @dataclass(frozen=True, slots=True)
 class PathTrainResult:
-    """What a job leaves behind.
-
-    Args:
-        run_id: the parent run.
-        model: the registered model's name.
-        versions: number of each path model's version, which also has the path model's name as an alias.
-        digests: of each path model's bundle.
-        data_digest: the data set's digest.
-        seconds: from start to end of each trial, by the workers' clocks.
-    """
+    """What a job leaves behind."""
 
     run_id: str
     model: str
@@ -62,12 +53,7 @@ class PathTrainResult:
 
 
 def run_job(job: Job[PathTrainConfig]) -> PathTrainResult:
-    """Run the whole job, or go on with it: finished trials stay, others start from their checkpoints.
-
-    Raises:
-        CspaceError: bad data or source, a failed trial, or a registry that does not answer.
-        KeyboardInterrupt: it was asked to stop; it can be resumed.
-    """
+    """Run the whole job, or go on with it: finished trials stay, others start from their checkpoints."""
     config = job.config
     with job.running() as run:
         registry = ModelRegistry(job.environment.tracking_uri)

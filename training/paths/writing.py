@@ -16,19 +16,7 @@ from training.jobs.environment import provenance
 
 
 def source_bundle(source: str, registry: ModelRegistry, folder: Path) -> Bundle:
-    """A bundle's folder, or a registered version that is fetched.
-
-    Args:
-        source: an absolute path of a folder, ``name@alias`` or ``name/version``.
-        registry: where versions are.
-        folder: where a version is laid down; what a stopped job has left there is taken.
-
-    Raises:
-        ConfigError: it is neither.
-        ModelNotFoundError: there is no such version.
-        BundleError: the bundle is damaged.
-        ServiceError: the worker process that verifies it does not start.
-    """
+    """A bundle's folder, or a registered version that is fetched."""
     if Path(source).is_absolute():
         return load_verified(Path(source))
     if folder.is_dir():
@@ -40,11 +28,7 @@ def source_bundle(source: str, registry: ModelRegistry, folder: Path) -> Bundle:
 
 
 def require_source(start: Path | None, source: Bundle) -> None:
-    """See that the job whose weights path models start from saw with the same encoder and head.
-
-    Raises:
-        ConfigError: it saw with others.
-    """
+    """See that the job whose weights path models start from saw with the same encoder and head."""
     for made in () if start is None else start.glob("bundles/*/bundle.json"):
         seen_with = BundleSpec.from_json(made.read_bytes()).provenance.config.get("source_digest")
         if seen_with != source.digest:
@@ -64,10 +48,8 @@ class PathGraph:
     """A path model's graph.
 
     Args:
-        model: ONNX bytes: ``latent`` (m, L), the random inputs, ``start`` and ``goal`` (m, d) rad and, where
-            it looks at it, ``image`` (1, 3, P, P) to ``samples`` (m, 1, d) rad; None for a search.
-        random_inputs: in the order in which they are drawn.
-        looks_at_picture: whether it takes ``image``.
+        model: ONNX bytes: ``latent`` (m, L), the random inputs, ``start`` and ``goal`` (m, d) rad and,
+            where it looks at it, ``image`` (1, 3, P, P) to ``samples`` (m, 1, d) rad; None for a search.
     """
 
     model: bytes | None
@@ -84,21 +66,7 @@ def write_path_bundle(
     recipe: Mapping[str, Any],
     metrics: Mapping[str, Any] | None = None,
 ) -> Bundle:
-    """Write a path sampler that encodes, scores and knows novelty as another bundle does, and load it again.
-
-    Args:
-        folder: must not exist.
-        source: whose encoder, head and novelty it takes.
-        graph: of the sampler.
-        data_digest: of what it was trained on.
-        seeds: by stage.
-        recipe: how it was made; plain values.
-        metrics: what was measured; plain values.
-
-    Raises:
-        BundleError: the parts do not make a bundle.
-        StorageError: the folder exists or cannot be written.
-    """
+    """Write a path sampler with another bundle's encoder, head and novelty, and load it again."""
     found = {name: source.folder / file for name, file in _TAKEN.items()}
     # A map that the source's generator alone looks at goes with it.
     if not source.head_looks_at_map:
@@ -122,16 +90,7 @@ def write_path_bundle(
 
 
 def make_path_bundle(source: Bundle, folder: Path) -> Bundle:
-    """Write a path sampler that sees with another bundle's head, encodes as it does, and knows its novelty.
-
-    Args:
-        source: a bundle with a validity head.
-        folder: where the path sampler is to be; must not exist.
-
-    Raises:
-        BundleError: the source has no validity head.
-        StorageError: the folder exists or cannot be written.
-    """
+    """Write a path sampler that sees with another bundle's head, encodes as it does, and knows its novelty."""
     if not source.has_validity:
         raise BundleError("the bundle has no validity head", expected=VALIDITY_FILE, got=str(source.folder))
     origin = source.spec.provenance
@@ -141,11 +100,7 @@ def make_path_bundle(source: Bundle, folder: Path) -> Bundle:
 
 
 def made_or_found(source: Bundle, folder: Path) -> Bundle:
-    """The path sampler that the folder holds already, or one that is made there.
-
-    Raises:
-        CspaceError: as :func:`make_path_bundle`; what the folder holds was made of something else.
-    """
+    """The path sampler that the folder holds already, or one that is made there."""
     if folder.is_dir():
         found = Bundle.load(folder)
         if found.spec.provenance.config == _recipe(source):

@@ -52,43 +52,25 @@ _LEAST_PROBABILITY = 1e-8
 
 @dataclass(frozen=True, slots=True)
 class GatedCells:
-    """The cells of the gate.
-
-    Args:
-        points: k cells with their points.
-        labels: (M,) int64 cell of each configuration.
-        clusters: (k,) int64 cluster that each cell belongs to.
-        probabilities: (S, k) float32 by the trained gate; None before it is.
-    """
+    """The cells of the gate."""
 
     points: CellPoints
-    labels: NDArray[np.int64]
-    clusters: NDArray[np.int64]
-    probabilities: NDArray[np.float32] | None = None
+    labels: NDArray[np.int64]  # (M,) int64 cell of each configuration
+    clusters: NDArray[np.int64]  # (k,) int64 cluster that each cell belongs to
+    probabilities: NDArray[np.float32] | None = None  # (S, k) float32 by the trained gate; None before it is
 
 
 @dataclass(frozen=True, slots=True)
 class TrainingArrays:
-    """What every trial on configurations reads.
+    """What every trial on configurations reads."""
 
-    Args:
-        configurations: (M, d) float32 rad.
-        ids: (M,) int64 scenario of each configuration.
-        labels: (M,) int64 cluster of each configuration.
-        mu: (S, L) float32 latent means.
-        sigma: (S, L) float32 latent standard deviations.
-        world: robot and sensor.
-        images: (S, P, P, 3) uint8; None without look-ups.
-        cells: of the gate; None without one.
-    """
-
-    configurations: NDArray[np.float32]
-    ids: NDArray[np.int64]
-    labels: NDArray[np.int64]
-    mu: NDArray[np.float32]
-    sigma: NDArray[np.float32]
+    configurations: NDArray[np.float32]  # (M, d) float32 rad
+    ids: NDArray[np.int64]  # (M,) int64 scenario of each configuration
+    labels: NDArray[np.int64]  # (M,) int64 cluster of each configuration
+    mu: NDArray[np.float32]  # (S, L) float32 latent means
+    sigma: NDArray[np.float32]  # (S, L) float32 latent standard deviations
     world: World
-    images: NDArray[np.uint8] | None = None
+    images: NDArray[np.uint8] | None = None  # (S, P, P, 3) uint8; None without look-ups
     cells: GatedCells | None = None
 
     @classmethod
@@ -149,11 +131,7 @@ class TrainingArrays:
         return CellBase(cells.points, torch.tensor(weights.astype(np.float32)), self.world.space)
 
     def shares(self) -> torch.Tensor:
-        """Share of every scenario's configurations in each cell, (S, k) float32.
-
-        Raises:
-            ValueError: there are no cells.
-        """
+        """Share of every scenario's configurations in each cell, (S, k) float32."""
         if self.cells is None:
             raise ValueError("shares need cells")
         counts = np.zeros((len(self.mu), len(self.cells.clusters)), dtype=np.float32)
@@ -171,16 +149,7 @@ def has_occupancy(dataset: Dataset, config: ValidityConfig) -> bool:
 def head_module(
     folder: Path, config: HeadConfig, images: torch.Tensor, seed: int, outcomes: Path | None = None
 ) -> TrialModule:
-    """The training of a validity head.
-
-    Args:
-        folder: of the data set, which every node can read.
-        config: of the head.
-        images: as of :func:`occupancy_samples`; a head of arrays of space reads them where they lie.
-        seed: of initialisation and of every draw.
-        outcomes: folder of a further data set, of whose pictures a step may be as well; a scene model is then
-            what the training starts from.
-    """
+    """The training of a validity head."""
     dataset = open_dataset(folder, verify=False)
     if config.grid is None:
         return ValidityModule(config, occupancy_samples(dataset, images), dataset.world, seed)
@@ -200,9 +169,7 @@ def head_module(
 def occupancy_samples(dataset: Dataset, images: torch.Tensor) -> OccupancySamples:
     """Free and colliding configurations by scenario; copied, for those of the data set are read-only.
 
-    Args:
-        dataset: with configurations in collision.
-        images: (S, 3, P, P) uint8, and further ones behind them that have no configurations.
+    ``images`` (S, 3, P, P) uint8, and further ones behind them that have no configurations.
     """
     names = ("free", "free_offsets", "collision", "collision_offsets")
     arrays = [*(dataset.arrays[name] for name in names), _with_both_kinds(dataset)]

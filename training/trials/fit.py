@@ -39,17 +39,7 @@ class TrialStopped(BaseException):
 
 
 class TrialCallback(lightning.Callback):
-    """Logs a trial's metrics and keeps its checkpoints.
-
-    Args:
-        name: of the trial in progress lines, with its job's.
-        progress: where it starts.
-        steps: where it ends.
-        resources: how often it logs and checkpoints.
-        run: its tracking run, finished here.
-        folder: takes its checkpoints, and holds those of earlier attempts.
-        stopping: whether it is to end early.
-    """
+    """Logs a trial's metrics and keeps its checkpoints."""
 
     def __init__(
         self,
@@ -142,21 +132,8 @@ def fit(
 ) -> Metrics:
     """Train ``module`` up to ``steps``, from the last checkpoint when there is one.
 
-    Args:
-        name: of the trial in progress lines.
-        module: what is trained; its batches are its own.
-        steps: generator steps in all.
-        resources: how often it logs and checkpoints.
-        run: its tracking run, finished here.
-        folder: of its checkpoints.
-        stopping: whether to write a checkpoint and end; asked several times a second.
-
     Returns:
         The last metrics.
-
-    Raises:
-        TrialStopped: it was, and did.
-        RegistryUnavailableError: it is trained, and the server is away.
     """
     checkpoint = folder.latest()
     progress = Progress(0, run.run_id, ()) if checkpoint is None else read_progress(checkpoint)
@@ -198,14 +175,6 @@ def fit_tracked(
     Training goes on while the tracking server is away: the metrics are in the checkpoint. What the server
     lacks is sent when the trial ends, else by the job's driver. A job that is being stopped ends it early,
     with a checkpoint.
-
-    Args:
-        trial: which.
-        module: to be trained.
-        settings: by which it is trained.
-        resources: how often it logs and checkpoints.
-        tracking_uri: of the tracking server.
-        extra_parameters: further parameters of its run, such as its share of the data.
 
     Returns:
         The last metrics; None where the job is being stopped.

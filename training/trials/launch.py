@@ -30,22 +30,13 @@ _STEP = re.compile(r"step-(\d{9})")
 
 
 class TrialFolder:
-    """The checkpoints of one trial.
-
-    Args:
-        folder: of the trial, on storage that all nodes share; made by the first checkpoint.
-        keep: how many of the last ones stay.
-    """
+    """The checkpoints of one trial."""
 
     def __init__(self, folder: Path, keep: int = 1) -> None:
         self.folder, self.keep = folder, keep
 
     def alone(self, patience_s: float = 120.0) -> AbstractContextManager[None]:
-        """Hold the trial: a worker whose driver was killed may still train it for a moment.
-
-        Raises:
-            JobError: another process holds it, and goes on to.
-        """
+        """Hold the trial: a worker whose driver was killed may still train it for a moment."""
         self.folder.mkdir(parents=True, exist_ok=True)
         busy = JobError(
             f"the trial {self.folder.name} is run by another process",
@@ -72,11 +63,7 @@ class TrialFolder:
         return (self.checkpoints() or (None,))[-1]
 
     def save(self, module: TrialModule, progress: Progress) -> Path:
-        """Write a checkpoint beside, rename it into place, and let the oldest go.
-
-        Raises:
-            OSError: the disk is full, or cannot be written.
-        """
+        """Write a checkpoint beside, rename it into place, and let the oldest go."""
         saved = save_checkpoint(self.folder / f"step-{progress.step:09d}", module, progress)
         for old in self.checkpoints()[: -self.keep]:
             discard(old)
@@ -88,16 +75,7 @@ class TrialFolder:
 
 @dataclass(frozen=True, slots=True)
 class TrialRequest:
-    """A trial; it travels to its worker through the object store.
-
-    Args:
-        folder: of its checkpoints and its record, ``<job>/<stage>/<name>`` on storage that all nodes share.
-        run_id: of its tracking run.
-        seed: of initialisation and of every draw.
-        cluster: whose configurations it learns; None for all.
-        start: checkpoint of an earlier job's trial whose weights it starts from; None to start from nothing.
-        job: whose it is, for the lines of its log.
-    """
+    """A trial; it travels to its worker through the object store."""
 
     folder: Path
     run_id: str = ""
@@ -108,11 +86,7 @@ class TrialRequest:
 
     @classmethod
     def of(cls, job: Job[Any], stage: str, name: str, cluster: int | None = None) -> "TrialRequest":
-        """A trial of a job, with the run that it has there and a seed of its own.
-
-        Raises:
-            ConfigError: the folder of the job that it is to start from is gone.
-        """
+        """A trial of a job, with the run that it has there and a seed of its own."""
         seed = derived_seed(job.config.seed, stage, name)
         earlier = job.start_folder
         start = None if earlier is None else TrialFolder(earlier / stage / name).latest()
@@ -150,11 +124,8 @@ class TrialOutcome:
     """What a finished trial leaves.
 
     Args:
-        name: the trial's name.
-        checkpoint: folder with its weights.
-        metrics: its last metrics.
-        started_s: Unix time of its start by its worker's clock; of its last attempt's, where there were more.
-        ended_s: Unix time of its end by the same clock.
+        started_s: Unix time of its start by its worker's clock; of its last attempt's, where there were
+            more.
     """
 
     name: str
@@ -236,19 +207,8 @@ def run_trials(
     Where their folders are those of a job that was stopped, finished ones are not run again, and the others
     go on from their checkpoints.
 
-    Args:
-        trainable: gets a trial and ``shared`` by keyword, in a worker; returns the trial's last metrics, or
-            None where it was asked to stop.
-        trials: of one stage.
-        shared: arrays and settings, each put into the object store once.
-        resources: of each trial.
-
     Returns:
         Outcomes in the order of ``trials``.
-
-    Raises:
-        JobError: a trial failed more often than it may.
-        KeyboardInterrupt: the job was asked to stop; its trials have written their checkpoints.
     """
     left = [trial for trial in trials if read_outcome(trial) is None]
     if len(left) < len(trials):

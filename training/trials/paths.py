@@ -38,21 +38,13 @@ _LOG = logging.getLogger("training")
 
 @dataclass(frozen=True, slots=True)
 class PathArrays:
-    """Paths with what a bundle tells of their pictures.
-
-    Args:
-        world: robot and sensor.
-        paths: (T, P, d) float32 rad, points at equal distances.
-        ids: (T,) int64 scenario of each.
-        mu: (S, L) float32.
-        sigma: (S, L) float32.
-    """
+    """Paths with what a bundle tells of their pictures."""
 
     world: World
-    paths: NDArray[np.float32]
-    ids: NDArray[np.int64]
-    mu: NDArray[np.float32]
-    sigma: NDArray[np.float32]
+    paths: NDArray[np.float32]  # (T, P, d) float32 rad, points at equal distances
+    ids: NDArray[np.int64]  # (T,) int64 scenario of each
+    mu: NDArray[np.float32]  # (S, L) float32
+    sigma: NDArray[np.float32]  # (S, L) float32
 
     def samples(self) -> PathSamples:
         """Tensors for the modules; copied, for the shared arrays are read-only."""
@@ -60,11 +52,7 @@ class PathArrays:
 
 
 def require_world(bundle: Bundle, world: World) -> None:
-    """See that paths are of the world that a bundle sees.
-
-    Raises:
-        ConfigError: the robot, the camera or the scenes are others.
-    """
+    """See that paths are of the world that a bundle sees."""
     if world != bundle.spec.world:
         raise ConfigError(
             "the paths are of another robot or camera than the bundle",
@@ -74,17 +62,7 @@ def require_world(bundle: Bundle, world: World) -> None:
 
 
 def path_arrays(bundle: Bundle, dataset: Dataset, points: int) -> PathArrays:
-    """Paths and latents of all scenarios.
-
-    Args:
-        bundle: that sees the pictures.
-        dataset: with paths.
-        points: of each path.
-
-    Raises:
-        ConfigError: the data set is of another robot or camera than the bundle.
-        DatasetError: the data set holds no paths.
-    """
+    """Paths and latents of all scenarios."""
     require_world(bundle, dataset.world)
     paths, ids = equal_paths(dataset, points)
     images = dataset.images
@@ -99,13 +77,7 @@ def path_arrays(bundle: Bundle, dataset: Dataset, points: int) -> PathArrays:
 
 @dataclass(frozen=True, slots=True)
 class Guides:
-    """Where the local critics are.
-
-    Args:
-        train: the job's configuration.
-        bundle: the job's bundle.
-        checkpoints: of its local trials.
-    """
+    """Where the local critics are."""
 
     train: TrainConfig
     bundle: Path
@@ -126,16 +98,7 @@ class Guides:
 
 
 def find_guides(folder: Path, digest: str) -> Guides:
-    """The local critics of a job.
-
-    Args:
-        folder: of the job, with its ``job.json``, ``local`` and ``bundle``.
-        digest: of the bundle whose latents the path models see.
-
-    Raises:
-        ConfigError: the folder is no finished job with local critics that see latents, or its encoder is
-            another.
-    """
+    """The local critics of a job."""
     try:
         train = TrainConfig.model_validate(
             json.loads((folder / JOB_RECORD).read_text(encoding="utf-8"))["config"]
@@ -187,16 +150,7 @@ def make_path_module(
 ) -> PathGanModule:
     """A path model with its data, ready to be trained.
 
-    Args:
-        name: of the model.
-        train: sizes and budgets.
-        arrays: the data.
-        seed: of every draw.
-        guides: local critics, for the guided model.
-        images: (S, P, P, 3) uint8, where these read pictures.
-
-    Raises:
-        JobError: there are no guides for a guided model.
+    ``images`` (S, P, P, 3) uint8, where these read pictures.
     """
     samples, space, config = arrays.samples(), arrays.world.space, train.points_of(name)
     if config.guide_weight == 0.0:

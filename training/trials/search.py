@@ -35,18 +35,11 @@ TorchSampler = GatedSampler | LookupSampler | TorusGenerator
 
 @dataclass(frozen=True)
 class Validation:
-    """Validation scenarios with their truth, drawn once.
-
-    Args:
-        encoder: of the pictures.
-        scenes: the scenarios.
-        held_out: free configurations of each, (n, d) rad.
-        uniform_energy: summed energy distance of uniform samples.
-    """
+    """Validation scenarios with their truth, drawn once."""
 
     encoder: nn.Module
     scenes: Sequence[Scene]
-    held_out: Sequence[NDArray[np.float64]]
+    held_out: Sequence[NDArray[np.float64]]  # free configurations of each, (n, d) rad
     uniform_energy: float
 
     @classmethod
@@ -107,18 +100,7 @@ def search_trial(
     looks: int,
     scenarios: int,
 ) -> None:
-    """Train with one choice of settings, and report the quality ``looks`` times.
-
-    Args:
-        config: ``settings``, keys of ``local`` to values.
-        train: everything else.
-        arrays: data, latents and cells with the gate's probabilities.
-        checkpoints: of ``vae`` and ``gate``.
-        parent_run_id: the search's run.
-        tracking_uri: of the tracking server.
-        looks: how often the quality is measured.
-        scenarios: validation scenarios that it is measured on.
-    """
+    """Train with one choice of settings, and report the quality ``looks`` times."""
     torch.set_num_threads(train.resources.threads)
     logging.getLogger("ray.tune").setLevel(logging.ERROR)
     settings = dict(config["settings"])
@@ -151,13 +133,7 @@ MEASURES = ("validation_precision", "validation_coverage", METRIC)
 
 @dataclass(frozen=True, slots=True)
 class Tried:
-    """One trial of a search.
-
-    Args:
-        settings: keys of ``local`` to the values that it tried.
-        step: how far it came before it ended or was ended.
-        metrics: its last quality on validation scenarios.
-    """
+    """One trial of a search."""
 
     settings: Mapping[str, Any]
     step: int
@@ -192,19 +168,7 @@ QUIET = {"RAY_AIR_NEW_OUTPUT": "0", "TUNE_WARN_EXCESSIVE_EXPERIMENT_CHECKPOINT_S
 def search(
     shared: Mapping[str, Any], steps: int, trials: int, seed: int, resources: ResourceConfig, storage: Path
 ) -> list[Tried]:
-    """Asynchronous successive halving (Li et al. 2020) on the validation energy ratio, best first.
-
-    Args:
-        shared: what every trial gets, put into the object store once.
-        steps: generator steps of a trial that is never ended early.
-        trials: how many settings are tried.
-        seed: of the settings.
-        resources: of each trial.
-        storage: folder for Tune's own files.
-
-    Raises:
-        JobError: no trial reported anything.
-    """
+    """Asynchronous successive halving (Li et al. 2020) on the validation energy ratio, best first."""
     for name, value in QUIET.items():
         os.environ.setdefault(name, value)
     for library in ("ray.tune", "ray.train"):

@@ -31,16 +31,7 @@ def make_wgan(
     critics: list[Critic] | None = None,
     weight: float = 0.0,
 ) -> WganGpModule:
-    """A WGAN-GP on the configurations of one cluster, or on all, that starts where the cells say.
-
-    Args:
-        config: its settings.
-        arrays: the data.
-        cluster: which; None for all.
-        seed: of initialisation and of every draw.
-        critics: frozen local critics that guide it.
-        weight: of their mean.
-    """
+    """A WGAN-GP on the configurations of one cluster, or on all, that starts where the cells say."""
     with seeded_initialisation(seed):
         return WganGpModule(
             config,
@@ -61,11 +52,7 @@ def gated_sampler(
     generators: Sequence[TorusGenerator | MeansGenerator],
     lookups: LookupConfig,
 ) -> GatedSampler:
-    """The whole sampler behind a gate: one generator for all cells, or one for each cluster of them.
-
-    Raises:
-        JobError: there are no cells, or generators that do not start in cells.
-    """
+    """The whole sampler behind a gate: one generator for all cells, or one for each cluster of them."""
     if arrays.cells is None:
         raise JobError("a gated sampler needs its cells", expected="gate.cells above 0", got="none")
     clusters = torch.tensor(arrays.cells.clusters)
@@ -86,11 +73,7 @@ def load_generator(
 
 
 def torus_generator(generator: TorusGenerator | MeansGenerator) -> TorusGenerator:
-    """The same, where only a torus generator will do.
-
-    Raises:
-        JobError: it is of the other kind.
-    """
+    """The same, where only a torus generator will do."""
     if not isinstance(generator, TorusGenerator):
         raise JobError("a gate needs torus generators", expected="generator=torus", got="generator=means")
     return generator
