@@ -90,7 +90,7 @@ def write_path_bundle(
 
 
 def make_path_bundle(source: Bundle, folder: Path) -> Bundle:
-    """Write a path sampler that sees with another bundle's head, encodes as it does, and knows its novelty."""
+    """Write a path sampler that searches with the head of another bundle."""
     if not source.has_validity:
         raise BundleError("the bundle has no validity head", expected=VALIDITY_FILE, got=str(source.folder))
     origin = source.spec.provenance
