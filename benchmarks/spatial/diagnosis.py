@@ -1,6 +1,6 @@
 """How often the diagnosis names the cause: simulated views, half of them with one planted fault.
 
-``python -m benchmarks.spatial.diagnosis --views 400 --seed 5`` prints a table. Seeds 1 to 4 tuned the thresholds.
+``python -m benchmarks.spatial.diagnosis --views 400 --seed 5`` prints a table. Seeds 1 to 4 tuned it.
 """
 
 import argparse

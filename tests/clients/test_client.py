@@ -135,6 +135,7 @@ EVERYTHING = DepthPictures(
     depth_scale_m=0.001,
     max_age_s=1.0,
     known=Known([BOX], [BOX], [("crate", "hand")], [BOX], {"a.stl": b"solid"}),
+    check_pose=False,
 )
 # Values of queries that are not the client's to invent.
 GIVEN = {

@@ -68,7 +68,7 @@ def test_a_scene_file_names_a_robots_file_beside_it(file: Path) -> None:
     scene.write_text(f"world: spatial\nrobot: {file.name}\nobstacles: []\n")
     assert robot_digest(read_scene_file(scene).world) == DIGEST
     scene.write_text("world: spatial\nobstacles: []\nrobot: gone.json\n")
-    with pytest.raises(ScenarioError, match=r"scene\.yaml:3: the robot is unknown"):
+    with pytest.raises(ScenarioError, match=r"scene\.yaml: the robot is unknown"):
         read_scene_file(scene)
 
 

@@ -110,7 +110,7 @@ def no_pictures(folder):
         (header("-" * 9000 + "1"), r"b\.npy is no array"),
         (lambda folder: (folder / "b.npy").unlink(), r"b\.npy is missing.*extra/"),
         (array("d.collision.npy", np.zeros((1, 2))), r"d\.collision\.npy belongs to no picture"),
-        (lambda folder: Image.new("RGB", (48, 50)).save(folder / "b.png"), r"b\.png: .* is not square"),
+        (lambda folder: Image.new("RGB", (48, 50)).save(folder / "b.png"), r"b\.png: .* a square of"),
         (content("b.png", b"GIF89a" * 20), r"b\.png: the picture is not a PNG"),
         (content("b.png", bytes(8 * 2**20 + 1)), r"b\.png is too large"),
         (no_pictures, "holds no pictures"),

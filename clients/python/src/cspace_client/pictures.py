@@ -34,7 +34,7 @@ class DepthPictures:
             for each picture.
         depth_scale_m: metres per unit of the pictures; None for mm as whole numbers and metres as floats.
         max_age_s: pictures that are older by the server's clock are refused, and those without ``stamp_s``.
-        known: of the scene beside the pictures.
+        check_pose: refuse a state or pose by which the arm is clearly not where the pictures show it.
     """
 
     pictures: Sequence[bytes | NDArray[np.uint16] | NDArray[np.float32]]
@@ -43,6 +43,7 @@ class DepthPictures:
     depth_scale_m: float | None = None
     max_age_s: float | None = None
     known: Known | None = None
+    check_pose: bool = True
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.pictures) <= MAX_PICTURES or len(self.pictures) != len(self.cameras):
@@ -77,6 +78,7 @@ def shown(picture: Picture) -> tuple[list[Part], ViewFields]:
     values["camera"] = [dict(camera) for camera in picture.cameras]
     values |= {"state": picture.state} if picture.state is not None else {}
     values |= {"depth_scale_m": picture.depth_scale_m, "max_age_s": picture.max_age_s}
+    values |= {} if picture.check_pose else {"check_pose": False}
     return [*map(_file, picture.pictures), *meshes], ViewFields(**values)
 
 

@@ -123,5 +123,3 @@ def test_what_does_not_fit_is_refused():
     checker = CollisionChecker(PANDA, Obstacles())
     with pytest.raises(ScenarioError, match="do not fit the robot"):
         checker.valid_batch(np.zeros((3, 6)))
-    with pytest.raises(ScenarioError, match="edges do not fit"):
-        checker.edge_batch(np.zeros((3, 7)), np.zeros((3, 7)), 0.0)

@@ -90,7 +90,7 @@ def test_the_self_filter_takes_the_state_of_each_picture():
     assert WORLD.diagnosed(view).findings == ()
     # Where the arm stood in either picture, it is no obstacle.
     for state in STATES:
-        assert codes(replace(view, state=state)) & {"arm-elsewhere", "arm-pixels-left", "extrinsics"}
+        assert codes(replace(view, state=state)) & {"arm-elsewhere", "arm-pixels-left", "joint-off"}
     examined = WORLD.examine_picture(both)
     assert (examined.findings, examined.without_state) == ((), False)
     partly = WORLD.examined(replace(view, state=(STATE, None)))
