@@ -80,7 +80,7 @@ ARRANGEMENT: Mapping[str, Sequence[Section]] = {
                         "paper",
                         "serving",
                     ),
-                    *("attacks", "scale", "measurements"),
+                    *("attacks", "foreign-files", "scale", "measurements"),
                 )
             ),
         ),
