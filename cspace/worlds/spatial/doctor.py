@@ -42,8 +42,9 @@ _BASE_AGREES = 0.75
 _AGREES, _CLEARLY, _TURNS_RAD = 0.5, 0.25, np.radians((-11.0, -6.0, 6.0, 11.0))
 # Two within this of each other tie.
 _TIE = 0.02
-# Below this agreement, or above this share of pixels that see through it, the arm is elsewhere.
-_DISAGREES, _SEEN_THROUGH = 0.35, 0.4
+# Above this share of pixels that see through it the arm is elsewhere; below this agreement, too, unless all
+# that disagrees is nearer and may hide it.
+_SEEN_THROUGH, _DISAGREES, _NOT_HIDDEN = 0.4, 0.35, 0.1
 # Of the pixels that other hypotheses would see.
 _BLANK_ARM, _BLANK_PICTURE = 0.6, 0.03
 # A picture that reads nearly nothing beyond it is of a camera at the hand, or of another unit.
@@ -145,6 +146,8 @@ FEW_COARSE = 12
 
 def _fits_turned(one: Request, stated: Score) -> bool:
     """Whether a camera that is turned a little sees the arm clearly better; an arm that is hidden is not."""
+    if stated.through < _NOT_HIDDEN:
+        return False
     turned = (
         moved(one, np.append(np.zeros(3), axis)) for axis in np.outer(_TURNS_RAD, np.eye(3)).reshape(-1, 3)
     )
@@ -153,7 +156,8 @@ def _fits_turned(one: Request, stated: Score) -> bool:
 
 
 def _is_elsewhere(stated: Score, few: int = FEW_PIXELS) -> bool:
-    return stated.pixels >= few and (stated.through >= _SEEN_THROUGH or stated.agree < _DISAGREES)
+    disagrees = stated.agree < _DISAGREES and stated.through >= _NOT_HIDDEN
+    return stated.pixels >= few and (stated.through >= _SEEN_THROUGH or disagrees)
 
 
 def _named(found: Sequence[Explanation], stated: Score, better: float = _BETTER) -> list[Explanation]:
