@@ -61,13 +61,13 @@ def rows(_: int) -> Message:
     return as_json("/validity", image=PICTURE, configurations=values)
 
 
-def filled(unit: bytes, size: int = 2 * MIB) -> Message:
+def filled(unit: bytes, size: int = MIB) -> Message:
     """JSON of so many bytes."""
     return "/validity", b'{"configurations":[' + unit * ((size - 30) // len(unit)) + b"0]}"
 
 
 def keys(_: int) -> Message:
-    return "/validity", b"{" + b",".join(b'"%x":0' % number for number in range(2 * MIB // 10)) + b"}"
+    return "/validity", b"{" + b",".join(b'"%x":0' % number for number in range(MIB // 10)) + b"}"
 
 
 # What is sent, from how many addresses, and how long its answer is waited for, s.
@@ -77,10 +77,10 @@ ATTACKS: dict[str, tuple[Callable[[int], Message], int, float]] = {
     "20,000 rows to score in JSON": (rows, 1, 60.0),
     "the same, left after 20 ms": (rows, 1, 0.02),
     "plans from 16 addresses": (plan, 16, 60.0),
-    "2 MiB of empty arrays": (lambda _: filled(b"[],"), 1, 60.0),
-    "2 MiB of short strings": (lambda _: filled(b'"ab",'), 1, 60.0),
-    "2 MiB of numbers": (lambda _: filled(b"0.5,"), 1, 60.0),
-    "2 MiB of different keys": (keys, 1, 60.0),
+    "1 MiB of empty arrays": (lambda _: filled(b"[],"), 1, 60.0),
+    "1 MiB of short strings": (lambda _: filled(b'"ab",'), 1, 60.0),
+    "1 MiB of numbers": (lambda _: filled(b"0.5,"), 1, 60.0),
+    "1 MiB of different keys": (keys, 1, 60.0),
     "8 MiB of JSON": (lambda _: filled(b"0.5,", 8 * MIB), 1, 60.0),
     "the list of models": (lambda _: ("/models", b""), 1, 60.0),
 }

@@ -25,7 +25,7 @@ MAX_FIELDS, MAX_FILES, MAX_FIELD_BYTES = 1_100, 48, 64 * 1024
 # Reading it takes longer than to hand it to a thread.
 _LONG_JSON_BYTES = 64 * 1024
 # Of JSON beside its pictures: parsed, it takes up to 27 times as much memory, while other threads wait.
-MAX_JSON_BYTES = 2 * 1024 * 1024
+MAX_JSON_BYTES = 1024 * 1024
 _PICTURE = re.compile(rb'"[A-Za-z0-9+/=]{1024,}"')
 Fields = TypeVar("Fields", bound=BaseModel)
 
