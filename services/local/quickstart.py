@@ -177,7 +177,7 @@ def addresses(settings: Settings) -> str:
     rows = [
         ("workbench", f"{settings.url('api')}/"),
         ("API", f"{settings.url('api')}/docs"),
-        ("MLflow", settings.url("mlflow")),
+        ("MLflow", f"{settings.url('mlflow')}/#/experiments/1/runs?{MLFLOW_TRAINING}"),
         ("Ray dashboard", f"{settings.url('ray')}  (asks for the token: `ray get-auth-token` prints it)"),
         ("a shell for `ray job submit`", 'eval "$(.venv/bin/python -m services.local env)"'),
     ]
