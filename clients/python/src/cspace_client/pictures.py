@@ -30,8 +30,7 @@ class DepthPictures:
         pictures: depths along the optical axis: uint16 (h, w) of mm, 0 without a reading; float32 (h, w) of
             metres, NaN or infinity without one; or files of such pictures (PNG; TIFF or ``.npy``).
         cameras: one for each, as :class:`cspace_client.wire.Camera` has the fields.
-        state: (d,) rad, where the robot was; None where it is in no picture; or a list with one or the other
-            for each picture.
+        state: (d,) rad, where the robot was; None where it is in no picture; or a list of one for each.
         depth_scale_m: metres per unit of the pictures; None for mm as whole numbers and metres as floats.
         max_age_s: pictures that are older by the server's clock are refused, and those without ``stamp_s``.
         check_pose: refuse a state or pose by which the arm is clearly not where the pictures show it.

@@ -1,6 +1,6 @@
 """Two checkouts in turns: what requests take, and how many a server answers, by one and by the other.
 
-    python -m benchmarks.serving.in_turns --before /path/to/other/checkout --requests 500
+    python -m benchmarks.in_turns --before /path/to/other/checkout --requests 500
 
 Both servers run all the time on one core, the client on the other, and every request goes to one and then to
 the other, the first of the two changing. Throughput: eight clients without a pause, in stretches of two

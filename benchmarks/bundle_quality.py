@@ -1,6 +1,6 @@
 """How good a bundle is, without a registry: precision, coverage, EDr, its validity head, on unseen scenarios.
 
-    python -m benchmarks.evaluation.bundle_quality inference_api/pretrained --scenarios 200
+    python -m benchmarks.bundle_quality inference_api/pretrained --scenarios 200
 
 The test split is for reporting: decide on validation (``--split validation``), then look at test once.
 """

@@ -1,1 +1,0 @@
-"""How good samples are, and how sure of it one can be."""

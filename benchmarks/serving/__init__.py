@@ -1,1 +1,0 @@
-"""What requests to the API take."""
