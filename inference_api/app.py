@@ -121,9 +121,10 @@ def _add_middleware(app: FastAPI, settings: ApiSettings) -> None:
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     sys.setswitchinterval(SWITCH_S)
     store, spool, looked = app.state.models, app.state.spool, Event()
-    # Daemons, for a look may wait and nobody waits for it.
-    Thread(target=store.follow, args=(looked,), name="poll", daemon=True).start()
+    # Before the first look, which chooses what stands in by the champion's robot.
     await to_thread.run_sync(store.load_shipped)
+    # A daemon, for a look may wait and nobody waits for it.
+    Thread(target=store.follow, args=(looked,), name="poll", daemon=True).start()
     await to_thread.run_sync(looked.wait, FIRST_LOOK_S, abandon_on_cancel=True)
     if app.state.loads_planner:
         app.state.kernels.begin()
