@@ -15,6 +15,7 @@ from services.local.settings import Settings
 from services.names import label
 from services.planner.__main__ import parse_command
 from services.scene_files import read_scene_file, read_scene_text
+from tests.training.robots.descriptions import TWO_LINKS
 from training.config import TrainConfig
 from training.data.__main__ import main as data_command
 
@@ -151,3 +152,15 @@ def test_a_step_that_fails_ends_it(
     settings = Settings(home=tmp_path / "home")
     with pytest.raises((JobError, PlanningError), match=says):
         serve_untrained(settings, file, lambda _: None)
+
+
+def test_an_import_names_its_files_as_the_model_and_another_name_leaves_them(
+    tmp_path: Path,
+) -> None:
+    settings, urdf = Settings(home=tmp_path / "home"), tmp_path / "two.urdf"
+    urdf.write_text(TWO_LINKS)
+    files = [import_arm(settings, urdf, ["--name", name], lambda _: None) for name in ("first", "second")]
+    assert [file.name for file in files] == ["first.json", "second.json"]
+    assert sorted(file.name for file in (settings.home / "arms").iterdir()) == [
+        "first.json", "first.report.png", "second.json", "second.report.png"
+    ]  # fmt: skip
