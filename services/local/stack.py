@@ -228,7 +228,7 @@ def _configuration(settings: Settings) -> str:
 
 
 def _choose_registry(settings: Settings, server: Any, names: Sequence[str]) -> None:
-    """Have the API start without a registry where MLflow does not, and start anew once it does."""
+    """Have the API start without a registry where MLflow does not, and restart once it does."""
     running = {name for name in SERVICES if server and server.getProcessInfo(name)["state"] in RUNNING_STATES}
     mark = settings.home / NO_REGISTRY
     if "mlflow" not in {*names, *running}:

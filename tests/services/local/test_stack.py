@@ -56,7 +56,7 @@ def test_up_starts_services_and_down_ends_them_with_all_that_they_started(settin
     assert not down(settings, ignore)
 
 
-def test_an_api_without_a_registry_starts_anew_once_there_is_one(
+def test_an_api_without_a_registry_restarts_once_there_is_one(
     settings: Settings, write_stub: WriteStub
 ) -> None:
     write_stub(
