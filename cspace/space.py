@@ -168,6 +168,8 @@ class JointSpace:
     def keeps_pose(self, configurations: ArrayLike) -> NDArray[np.bool_]:
         """Whether :meth:`bound` leaves each of (..., d) in its pose but for rounding, (...,)."""
         values = np.asarray(configurations, dtype=np.float64)
+        if self.is_torus:
+            return np.ones(values.shape[:-1], dtype=np.bool_)
         moved = np.abs(difference(values, self.bound(values))) > LIMIT_TOLERANCE_RAD
         return np.asarray(~np.any(moved & ~np.asarray(self.periodic), axis=-1))
 

@@ -5,24 +5,12 @@ import os
 import signal
 import socket
 import sys
-import tempfile
 
 import uvicorn
-from uvicorn.config import STARTUP_FAILURE
-from uvicorn.supervisors import Multiprocess
 
 from cspace.errors import ConfigError, PortTakenError
 from inference_api.auth import check_exposure
-from inference_api.settings import (
-    HOSTS,
-    METRICS_FOLDER,
-    THREADS,
-    WORKBENCH,
-    ApiSettings,
-    bracketed,
-    described_settings,
-    usable_cores,
-)
+from inference_api.settings import HOSTS, WORKBENCH, ApiSettings, bracketed, described_settings
 from inference_api.telemetry import LOG_FORMS, log_settings
 
 KEEP_ALIVE_S = 60
@@ -52,7 +40,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 1
     host, port = listener.getsockname()[:2]
     print(f"serving on http://{host}:{port} (documentation at http://{host}:{port}/docs)", flush=True)
-    return _serve(settings, options.workers, options.log, listener)
+    return _serve(settings, options.log, listener)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -68,9 +56,6 @@ def _parser() -> argparse.ArgumentParser:
         "--log", choices=LOG_FORMS, default="text", help="form of the log (default: %(default)s)"
     )
     parser.add_argument(
-        "--workers", type=_at_least_one, default=1, help="processes behind the port (default: %(default)s)"
-    )
-    parser.add_argument(
         "--allow-unauthenticated",
         action="store_true",
         help="listen on other addresses than loopback although no key is required",
@@ -81,12 +66,6 @@ def _parser() -> argparse.ArgumentParser:
         help="ground truth for the page at /: collision regions, families, checks of paths",
     )
     return parser
-
-
-def _at_least_one(text: str) -> int:
-    if not text.isascii() or not text.isdigit() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"expected a whole number, at least 1, got {text!r}")
-    return int(text)
 
 
 def _listen(host: str, port: int) -> socket.socket:
@@ -105,7 +84,7 @@ def _listen(host: str, port: int) -> socket.socket:
     return listener
 
 
-def _serve(settings: ApiSettings, workers: int, log: str, listener: socket.socket) -> int:
+def _serve(settings: ApiSettings, log: str, listener: socket.socket) -> int:
     config = uvicorn.Config(
         "inference_api.app:create_server_app",
         factory=True,
@@ -113,7 +92,6 @@ def _serve(settings: ApiSettings, workers: int, log: str, listener: socket.socke
         http="h11",
         # A request to upgrade is answered as a request, by the limits and the routes.
         ws="none",
-        workers=workers,
         limit_concurrency=settings.api_max_connections,
         timeout_keep_alive=KEEP_ALIVE_S,
         timeout_graceful_shutdown=settings.api_grace_s,
@@ -127,17 +105,9 @@ def _serve(settings: ApiSettings, workers: int, log: str, listener: socket.socke
     for number in (signal.SIGINT, signal.SIGTERM):
         # The server shuts down, then raises the signal again; without this that would look like a crash.
         signal.signal(number, lambda *_: sys.exit(0))
-    if workers == 1:
-        server = uvicorn.Server(config)
-        server.run(sockets=[listener])
-        return 0 if server.started else 1
-    with tempfile.TemporaryDirectory(prefix="cspace-metrics-") as folder:
-        os.environ[METRICS_FOLDER] = folder
-        # The cores are shared out, or the processes would compute against each other.
-        os.environ.setdefault(THREADS, str(max(1, usable_cores() // workers)))
-        supervisor = Multiprocess(config, sockets=[listener])
-        supervisor.run()
-    return 1 if any(process.exitcode == STARTUP_FAILURE for process in supervisor.processes) else 0
+    server = uvicorn.Server(config)
+    server.run(sockets=[listener])
+    return 0 if server.started else 1
 
 
 if __name__ == "__main__":

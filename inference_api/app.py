@@ -67,7 +67,7 @@ def create_app(settings: ApiSettings | None = None, registry: "ModelRegistry | N
         redoc_url=None,
     )
     store = _model_store(settings, registry)
-    metrics = Metrics(lambda: store.default, settings.metrics_folder)
+    metrics = Metrics(lambda: store.default)
     store.on_reload = metrics.reloaded
     app.state.settings, app.state.models, app.state.metrics = settings, store, metrics
     app.state.places = ComputePlaces(settings.api_threads, metrics.waiting)

@@ -13,10 +13,8 @@ from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 from cspace.errors import ConfigError
 from services.registry.entities import PRETRAINED, SHIPPED, is_model_name, is_shipped
 
-# The name is the metrics library's; `--workers` sets it.
-METRICS_FOLDER = "PROMETHEUS_MULTIPROC_DIR"
 TRACES_ENDPOINTS = ("OTEL_EXPORTER_OTLP_ENDPOINT", "OTEL_EXPORTER_OTLP_TRACES_ENDPOINT")
-THREADS, HOSTS, WORKBENCH = "CSPACE_API_THREADS", "CSPACE_API_HOSTS", "CSPACE_API_WORKBENCH"
+HOSTS, WORKBENCH = "CSPACE_API_HOSTS", "CSPACE_API_WORKBENCH"
 PREFIX = "CSPACE_"
 MIB = 1024 * 1024
 PRETRAINED_FOLDER = Path(__file__).parent / "pretrained"
@@ -112,13 +110,13 @@ class ApiSettings(BaseSettings):
     cached_pictures: int = Field(256, ge=0)
     """Encoded pictures that stay in memory; 0 for none."""
     api_threads: int = Field(default_factory=usable_cores, ge=1)
-    """Requests that one process computes at the same time."""
+    """Requests that are computed at the same time."""
     api_keys_file: Path | None = None
     """File of API keys; without it everybody may ask."""
     api_max_in_flight: int = Field(64, ge=1)
     """Requests that are answered at the same time; further ones are refused."""
     api_max_connections: int = Field(512, ge=1)
-    """Connections of one process; with more, all further requests are refused."""
+    """Connections; with more, all further requests are refused."""
     api_body_timeout_s: float = Field(30.0, gt=0.0)
     """Time within which a request's body has to arrive, s."""
     api_hosts: Annotated[tuple[_Host, ...], NoDecode, BeforeValidator(_parts)] = ()
@@ -143,8 +141,6 @@ class ApiSettings(BaseSettings):
     """Largest size of the folder of outcomes, MiB."""
     outcomes_keep_days: float = Field(0.0, ge=0.0, le=3650.0)
     """How long pictures and paths of plans whose requests say keep may be kept, days; 0 keeps none."""
-    metrics_folder: Path | None = Field(None, alias=METRICS_FOLDER)
-    """Where the processes of one server keep their metrics, which --workers sets."""
 
     @classmethod
     def from_environment(cls) -> Self:

@@ -16,13 +16,11 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 from fastapi import Depends, FastAPI, Request
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 from prometheus_client.core import GaugeMetricFamily, Metric
-from prometheus_client.multiprocess import MultiProcessCollector
 from prometheus_client.process_collector import ProcessCollector
 from prometheus_client.registry import Collector
 from starlette.datastructures import Headers
@@ -111,15 +109,12 @@ class Metrics:
 
     Args:
         model: the model that answers by default, None without one; asked at each scrape.
-        shared: the folder in which all processes of one server keep their values
-            (``PROMETHEUS_MULTIPROC_DIR``); None for a single process.
     """
 
-    def __init__(self, model: Callable[[], ServedModel | None], shared: Path | None = None) -> None:
-        self._shared, self._model = shared, _ModelCollector(model)
+    def __init__(self, model: Callable[[], ServedModel | None]) -> None:
         self._registry = registry = CollectorRegistry()
         counter, histogram = partial(Counter, registry=registry), partial(Histogram, registry=registry)
-        gauge = partial(Gauge, registry=registry, multiprocess_mode="livesum")
+        gauge = partial(Gauge, registry=registry)
         self.requests = counter(
             "cspace_requests", "Requests answered, by template of the route.", ("route", "method", "status")
         )
@@ -151,7 +146,7 @@ class Metrics:
         for reload in get_args(Reload):
             self._reloads.labels(reload)
         ProcessCollector(registry=registry)
-        registry.register(self._model)
+        registry.register(_ModelCollector(model))
 
     def answered(self, answer: Answered) -> None:
         """Counts an answer, and writes it down for the request's line in the log."""
@@ -182,13 +177,8 @@ class Metrics:
         self._outcomes.labels(result).inc(count)
 
     def render(self) -> bytes:
-        """All metrics in Prometheus' text format; of several processes their sums, and this one's model."""
-        if self._shared is None:
-            return generate_latest(self._registry)
-        together = CollectorRegistry()
-        MultiProcessCollector(together, path=str(self._shared))  # type: ignore[no-untyped-call]
-        together.register(self._model)
-        return generate_latest(together)
+        """All metrics in Prometheus' text format."""
+        return generate_latest(self._registry)
 
 
 class _ModelCollector(Collector):

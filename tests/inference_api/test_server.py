@@ -16,7 +16,6 @@ from urllib.parse import urlsplit
 
 import httpx
 import numpy as np
-import psutil
 import pytest
 from opentelemetry.proto.collector.trace.v1.trace_service_pb2 import ExportTraceServiceRequest
 from opentelemetry.proto.trace.v1.trace_pb2 import Span
@@ -24,7 +23,6 @@ from opentelemetry.proto.trace.v1.trace_pb2 import Span
 from cspace.bundle import Bundle
 from cspace.worlds.planar.camera import decode_png
 from inference_api.limits import MAX_BODY_BYTES
-from inference_api.settings import usable_cores
 from tests.inference_api.answers import IMAGE, assert_problem
 from tests.inference_api.raw import connect, everything, head, metric, one_answer, until
 from tests.inference_api.server import ROOT, api_server, server_process
@@ -87,7 +85,6 @@ def test_what_keeps_a_server_from_starting_is_told_with_a_remedy(address: str) -
         (["--port", str(urlsplit(address).port)], {}, 1, "choose another --port"),
         (["--port", "0"], {"CSPACE_MODEL_POLL_S": "soon"}, 2, "CSPACE_MODEL_POLL_S"),
         (["--port", "0", "--host", "0.0.0.0"], {}, 2, "--allow-unauthenticated"),  # noqa: S104
-        (["--port", "0", "--workers", "0"], {}, 2, "at least 1"),
     ):
         process = subprocess.run(
             [sys.executable, "-m", "inference_api", *arguments],
@@ -187,29 +184,6 @@ def test_a_search_ends_when_its_client_has_gone_and_the_next_one_is_answered(tmp
     plans = [line for line in lines if line.get("route") == "/plan"]
     assert [line.get("reason") for line in plans] == [None, "client-gone", None]
     assert left_s < 5.0
-
-
-def test_several_processes_share_port_and_cores_and_count_together(
-    tmp_path: Path, bundles: dict[str, Path], png: bytes
-) -> None:
-    chosen = {"CSPACE_PRETRAINED_MODEL": str(bundles["plain"])}
-    with server_process(tmp_path, chosen, "--workers", "2") as server:
-        children = psutil.Process(server.process.pid).children()
-        workers = [one for one in children if "spawn_main" in " ".join(one.cmdline())]
-        assert len(workers) == 2
-        assert {one.environ()["CSPACE_API_THREADS"] for one in workers} == {str(max(1, usable_cores() // 2))}
-        answers = [
-            httpx.post(f"{server.address}/sample", files={"image": png}, data={"n": "5", "seed": "7"}).json()
-            for _ in range(20)
-        ]
-        assert all(answer["samples"] == answers[0]["samples"] for answer in answers)
-        name = 'cspace_requests_total{method="POST",route="/sample",status="200"} '
-        for _ in range(5):
-            text = httpx.get(f"{server.address}/metrics").text
-            assert [line.removeprefix(name) for line in text.splitlines() if line.startswith(name)] == [
-                "20.0"
-            ]
-            assert "cspace_model_info{" in text
 
 
 @contextmanager
