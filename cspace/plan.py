@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.planning.cost import Predict, ScoredPath, score
+from cspace.planning.cost import Predict, ScoredPath, given_free, score
 from cspace.planning.paths import spaced
 from cspace.planning.refine import Effort, PathRefiner, route_search
 from cspace.planning.rrt_connect import Growth, grow_connect
@@ -153,7 +153,7 @@ def plan(
             found = replace(found, next_view=view)
     else:
         nothing = np.empty((0, seen.world.dim))
-        reason = searched.reason or _blocked_end(seen, ends)
+        reason = searched.reason or _blocked_end(seen, ends, goal_free=query.goal_free)
         found = Plan("timeout" if searched.late else "refused", nothing, reason=reason)
     if found.status != "solved" and (query.explain or seen.known is not None):
         found = replace(found, contact=_contact(seen, ends, found))
@@ -164,7 +164,7 @@ def plan(
     return replace(found, search_ms=searched.search_ms, score_ms=searched.score_ms)
 
 
-def _blocked_end(seen: Seen, ends: NDArray[np.float64]) -> str | None:
+def _blocked_end(seen: Seen, ends: NDArray[np.float64], *, goal_free: bool) -> str | None:
     """What start or goal touches, for certain or as the model expects, in words; None where neither does."""
     contacts = [
         (name, seen.world.contact(end, seen.picture, seen.known))
@@ -176,7 +176,7 @@ def _blocked_end(seen: Seen, ends: NDArray[np.float64]) -> str | None:
                 off = "; is state where the arm was?" if (name, one.kind) == ("start", "seen") else ""
                 return f"at the {name} {one.text}{off}"
     confidence, _ = seen.predict(seen.world.space.to_float32(ends))
-    if len(ends) > 1 and confidence[-1] < _LIKELY:
+    if len(ends) > 1 and confidence[-1] < _LIKELY and not goal_free:
         unseen = contacts[-1][1]
         where = "" if unseen is None else f": {unseen.text}"
         return f"the goal is expected to touch something, with a confidence of {confidence[-1]:.2f}{where}"
@@ -240,6 +240,9 @@ def search_paths(
     found = find_paths(checkers, ends[0], goals, count, seed, until_s, check_cancelled=check_cancelled)
     searched = time.monotonic()
     space = checkers[0].space
+    # The robot stands at its start.
+    is_free = constraints is not None and constraints.goal_free
+    predict = given_free(predict, space, ends if is_free else ends[:1])
     scored = score(found.paths, space, STEP_RAD, predict, seen.plan_calibration)
     ranked = _ranked(scored, space, seen.known)
     if found.checker is not None:
@@ -253,7 +256,8 @@ def search_paths(
 
 def path_confidence(seen: Seen, path: NDArray[np.float64]) -> float:
     """How confident a model is that a path, (k, d) rad, is free, as :func:`plan` states it of its own."""
-    (scored,) = score([path], seen.world.space, STEP_RAD, seen.predict, seen.plan_calibration)
+    predict = given_free(seen.predict, seen.world.space, path[:1])
+    (scored,) = score([path], seen.world.space, STEP_RAD, predict, seen.plan_calibration)
     return scored.whole
 
 

@@ -161,6 +161,7 @@ class PlanQuery:
         upright: ``axis`` of the tool that all states keep within ``max_rad`` of ``up`` in the base frame, as
             plain values.
         unwrapped: whether circles go on beyond [-pi, pi) along the path, from the start as it is given.
+        goal_free: whether the robot is known to be free at the goal, as it is at its start.
     """
 
     start: tuple[float, ...]
@@ -179,6 +180,7 @@ class PlanQuery:
     limits: tuple[tuple[float, float] | None, ...] | None = None
     upright: Mapping[str, Any] | None = None
     unwrapped: bool = False
+    goal_free: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,6 +17,8 @@ _LEAST = 1e-6
 _MOST = 20.0
 # Of confidence, beside what is true.
 _BINS = 10
+# About an end that is known to be free, Euclidean: states there are taken for free, too.
+FREE_RAD = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,6 +99,17 @@ def calibration_error(confidence: NDArray[np.float64], free: Sequence[bool] | ND
     """Mean distance of confidence (n,) and truth (n,) over ten bins of the confidence."""
     place = np.minimum((np.asarray(confidence) * _BINS).astype(int), _BINS - 1)
     return float(np.abs(np.bincount(place, confidence - np.asarray(free), _BINS)).sum() / len(confidence))
+
+
+def given_free(predict: Predict, space: JointSpace, ends: NDArray[np.float64]) -> Predict:
+    """``predict`` of a robot that is known to be free at ``ends`` (k, d) rad, and so near them."""
+
+    def conditioned(rows: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+        confidence, unseen = predict(rows)
+        near = (space.distance(ends[:, None], rows[None]) <= FREE_RAD).any(axis=0)
+        return np.where(near, np.float32(1.0), confidence), unseen
+
+    return conditioned
 
 
 def score(

@@ -148,6 +148,7 @@ def _query_of(request: PlanRequest, view: View) -> PlanQuery:
         else tuple(None if one is None else (one[0], one[1]) for one in request.limits),
         upright=None if upright is None else upright.model_dump(),
         unwrapped=request.unwrapped,
+        goal_free=request.goal_free,
     )
 
 

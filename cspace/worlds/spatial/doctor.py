@@ -39,7 +39,7 @@ _BETTER, _FITS, _LEAST = 0.06, 0.5, 0.25
 _BASE_AGREES = 0.75
 # Of the pixels that read something, the score of an arm that is where it should be; a turned camera with
 # so much more shows that it is not.
-_AGREES, _CLEARLY, _TURNS_RAD = 0.5, 0.25, np.radians((-11.0, -6.0, 6.0, 11.0))
+_AGREES, _MOST, _CLEARLY, _TURNS_RAD = 0.5, 0.7, 0.4, np.radians((-11.0, -6.0, 6.0, 11.0))
 # Two within this of each other tie.
 _TIE = 0.02
 # Above this share of pixels that see through it the arm is elsewhere; below this agreement, too, unless all
@@ -145,14 +145,12 @@ FEW_COARSE = 12
 
 
 def _fits_turned(one: Request, stated: Score) -> bool:
-    """Whether a camera that is turned a little sees the arm clearly better; an arm that is hidden is not."""
-    if stated.through < _NOT_HIDDEN:
-        return False
+    """Whether a camera that is turned a little sees the arm clearly better, and most of it."""
     turned = (
         moved(one, np.append(np.zeros(3), axis)) for axis in np.outer(_TURNS_RAD, np.eye(3)).reshape(-1, 3)
     )
     found = best_of(one, turned).score(FEW_COARSE)
-    return found.total > stated.total + _CLEARLY and found.arm >= _AGREES * (1.0 - found.blank)
+    return found.total > stated.total + _CLEARLY and found.arm >= _MOST * (1.0 - found.blank)
 
 
 def _is_elsewhere(stated: Score, few: int = FEW_PIXELS) -> bool:

@@ -9,6 +9,7 @@ import pytest
 from cspace.bundle import Bundle
 from cspace.bundle.samples import fitted_plan
 from cspace.errors import InputError
+from cspace.plan import Seen, plan
 from cspace.planning.cost import calibration_error, score
 from cspace.planning.search import find_paths
 from cspace.query import PlanQuery
@@ -44,8 +45,7 @@ def test_a_plan_is_a_way_from_start_to_goal_with_what_is_believed_of_it(bundle, 
     assert found.edges.shape == (len(found.path) - 1,)
     assert found.unseen is None
     assert found.found == 4
-    (alone,) = score([found.path], WORLD.space, 0.15, lambda rows: bundle.predict(picture, rows))
-    assert found.confidence == alone.whole
+    assert found.confidence == bundle.path_confidence(picture, found.path)
     assert found.edges.min() == pytest.approx(found.least.confidence)
     again = bundle.plan(picture, query_of(problem, seed=3))
     assert np.array_equal(again.path, found.path)
@@ -58,8 +58,23 @@ def test_a_plan_is_at_least_as_sure_as_the_surest_way_that_was_found(bundle, sce
     ends = np.array([problem.start, problem.goal])
     found = find_paths(seen_checkers(WORLD, image, ends), *ends, ways, 0, time.thread_time() + 60.0)
     assert len(found.paths) == ways
-    scored = score(found.paths, WORLD.space, 0.15, lambda rows: bundle.predict(picture, rows))
-    assert bundle.plan(picture, query_of(problem, ways=ways)).confidence >= max(one.whole for one in scored)
+    surest = max(bundle.path_confidence(picture, path) for path in found.paths)
+    assert bundle.plan(picture, query_of(problem, ways=ways)).confidence >= surest
+
+
+def test_the_start_costs_nothing_and_the_goal_nothing_where_it_is_known_to_be_free(scene):
+    image, problem = scene
+    ends = np.array([problem.start, problem.goal])
+
+    def predict(rows):
+        """Doubt about both ends alone."""
+        near = WORLD.space.distance(ends[:, None], rows[None]).min(axis=0) < 0.4
+        return np.where(near, 0.5, 1.0).astype(np.float32), None
+
+    found = plan(Seen(WORLD, image, predict), ends, query_of(problem))
+    assert found.confidence < 1.0
+    assert found.least.along > 0.5
+    assert plan(Seen(WORLD, image, predict), ends, query_of(problem, goal_free=True)).confidence == 1.0
 
 
 def test_a_path_below_the_minimum_confidence_is_refused_with_its_confidence(bundle, scene):

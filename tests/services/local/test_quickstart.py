@@ -2,7 +2,9 @@
 
 import json
 import sys
+import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import httpx
 import pytest
@@ -71,7 +73,8 @@ def test_the_api_is_asked_until_it_serves_the_version(
         return found
 
     monkeypatch.setattr(httpx, "get", get)
-    monkeypatch.setattr("services.local.quickstart.time.sleep", paused.append)
+    own = SimpleNamespace(**vars(time) | {"sleep": paused.append})
+    monkeypatch.setattr("services.local.quickstart.time", own)
     wait_served("http://api", "cspace-sampler/2", default=default)
     assert len(paused) == pauses
     with pytest.raises(ServiceStartError, match="cspace-sampler/9"):

@@ -200,11 +200,8 @@ class SamplingClient:
             raise SamplerAnswerError("the answer cannot be read", got=str(error), remedy=remedy) from error
         for one in getattr(found, "warnings", ()):
             _LOG.warning("%s: %s", one.code, one.message)
-        received = {
-            "round_trip_s": time.perf_counter() - began,
-            "request_id": response.headers.get("x-request-id"),
-        }
-        return found.model_copy(update=received)
+        round_trip_s, request_id = time.perf_counter() - began, response.headers.get("x-request-id")
+        return found.model_copy(update={"round_trip_s": round_trip_s, "request_id": request_id})
 
     def _send(
         self, path: str, data: dict[str, Any], files: list[Part], began: float

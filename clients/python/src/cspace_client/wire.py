@@ -310,6 +310,7 @@ class PlanQuery(Request):
     limits: Limits | None = Field(None, description="For each joint `[low, high]`, or null for its own.")
     upright: Upright | None = Field(None, description="An axis that stays upright.")
     unwrapped: bool = Field(default=False, description="Circles go on beyond [-pi, pi).")
+    goal_free: bool = Field(default=False, description="The robot is known to be free at the goal.")
     seed: Seed = _SEED
     min_confidence: Share | None = Field(None, description="Absent, 0.2 where plans are calibrated.")
     max_risk: Share | None = Field(None, description="In place of `min_confidence`: of a collision.")
