@@ -144,16 +144,12 @@ MAX_MANIFEST_BYTES = 16 * 2**20
 
 @validated(DatasetError)
 class Manifest:
-    """A data set's description.
-
-    Args:
-        files: SHA-256 of each file by its name.
-    """
+    """A data set's description."""
 
     world: WorldField
     counts: Mapping[str, int]
     generator: Mapping[str, Any]
-    files: Mapping[str, str]
+    files: Mapping[str, str]  # SHA-256 of each file by its name
 
     @property
     def digest(self) -> str:
@@ -309,11 +305,7 @@ class Dataset:
 
 
 def open_dataset(folder: Path, *, verify: bool = True) -> Dataset:
-    """Open a data-set folder.
-
-    Args:
-        verify: whether every file's digest is computed and compared.
-    """
+    """Open a data-set folder. ``verify``: whether every file's digest is computed and compared."""
     folder = Path(folder)
     manifest = Manifest.read(folder)
     for name, expected in manifest.files.items():
@@ -344,12 +336,9 @@ def write_dataset(
 ) -> Dataset:
     """Write a data set beside its place and rename it, so that it appears whole or not at all.
 
-    Args:
-        images: (S, P, P, 3).
-        free: one (n_i, d) rad array a scenario.
-        attributes: what is told of each configuration, one (n_i,) array a scenario, by the file's name.
-        paths: (scenario, waypoints (t, d) rad) each.
-        extra_images: (E, P, P, 3).
+    ``images``: (S, P, P, 3). ``free``: one (n_i, d) rad array a scenario. ``attributes``: what is told of
+    each configuration, one (n_i,) array a scenario, by the file's name. ``paths``: (scenario, waypoints (t,
+    d) rad) each. ``extra_images``: (E, P, P, 3).
     """
     arrays: dict[str, NDArray[Any]] = {"images": images, **_rows("free", free, world.space)}
     if collision is not None:

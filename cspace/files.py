@@ -42,8 +42,7 @@ def read_bounded(
 def replacing(path: Path, what: str | None = None) -> Iterator[Path]:
     """A path beside another, for a file or a folder that takes its place when the block ends well.
 
-    Args:
-        path: where it is to be; a file there is replaced, a folder that is not empty is not.
+    ``path``: where it is to be; a file there is replaced, a folder that is not empty is not.
     """
     # Processes on several machines may write the same file at the same time.
     beside = path.with_name(f"{HALF_PREFIX}{path.name}-{secrets.token_hex(4)}{HALF_SUFFIX}")
@@ -114,9 +113,8 @@ def discard(path: Path) -> None:
 def read_npy(data: bytes, types: tuple[str, ...], axes: int | tuple[int, ...]) -> NDArray[Any]:
     """An untrusted ``.npy`` file of version 1.0; the array shares its memory.
 
-    Args:
-        types: that the array may have, as ``.npy`` writes them: ``<f4``.
-        axes: number of the array's axes, or those that it may have.
+    ``types``: that the array may have, as ``.npy`` writes them: ``<f4``. ``axes``: number of the array's
+    axes, or those that it may have.
     """
     stream = io.BytesIO(data)
     if np.lib.format.read_magic(stream) != (1, 0):

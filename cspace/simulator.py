@@ -29,23 +29,16 @@ OWN = "own"
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A planning problem.
-
-    Args:
-        start: (d,) rad.
-        goal: (d,) rad.
-        bottleneck_rad: largest clearance at which start and goal stay connected; 0 without a path, NaN where
-            nobody looked.
-        rejected: draws before it that were not of the family.
-    """
+    """A planning problem."""
 
     scenario: Scene
-    start: NDArray[np.float64]
-    goal: NDArray[np.float64]
+    start: NDArray[np.float64]  # (d,) rad
+    goal: NDArray[np.float64]  # (d,) rad
     family: str = OWN
+    # Largest clearance at which start and goal stay connected; 0 without a path, NaN where nobody looked
     bottleneck_rad: float = math.nan
     seed: int = 0
-    rejected: int = 0
+    rejected: int = 0  # draws before it that were not of the family
 
     @property
     def passage(self) -> str:
@@ -170,15 +163,10 @@ class Checker:
     ) -> tuple[int, int, int, int]:
         """Grow RRT-Connect's trees by a block of states (n, d).
 
-        Args:
-            nodes: (2, m, d) rad, the start's tree and the goal's; grown in place, and so the rest.
-            parents: (2, m), -1 for the roots.
-            counts: (2,) nodes in use.
-            checks: (2,) counts on: edges, and states within them and alone.
-            states: sampled ones, in order.
-
-        Returns:
-            Iterations done, whose turn it is, and the node that both trees share, -1 twice without one.
+        ``nodes``: (2, m, d) rad, the start's tree and the goal's; grown in place, and so the rest.
+        ``parents``: (2, m), -1 for the roots. ``counts``: (2,) nodes in use. ``checks``: (2,) counts on:
+        edges, and states within them and alone. ``states``: sampled ones, in order. Returns iterations done,
+        whose turn it is, and the node that both trees share, -1 twice without one.
         """
         trees = (nodes, parents, counts, checks, states, side, range_rad, resolution_rad)
         grown: tuple[int, int, int, int] = self.kernels.grow_trees(*trees, self.scene)
@@ -189,11 +177,7 @@ class Checker:
     ) -> NDArray[np.float64]:
         """The path with straight pieces between random points of it wherever these are free and shorter.
 
-        Args:
-            path: (k, d) rad, k at least 2.
-
-        Returns:
-            (n, d) rad with the same ends, no longer than before.
+        ``path``: (k, d) rad, k at least 2. Returns (n, d) rad with the same ends, no longer than before.
         """
         rows = np.array(path, dtype=np.float64)
         draws = rng.random((shortcuts, 2))
@@ -250,22 +234,18 @@ class Families:
 
 @dataclass(frozen=True, slots=True)
 class Measures:
-    """Numbers that fit one world: how samples and plans are measured there, and what its training assumes.
-
-    Args:
-        range_rad: longest step of a planner's tree, the sum over the joints; it decides how strong the
-            uniform baseline is.
-        coverage_share: of what as many real samples cover; a sampler of configurations that covers less is
-            not promoted. None where samples cover nothing that could be told by balls.
-        margins: the metrics by which a version is compared with champions that were not measured beside it,
-            and how much worse than the best of them it may be.
-    """
+    """Numbers that fit one world: how samples and plans are measured there, and what its training assumes."""
 
     coverage_radius_rad: float
     near_contact_m: float
+    # Longest step of a planner's tree, the sum over the joints; it decides how strong the uniform baseline is
     range_rad: float
     resolution_rad: float
+    # Of what as many real samples cover; a sampler of configurations that covers less is not promoted. None
+    # where samples cover nothing that could be told by balls.
     coverage_share: float | None
+    # The metrics by which a version is compared with champions that were not measured beside it, and how much
+    # worse than the best of them it may be
     margins: Mapping[str, float]
     path_margins: Mapping[str, float]
     free_share: float
@@ -278,15 +258,10 @@ ORIGINS = ("uniform", "near contact", "about ends", "along paths", "along mistak
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Proposals:
-    """Configurations of a scene that are worth labelling, free ones and others.
+    """Configurations of a scene that are worth labelling, free ones and others."""
 
-    Args:
-        configurations: (n, d) rad, within the limits.
-        origins: (n,) uint8, places in :data:`ORIGINS`.
-    """
-
-    configurations: NDArray[np.float64]
-    origins: NDArray[np.uint8]
+    configurations: NDArray[np.float64]  # (n, d) rad, within the limits
+    origins: NDArray[np.uint8]  # (n,) uint8, places in :data:`ORIGINS`
 
 
 def near_contact(
@@ -351,8 +326,7 @@ class Simulator(ABC):
     ) -> NDArray[np.bool_]:
         """Which groups of the robot's spheres touch an obstacle, (N, G); see :meth:`World.grid_arm`.
 
-        Args:
-            configurations: (N, d) rad.
+        ``configurations``: (N, d) rad.
         """
         del arrays, configurations
         raise ConfigError(
@@ -383,8 +357,7 @@ class Simulator(ABC):
     ) -> Iterable[NDArray[np.float64]]:
         """Starts and goals as problems of a scene have them, at most so many, each (2, d) rad and free.
 
-        Args:
-            free: (n, d) rad, uniform ones that are free.
+        ``free``: (n, d) rad, uniform ones that are free.
         """
 
     @abstractmethod
@@ -437,19 +410,13 @@ class Taken(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ProblemRequest:
-    """Which problems are requested, and how they are seen.
-
-    Args:
-        aim: what cameras look at: ``goal``, or ``scene`` for the middle of all obstacles.
-        folder: of problems that do not ship; None where none are needed.
-        held: whether the robot holds what its goal grasps, and planners know this and the table.
-    """
+    """Which problems are requested, and how they are seen."""
 
     split: Split
     seed: int = 0
-    aim: str = "goal"
-    folder: Path | None = None
-    held: bool = False
+    aim: str = "goal"  # what cameras look at: `goal`, or `scene` for the middle of all obstacles
+    folder: Path | None = None  # of problems that do not ship; None where none are needed
+    held: bool = False  # whether the robot holds what its goal grasps, and planners know this and the table
 
 
 class ValidityChecker(Protocol):

@@ -29,11 +29,7 @@ MIN_RANGE_RAD = 1e-3
 
 
 def wrap(angles: ArrayLike) -> NDArray[np.float64]:
-    """Angles brought into [-pi, pi).
-
-    Args:
-        angles: any shape, rad.
-    """
+    """Angles brought into [-pi, pi). ``angles``: any shape, rad."""
     wrapped = np.mod(np.asarray(angles, dtype=np.float64) + np.pi, 2.0 * np.pi) - np.pi
     # The modulo of a tiny negative number rounds up to the full period.
     return np.where(wrapped >= np.pi, -np.pi, wrapped)
@@ -63,18 +59,12 @@ def to_float32(angles: ArrayLike) -> NDArray[np.float32]:
 
 @dataclass(frozen=True, slots=True)
 class JointSpace:
-    """A robot's joint space: circles for periodic joints, intervals for the others.
+    """A robot's joint space: circles for periodic joints, intervals for the others."""
 
-    Args:
-        lower: lower end of each joint, rad; -pi where periodic.
-        upper: upper end of each joint, rad; pi where periodic.
-        periodic: whether the joint is a circle.
-        names: of the joints, for messages; none where they are numbered from 1.
-    """
-
-    lower: tuple[float, ...]
-    upper: tuple[float, ...]
-    periodic: tuple[bool, ...]
+    lower: tuple[float, ...]  # lower end of each joint, rad; -pi where periodic
+    upper: tuple[float, ...]  # upper end of each joint, rad; pi where periodic
+    periodic: tuple[bool, ...]  # whether the joint is a circle
+    # Of the joints, for messages; none where they are numbered from 1
     names: tuple[str, ...] = field(default=(), compare=False)
 
     @property
@@ -179,12 +169,8 @@ class JointSpace:
         Limited joints are clamped to their limits where they lie up to ``LIMIT_TOLERANCE_RAD`` beyond, as
         values in single precision do. Circles stay as they are, within ``MAX_CIRCLE_RAD`` of 0.
 
-        Args:
-            configurations: (d,) or (n, d) rad.
-            what: the clause of the error's message, as "start lies outside the robot's limits".
-
-        Returns:
-            The same, clamped.
+        ``configurations``: (d,) or (n, d) rad. ``what``: the clause of the error's message, as "start lies
+        outside the robot's limits". Returns the same, clamped.
         """
         values = np.asarray(configurations, dtype=np.float64)
         low = np.where(self.periodic, -MAX_CIRCLE_RAD, self.lower)
@@ -217,9 +203,8 @@ class JointSpace:
     def narrowed(self, limits: Sequence[Sequence[float] | None]) -> "JointSpace":
         """The space whose joints keep to narrower ranges.
 
-        Args:
-            limits: for each joint low and high, rad, or None where it stays as it is. A circle with a range
-                is a limited joint: its angles are the numbers from low to high, at any turn.
+        ``limits``: for each joint low and high, rad, or None where it stays as it is. A circle with a range
+        is a limited joint: its angles are the numbers from low to high, at any turn.
         """
         if len(limits) != self.dim:
             raise InputError(
@@ -251,9 +236,8 @@ class JointSpace:
     def unwrap(self, path: ArrayLike, start: ArrayLike) -> NDArray[np.float64]:
         """A path (k, d) rad whose circles go on beyond [-pi, pi) instead of jumping, (k, d) rad.
 
-        Args:
-            path: (k, d) rad.
-            start: (d,) rad, the first of its configurations, circles at any turn: there they begin.
+        ``path``: (k, d) rad. ``start``: (d,) rad, the first of its configurations, circles at any turn: there
+        they begin.
         """
         rows = np.asarray(path, dtype=np.float64)
         going_on = np.unwrap(np.concatenate([np.asarray(start, dtype=np.float64)[None], rows]), axis=0)[1:]
@@ -287,15 +271,10 @@ def _towards(ends: Sequence[float], inside: Sequence[float]) -> NDArray[np.float
 
 @dataclass(frozen=True, slots=True)
 class Standardisation:
-    """An affine map to zero mean and unit variance, per joint.
+    """An affine map to zero mean and unit variance, per joint."""
 
-    Args:
-        mean: (d,) rad.
-        std: (d,) rad, positive.
-    """
-
-    mean: tuple[float, ...]
-    std: tuple[float, ...]
+    mean: tuple[float, ...]  # (d,) rad
+    std: tuple[float, ...]  # (d,) rad, positive
 
     def __post_init__(self) -> None:
         if len(self.mean) != len(self.std) or any(not value > 0.0 for value in self.std):

@@ -35,19 +35,14 @@ _AHEAD_S = 1.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """Untrusted pictures of one scene, and what was sent beside them.
-
-    Args:
-        state: likewise, for all pictures or a list with one for each; None where the robot is in no picture.
-        depth_scale_m: likewise, metres per unit of the pictures; None for mm.
-        known: JSON of a planning scene; None without one.
-    """
+    """Untrusted pictures of one scene, and what was sent beside them."""
 
     pictures: Sequence[bytes]
     cameras: Sequence[object] = ()
+    # Likewise, for all pictures or a list with one for each; None where the robot is in no picture
     state: object = None
-    depth_scale_m: object = None
-    known: bytes | None = None
+    depth_scale_m: object = None  # likewise, metres per unit of the pictures; None for mm
+    known: bytes | None = None  # JSON of a planning scene; None without one
 
     @classmethod
     def of(cls, data: "bytes | View") -> "View":
@@ -146,8 +141,7 @@ def unstamped(cameras: Sequence[object]) -> tuple[list[object], list[float | Non
 def check_ages(stamps_s: Sequence[float | None], max_age_s: float, now_s: float) -> None:
     """Refuse pictures that are too old, or from the future.
 
-    Args:
-        stamps_s: when each picture was taken, seconds since the epoch; None where that is not known.
+    ``stamps_s``: when each picture was taken, seconds since the epoch; None where that is not known.
     """
     for number, stamp in enumerate(stamps_s):
         if stamp is None:

@@ -34,15 +34,10 @@ _LINE = re.compile(r"([0-9a-f]{64})  ([A-Za-z0-9._-]+)")
 
 @dataclass(frozen=True, slots=True)
 class BundleFiles:
-    """A bundle's verified bytes.
+    """A bundle's verified bytes."""
 
-    Args:
-        contents: file name to bytes, ``SHA256SUMS`` left out.
-        digest: SHA-256 of ``SHA256SUMS``, which names the bundle.
-    """
-
-    contents: Mapping[str, bytes]
-    digest: str
+    contents: Mapping[str, bytes]  # file name to bytes, `SHA256SUMS` left out
+    digest: str  # SHA-256 of `SHA256SUMS`, which names the bundle
 
 
 def sums_of(contents: Mapping[str, bytes]) -> bytes:

@@ -21,8 +21,7 @@ Allowed = tuple[tuple[str, ...], int | tuple[int, ...]]
 def read_arrays(data: bytes, allowed: Mapping[str, Allowed], name: str) -> dict[str, NDArray[Any]]:
     """The arrays of a ``.npz``.
 
-    Args:
-        allowed: name to the types that it may have, as ``.npy`` writes them, and its number of axes.
+    ``allowed``: name to the types that it may have, as ``.npy`` writes them, and its number of axes.
     """
     try:
         return _read_archive(data, allowed)
@@ -76,22 +75,14 @@ MAX_COUNT, MAX_EPSILONS = 20_000, 1_000
 
 @dataclass(frozen=True, slots=True)
 class GoldenCase:
-    """Inputs with their expected outputs; None where the model has no such thing.
+    """Inputs with their expected outputs; None where the model has no such thing."""
 
-    Args:
-        image: uint8 (P, P, 3), or as the world's pictures are.
-        mu: float32 (L,).
-        sigma: float32 (L,).
-        samples: float32 (n, d) rad.
-        confidence: float32 (n,), models with a validity head only.
-    """
-
-    image: NDArray[np.uint8]
+    image: NDArray[np.uint8]  # uint8 (P, P, 3), or as the world's pictures are
     query: SampleQuery
-    mu: NDArray[np.float32]
-    sigma: NDArray[np.float32]
-    samples: NDArray[np.float32]
-    confidence: NDArray[np.float32] | None = None
+    mu: NDArray[np.float32]  # float32 (L,)
+    sigma: NDArray[np.float32]  # float32 (L,)
+    samples: NDArray[np.float32]  # float32 (n, d) rad
+    confidence: NDArray[np.float32] | None = None  # float32 (n,), models with a validity head only
 
     def to_npz(self) -> bytes:
         """``golden.npz``."""

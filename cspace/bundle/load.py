@@ -49,9 +49,8 @@ def novelty(scores: NDArray[np.float32], quantiles: Sequence[Sequence[float]]) -
     Every score is ranked among those of known pictures. The highest rank counts, and as the highest of
     several is high more often than each (Bonferroni), its distance from 1 is multiplied by their number.
 
-    Args:
-        scores: (s,), each higher for what is less usual.
-        quantiles: for each score its rising quantiles over known pictures, evenly spaced from 0 to 1.
+    ``scores``: (s,), each higher for what is less usual. ``quantiles``: for each score its rising quantiles
+    over known pictures, evenly spaced from 0 to 1.
     """
     ranks = [
         float(np.interp(score, known, np.linspace(0.0, 1.0, len(known))))
@@ -95,10 +94,9 @@ class Bundle:
         who can write to a registry, so nothing of them is followed, unpickled or computed without a bound. A
         bundle of others is verified in a process of its own (:mod:`cspace.bundle.verification`).
 
-        Args:
-            digest: that the bundle has to have; any when None.
-            check: False where the graphs of this digest were checked, or come with the program.
-            replay: whether the golden case is replayed; as ``check`` when None.
+        ``digest``: that the bundle has to have; any when None. ``check``: False where the graphs of this
+        digest were checked, or come with the program. ``replay``: whether the golden case is replayed; as
+        ``check`` when None.
         """
         files = read_files(Path(folder))
         if digest not in (None, files.digest):
@@ -124,9 +122,8 @@ class Bundle:
     def within(self, world: World) -> "Bundle":
         """The same model for its robot with the joint limits of another world's; graphs are shared.
 
-        Args:
-            world: with the same robot but for the limits. Beyond those that the graphs were trained for they
-                know nothing.
+        ``world``: with the same robot but for the limits. Beyond those that the graphs were trained for they
+        know nothing.
         """
         found = copy(self)
         found.spec = replace(self.spec, world=replace(cast("Any", self.spec.world), body=world.body))
@@ -148,8 +145,7 @@ class Bundle:
     def prepare(self, picture: NDArray[np.uint8] | Examined) -> Picture:
         """A picture, uint8 (P, P, 3), for any number of calls of :meth:`sample` and :meth:`score`.
 
-        Args:
-            picture: decoded, from one camera; or what :meth:`cspace.world.World.examine_picture` read.
+        ``picture``: decoded, from one camera; or what :meth:`cspace.world.World.examine_picture` read.
         """
         image = picture.images[0] if isinstance(picture, Examined) else picture
         pixels = self._network_image(image)
@@ -208,9 +204,8 @@ class Bundle:
         What is random and in which order is told in :mod:`cspace.bundle.sampling`. The samples for a smaller
         ``n`` are no prefix of those for a larger one.
 
-        Args:
-            image: uint8 (P, P, 3), or one that :meth:`prepare` made.
-            report_confidence: whether samples are scored that are not filtered; the samples are the same.
+        ``image``: uint8 (P, P, 3), or one that :meth:`prepare` made. ``report_confidence``: whether samples
+        are scored that are not filtered; the samples are the same.
         """
         request = fitted(query, self.spec, has_validity=self.has_validity)
         began = time.perf_counter()
@@ -244,9 +239,8 @@ class Bundle:
     ) -> Plan:
         """The path from start to goal of lowest cost, of several that the picture leaves free.
 
-        Args:
-            image: uint8 (P, P, 3), or one that :meth:`prepare` made.
-            calibration: (a, b) in place of the bundle's for so many pictures.
+        ``image``: uint8 (P, P, 3), or one that :meth:`prepare` made. ``calibration``: (a, b) in place of the
+        bundle's for so many pictures.
         """
         head, picture = self._head(), self._prepared(image)
         ends = fitted_problem(self.spec, query)
@@ -295,13 +289,9 @@ class Bundle:
     ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
         """What the validity head says of configurations.
 
-        Returns:
-            P(free | picture, configuration), float32 (n,), and the share of the robot that lies in space that
-            no picture shows, float32 (n,); None in worlds that are seen whole.
-
-        Args:
-            image: uint8 (P, P, 3), or one that :meth:`prepare` made.
-            configurations: float32 (n, d) rad, at least one.
+        Returns P(free | picture, configuration), float32 (n,), and the share of the robot that lies in space
+        that no picture shows, float32 (n,); None in worlds that are seen whole. ``image``: uint8 (P, P, 3),
+        or one that :meth:`prepare` made. ``configurations``: float32 (n, d) rad, at least one.
         """
         head, picture = self._head(), self._prepared(image)
         return head.predict(picture, configurations, check_cancelled)
@@ -311,8 +301,7 @@ class Bundle:
     ) -> Belief:
         """What the model takes the whole scene to be, seen or not.
 
-        Args:
-            image: uint8 (X, Y, Z, 2), or one that :meth:`prepare` made.
+        ``image``: uint8 (X, Y, Z, 2), or one that :meth:`prepare` made.
         """
         graph, grid = self.require_belief()
         picture, cell_m, counts = self._prepared(image), 2.0 * grid.voxel_m, [n // 2 for n in grid.counts]
@@ -390,13 +379,9 @@ def write_bundle(
 ) -> Path:
     """Write a bundle beside its place, load it there as any reader would, and rename it.
 
-    Args:
-        graphs: ``encoder``, and as the description asks for ``generator``, ``validity``, ``novelty``, ``map``
-            and ``belief``, to ONNX bytes.
-        golden: the golden case; computed from a fixed picture and seed when None.
-
-    Returns:
-        The folder.
+    ``graphs``: ``encoder``, and as the description asks for ``generator``, ``validity``, ``novelty``, ``map``
+    and ``belief``, to ONNX bytes. ``golden``: the golden case; computed from a fixed picture and seed when
+    None. Returns the folder.
     """
     folder = Path(folder)
     contents = {SPEC_FILE: spec.to_json(), **_graph_files(graphs)}

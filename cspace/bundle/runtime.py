@@ -102,8 +102,7 @@ class Deadlines:
     def begin(self, key: object, limit_s: float, end: Callable[[], None]) -> None:
         """Call ``end`` once ``limit_s`` have passed, unless :meth:`done` was called before.
 
-        Args:
-            limit_s: above 0.
+        ``limit_s``: above 0.
         """
         self._ends[key] = (time.monotonic() + limit_s, end)
         thread = self._thread
@@ -214,11 +213,7 @@ class Graph:
     def run(
         self, feeds: Mapping[str, NDArray[np.float32]], outputs: Mapping[str, tuple[int, ...]]
     ) -> dict[str, NDArray[np.float32]]:
-        """Evaluate the graph.
-
-        Returns:
-            Output name to float32 array.
-        """
+        """Evaluate the graph. Returns output name to float32 array."""
         try:
             found = self._run(list(outputs), dict(feeds), self._new_run())
         except onnx_errors() as error:

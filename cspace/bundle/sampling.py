@@ -120,31 +120,20 @@ class Head:
 
 @dataclass(frozen=True, slots=True)
 class RandomNumbers:
-    """The random part of one request.
+    """The random part of one request."""
 
-    Args:
-        latents: z = mu + (sigma + epsilon) * eta, float32 (m, L).
-        random_inputs: name to float32 (m, *shape).
-        kept: bool (m, K), which samples of each latent belong to the answer.
-    """
-
-    latents: NDArray[np.float32]
-    random_inputs: dict[str, NDArray[np.float32]]
-    kept: NDArray[np.bool_]
+    latents: NDArray[np.float32]  # z = mu + (sigma + epsilon) * eta, float32 (m, L)
+    random_inputs: dict[str, NDArray[np.float32]]  # name to float32 (m, *shape)
+    kept: NDArray[np.bool_]  # bool (m, K), which samples of each latent belong to the answer
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Proposals:
-    """Which samples of a turn are uniform, and these.
-
-    Args:
-        uniform: bool (m,), the samples in their order.
-        angles: float32 (u, d) rad, the uniform ones.
-    """
+    """Which samples of a turn are uniform, and these."""
 
     learned: list[int]
-    uniform: NDArray[np.bool_]
-    angles: NDArray[np.float32]
+    uniform: NDArray[np.bool_]  # bool (m,), the samples in their order
+    angles: NDArray[np.float32]  # float32 (u, d) rad, the uniform ones
 
     def mixed_with(self, learned: NDArray[np.float32]) -> NDArray[np.float32]:
         """All samples (m, d) in their order, from (m - u, d) generated ones."""
@@ -155,11 +144,7 @@ class Proposals:
 
 
 def propose(spec: BundleSpec, counts: Sequence[int], seed: int, turn: int) -> Proposals:
-    """The uniform samples of one turn of a request that filters.
-
-    Args:
-        turn: 0 for the first.
-    """
+    """The uniform samples of one turn of a request that filters. ``turn``: 0 for the first."""
     total, space = sum(counts), spec.world.space
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(turn, 1))))
     uniform = rng.random(total) < (0.0 if spec.kind == "path" else UNIFORM_SHARE)
@@ -185,10 +170,7 @@ def random_numbers(
 ) -> RandomNumbers:
     """Everything random in one turn of a request.
 
-    Args:
-        mu: (L,) the encoder's mean.
-        sigma: (L,) its standard deviation.
-        turn: 0 for the first.
+    ``mu``: (L,) the encoder's mean. ``sigma``: (L,) its standard deviation. ``turn``: 0 for the first.
     """
     per_latent = spec.samples_per_latent
     epsilons: list[NDArray[np.float32]] = []
@@ -235,11 +217,9 @@ def rejection_sample(
     Further turns propose what is missing by the share that passed so far. Surplus samples are left out from
     the end, so what is accepted does not depend on its score beyond having reached the threshold.
 
-    Args:
-        propose_scored: counts by share and the turn's number to samples (m, d), those of the first share
-            first, and (m, k) whose first column is their confidence.
-        threshold: the least confidence, 0 to 1.
-        expected: share that is likely to pass, above 0 to 1; a further turn costs more than a few too many.
+    ``propose_scored``: counts by share and the turn's number to samples (m, d), those of the first share
+    first, and (m, k) whose first column is their confidence. ``threshold``: the least confidence, 0 to 1.
+    ``expected``: share that is likely to pass, above 0 to 1; a further turn costs more than a few too many.
     """
     left = max(BUDGET * sum(shares), BUDGET_AT_LEAST)
     found: list[tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.intp]]] = []
@@ -296,8 +276,7 @@ class GeneratorSampler:
     The graph may have been trained for wider limits than the description's: what it puts outside the robot's
     limits is rejected, and sampled again.
 
-    Args:
-        head: that scores; None for a bundle without.
+    ``head``: that scores; None for a bundle without.
     """
 
     def __init__(self, spec: BundleSpec, generator: Graph, head: Head | None) -> None:
@@ -313,8 +292,7 @@ class GeneratorSampler:
     ) -> Sampled:
         """Samples for a picture; the same request gives bit-equal ones on one machine.
 
-        Args:
-            report_confidence: whether samples are scored that are not filtered; the samples are the same.
+        ``report_confidence``: whether samples are scored that are not filtered; the samples are the same.
         """
         spec, head, space = self._spec, self._head, self._spec.world.space
 

@@ -40,19 +40,14 @@ _Quantiles = Annotated[
 
 @validated(BundleIntegrityError)
 class RandomInput:
-    """One random input of the generator graph, drawn for every latent.
-
-    Args:
-        distribution: ``uniform`` in [low, high) or ``normal`` with mean 0 and variance 1.
-        low: lower end of a uniform input, None for a normal one.
-        high: upper end of a uniform input, None for a normal one.
-    """
+    """One random input of the generator graph, drawn for every latent."""
 
     name: Annotated[str, Field(min_length=1, max_length=64)]
+    # `uniform` in [low, high) or `normal` with mean 0 and variance 1
     distribution: Literal["uniform", "normal"]
     shape: Annotated[tuple[Annotated[int, Field(ge=1, le=4096)], ...], Field(max_length=7)]
-    low: float | None = None
-    high: float | None = None
+    low: float | None = None  # lower end of a uniform input, None for a normal one
+    high: float | None = None  # upper end of a uniform input, None for a normal one
 
     def __post_init__(self) -> None:
         if self.name in _RESERVED:
@@ -67,55 +62,44 @@ class RandomInput:
 
 @validated(BundleIntegrityError)
 class Provenance:
-    """How a bundle was made; plain JSON values throughout.
-
-    Args:
-        git_dirty: whether the tree held changes beside that commit.
-        data_digest: SHA-256 digest of the data set.
-        created: ISO 8601 time in UTC.
-    """
+    """How a bundle was made; plain JSON values throughout."""
 
     git_commit: str | None = None
-    git_dirty: bool | None = None
-    data_digest: str | None = None
+    git_dirty: bool | None = None  # whether the tree held changes beside that commit
+    data_digest: str | None = None  # SHA-256 digest of the data set
     seeds: Mapping[str, Any] = field(default_factory=dict)
     config: Mapping[str, Any] = field(default_factory=dict)
     metrics: Mapping[str, Any] = field(default_factory=dict)
-    created: str | None = None
+    created: str | None = None  # ISO 8601 time in UTC
     command: str | None = None
 
 
 @validated(BundleIntegrityError)
 class BundleSpec:
-    """The contract between a bundle's graphs and whoever samples from them.
+    """The contract between a bundle's graphs and whoever samples from them."""
 
-    Args:
-        world: whose configurations are sampled, and how it is seen; its pixels are the encoder's input size.
-        kind: ``configuration`` (free configurations) or ``path`` (conditioned on start and goal).
-        model_kind: ``generator`` or ``mixture``, both one graph with the same inputs and outputs; or
-            ``ways``, a path sampler that searches and has no such graph.
-        looks_at_picture: whether the generator takes the picture itself beside its latent.
-        looks_at_map: whether it takes what the map graph makes of the picture, once for all its requests.
-        random_inputs: what the generator takes beside the latent, in the order in which it is drawn.
-        standardisation: of the angles inside the graph, for information; the graph's output is in rad.
-        confidence_threshold: the validity head's threshold that training recommends, None without one.
-        novelty_quantiles: for each score of the novelty graph its rising quantiles over known pictures; None
-            without one.
-        plan_calibration: (a, b) for one picture, for two and so on, the last for more: a path of cost D is
-            free with exp(-exp(a + b log D)), b above 0; see :mod:`cspace.planning`. None for (0, 1).
-    """
-
+    # Whose configurations are sampled, and how it is seen; its pixels are the encoder's input size
     world: WorldField
     latent_dim: Annotated[int, Field(ge=1, le=1024)]
+    # `configuration` (free configurations) or `path` (conditioned on start and goal)
     kind: Literal["configuration", "path"] = "configuration"
+    # `generator` or `mixture`, both one graph with the same inputs and outputs; or `ways`, a path sampler
+    # that searches and has no such graph
     model_kind: Annotated[str, Field(pattern="^(generator|mixture|ways)$")] = "generator"
-    looks_at_picture: bool = False
+    looks_at_picture: bool = False  # whether the generator takes the picture itself beside its latent
+    # Whether it takes what the map graph makes of the picture, once for all its requests
     looks_at_map: bool = False
     samples_per_latent: Annotated[int, Field(ge=1)] = 1
+    # What the generator takes beside the latent, in the order in which it is drawn
     random_inputs: Annotated[tuple[RandomInput, ...], Field(max_length=16)] = ()
+    # Of the angles inside the graph, for information; the graph's output is in rad
     standardisation: Standardisation | None = None
+    # The validity head's threshold that training recommends, None without one
     confidence_threshold: Share | None = None
+    # For each score of the novelty graph its rising quantiles over known pictures; None without one
     novelty_quantiles: _Quantiles | None = None
+    # (a, b) for one picture, for two and so on, the last for more: a path of cost D is free with exp(-exp(a +
+    # b log D)), b above 0; see :mod:`cspace.planning`. None for (0, 1).
     plan_calibration: _Calibrations | None = None
     provenance: Provenance = field(default_factory=Provenance)
 

@@ -91,8 +91,7 @@ def part_types(part: str) -> tuple[type[Any], ...]:
 def usual_world(robot: Body, **parts: Any) -> World:
     """A robot that is seen, and stands in scenes, as those of its type usually are.
 
-    Args:
-        parts: ``sensor`` and ``scenes`` instead of the usual ones, where they are not None.
+    ``parts``: ``sensor`` and ``scenes`` instead of the usual ones, where they are not None.
     """
     example: Any = next(world for world in examples().values() if type(world.body) is type(robot))
     own = {name: part for name, part in parts.items() if part is not None}
@@ -135,8 +134,7 @@ def seen_checkers(
 
     Of the compiled code of a world only what checks is loaded, at the first call: nothing that draws.
 
-    Args:
-        ends: (k, d) rad, where the robot is taken to be free: of what seems to stand there nothing is kept.
+    ``ends``: (k, d) rad, where the robot is taken to be free: of what seems to stand there nothing is kept.
     """
     options = {} if known is None else {"known": known}
     found = _part(world.kind, "checks").seen_checkers(world, picture, ends, **options)
@@ -181,14 +179,10 @@ def best_view(
 
     Of those from where nobody has looked yet; of the others where none of these sees any.
 
-    Args:
-        states: (n, d) rad along the path.
-        costs: (n,) of each, 0 or more.
-        given: cameras to choose from, as plain values; none for some about the uncertain places.
-        seen_state: where the robot was then, as a view file has it; needed for cameras on a link.
-
-    Returns:
-        None where no camera would see any, and in worlds that are seen whole.
+    ``states``: (n, d) rad along the path. ``costs``: (n,) of each, 0 or more. ``given``: cameras to choose
+    from, as plain values; none for some about the uncertain places. ``seen_state``: where the robot was then,
+    as a view file has it; needed for cameras on a link. None where no camera would see any, and in
+    worlds that are seen whole.
     """
     if world.kind not in _PARTLY_SEEN:
         return None

@@ -21,15 +21,13 @@ class PlanarArm(Record):
     """A planar arm with its base at the origin.
 
     The first joint turns from the x axis, counter-clockwise; every further joint is relative to its link.
-
-    Args:
-        joint_limits_rad: None when all joints are circles; else per joint None or (low, high), at any turn.
-        self_collision: whether capsules of links that are not neighbours collide with each other.
     """
 
     link_lengths_m: Annotated[tuple[Length, ...], Field(min_length=1)] = (2.0, 2.0)
     half_width_m: Length = 0.1
+    # None when all joints are circles; else per joint None or (low, high), at any turn
     joint_limits_rad: JointLimits | None = None
+    # Whether capsules of links that are not neighbours collide with each other
     self_collision: Annotated[StrictBool, Field(exclude_if=lambda collides: not collides)] = False
 
     def __post_init__(self) -> None:
@@ -107,12 +105,8 @@ def _is_range(low: float, high: float) -> bool:
 def link_offsets_m(joints: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:
     """From the nearest point on each link's axis to places.
 
-    Args:
-        joints: (k, d + 1, 2) m, as :meth:`PlanarArm.joint_positions_m` has them.
-        places: (n, 2) m.
-
-    Returns:
-        (k, d, n, 2) m.
+    ``joints``: (k, d + 1, 2) m, as :meth:`PlanarArm.joint_positions_m` has them. ``places``: (n, 2) m.
+    Returns (k, d, n, 2) m.
     """
     begins = joints[:, :-1, None]
     along = joints[:, 1:, None] - begins

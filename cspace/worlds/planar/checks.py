@@ -86,25 +86,16 @@ def arm_clearance(q, links, half_width, discs, pairs):  # type: ignore[no-untype
 
 
 class SceneArrays(NamedTuple):
-    """An arm of d joints among discs as the kernels take it.
+    """An arm of d joints among discs as the kernels take it."""
 
-    Attributes:
-        links: (d,) m.
-        half_width: m.
-        discs: (D, 3) x, y, radius, m.
-        pairs: (K, 2) links that collide with each other; None where none do, which loses no time on it.
-        lower: (d,) rad.
-        upper: (d,) rad.
-        periodic: (d,) which joints are circles.
-    """
-
-    links: NDArray[np.float64]
-    half_width: float
-    discs: NDArray[np.float64]
+    links: NDArray[np.float64]  # (d,) m
+    half_width: float  # m
+    discs: NDArray[np.float64]  # (D, 3) x, y, radius, m
+    # (K, 2) links that collide with each other; None where none do, which loses no time on it
     pairs: NDArray[np.int64] | None
-    lower: NDArray[np.float64]
-    upper: NDArray[np.float64]
-    periodic: NDArray[np.bool_]
+    lower: NDArray[np.float64]  # (d,) rad
+    upper: NDArray[np.float64]  # (d,) rad
+    periodic: NDArray[np.bool_]  # (d,) which joints are circles
 
 
 @njit(cache=True, nogil=True)

@@ -25,8 +25,7 @@ def distance_to_false(
 ) -> NDArray[np.float64]:
     """Distance of each cell's centre to that of the nearest False cell; inf where there is none.
 
-    Args:
-        wraps: whether the axis is a circle.
+    ``wraps``: whether the axis is a circle.
     """
     if inside.all():
         return np.full(inside.shape, np.inf)
@@ -40,15 +39,12 @@ def distance_to_false(
 
 @dataclass(frozen=True, eq=False)
 class PathTree:
-    """The cheapest route from every cell to the goal's.
-
-    Args:
-        costs: (cells, ...) of the route from each cell, rad times weight; inf where there is none.
-        parents: (cells, ...) number of the next cell on the route; -1 at the goal and where there is none.
-    """
+    """The cheapest route from every cell to the goal's."""
 
     space: JointSpace
+    # (cells, ...) of the route from each cell, rad times weight; inf where there is none
     costs: NDArray[np.float64]
+    # (cells, ...) number of the next cell on the route; -1 at the goal and where there is none
     parents: NDArray[np.int64]
 
     def path(self, start: ArrayLike) -> NDArray[np.float64] | None:
@@ -94,9 +90,8 @@ def cell_of(space: JointSpace, cells: tuple[int, ...], configuration: ArrayLike)
 def paths_to(space: JointSpace, weights: NDArray[np.float64], goal: ArrayLike) -> PathTree:
     """The tree of all routes to a goal.
 
-    Args:
-        weights: (cells, ...) cost of a rad in each cell, above 0; inf where no route may pass.
-        goal: (d,) rad; a goal in a cell where no route may pass has none.
+    ``weights``: (cells, ...) cost of a rad in each cell, above 0; inf where no route may pass. ``goal``: (d,)
+    rad; a goal in a cell where no route may pass has none.
     """
     shape = weights.shape
     steps = np.array([step for step in itertools.product((-1, 0, 1), repeat=len(shape)) if any(step)])
@@ -198,9 +193,8 @@ class FreeGrid:
     def components(self, above_rad: float = 0.0, *, diagonal: bool = False) -> NDArray[np.int64]:
         """Component of each cell whose clearance is above ``above_rad``; 0 for the other cells.
 
-        Args:
-            above_rad: 0 for the free space itself.
-            diagonal: whether cells that touch in a corner are connected.
+        ``above_rad``: 0 for the free space itself. ``diagonal``: whether cells that touch in a corner are
+        connected.
         """
         inside = self.free if above_rad <= 0.0 else self.clearance_rad > above_rad
         dim = inside.ndim
@@ -272,8 +266,7 @@ EdgeCheck = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.bool
 def clearance_weights(clearance_rad: NDArray[np.float64]) -> NDArray[np.float64]:
     """Cost of a rad by its clearance: 1 beyond :data:`MARGIN_RAD`, up to 2 at contact, inf in collision.
 
-    Args:
-        clearance_rad: distance of each cell to the nearest colliding one, 0 in collision.
+    ``clearance_rad``: distance of each cell to the nearest colliding one, 0 in collision.
     """
     near = 1.0 + np.maximum(0.0, 1.0 - clearance_rad / MARGIN_RAD)
     return np.where(clearance_rad > 0.0, near, np.inf)
@@ -308,12 +301,8 @@ class PathFinder:
 def shortcut(path: NDArray[np.float64], edges_free: EdgeCheck) -> NDArray[np.float64] | None:
     """The path without the corners that are not needed, from the start on always to the farthest in sight.
 
-    Args:
-        path: (k, d) rad.
-        edges_free: (n, d) and (n, d) to which edges are free, (n,).
-
-    Returns:
-        (k', d) rad, every edge of which is free; None where a corner has no free edge to any after it.
+    ``path``: (k, d) rad. ``edges_free``: (n, d) and (n, d) to which edges are free, (n,). Returns (k', d)
+    rad, every edge of which is free; None where a corner has no free edge to any after it.
     """
     kept, at = [0], 0
     while at < len(path) - 1:

@@ -44,17 +44,12 @@ class _Scene:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownDiscs:
-    """See :class:`cspace.world.Known`.
-
-    Args:
-        discs: (D, 3) x, y, radius in m.
-        seen: uint8 (P, P, 3), what the picture shows beside them.
-    """
+    """See :class:`cspace.world.Known`."""
 
     arm: PlanarArm
     names: tuple[str, ...]
-    discs: NDArray[np.float64]
-    seen: NDArray[np.uint8]
+    discs: NDArray[np.float64]  # (D, 3) x, y, radius in m
+    seen: NDArray[np.uint8]  # uint8 (P, P, 3), what the picture shows beside them
 
     @classmethod
     def read(cls, text: bytes, arm: PlanarArm, seen: NDArray[np.uint8]) -> "KnownDiscs":

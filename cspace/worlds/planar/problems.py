@@ -100,11 +100,7 @@ def _ends(
 def narrow_pairs(scenario: Scenario, configurations: NDArray[np.float64]) -> NDArray[np.int64]:
     """All pairs of free configurations that a narrow passage joins and nothing wider.
 
-    Args:
-        configurations: (n, d) rad, free.
-
-    Returns:
-        Indices (k, 2) of starts and goals.
+    ``configurations``: (n, d) rad, free. Returns indices (k, 2) of starts and goals.
     """
     low, high = NARROW_RAD
     none = np.empty((0, 2), dtype=np.int64)

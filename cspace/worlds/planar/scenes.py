@@ -23,13 +23,9 @@ Rows = Annotated[
 
 @validated(ScenarioError)
 class DiscScenes(Record):
-    """A family of scenes: so many discs, uniform in radius and place.
+    """A family of scenes: so many discs, uniform in radius and place."""
 
-    Args:
-        count: fewest and most discs, 1 to 64.
-    """
-
-    count: tuple[_Count, _Count] = (3, 3)
+    count: tuple[_Count, _Count] = (3, 3)  # fewest and most discs, 1 to 64
     radius_m: tuple[Length, Length] = (1.0, 1.0)
     range_m: Length = 4.0
     base_clearance_m: Annotated[float, Field(ge=0.0)] = 0.3
@@ -74,13 +70,9 @@ class DiscScenes(Record):
 
 @validated(ScenarioError)
 class GivenScenes(Record):
-    """Scenes that somebody gave: some to train with, others to evaluate by.
+    """Scenes that somebody gave: some to train with, others to evaluate by."""
 
-    Args:
-        train: for each scene its discs: x, y, radius in m.
-    """
-
-    train: tuple[Rows, ...]
+    train: tuple[Rows, ...]  # for each scene its discs: x, y, radius in m
     held_out: tuple[Rows, ...]
 
     def __post_init__(self) -> None:

@@ -63,19 +63,13 @@ _GOAL_HALF_M = 0.01
 
 @validated(ScenarioError)
 class BenchProblem(Record):
-    """A problem of an arm.
-
-    Args:
-        number: in its family, from 1 to 100.
-        start: (d,) rad.
-        goal: (d,) rad.
-    """
+    """A problem of an arm."""
 
     family: Annotated[str, Field(pattern=f"^({'|'.join(BENCH_FAMILIES)})$")]
-    number: Annotated[int, Field(ge=1, le=100)]
+    number: Annotated[int, Field(ge=1, le=100)]  # in its family, from 1 to 100
     obstacles: Obstacles
-    start: Annotated[tuple[float, ...], Field(min_length=1)]
-    goal: tuple[float, ...]
+    start: Annotated[tuple[float, ...], Field(min_length=1)]  # (d,) rad
+    goal: tuple[float, ...]  # (d,) rad
 
     def layout(self, arm: SerialArm) -> Layout:
         """The scene, whose one region and whose cameras' focus are where the goal's tool is."""
@@ -95,10 +89,9 @@ def problems(
 ) -> tuple[BenchProblem, ...]:
     """The problems of a split, by family, then by number.
 
-    Args:
-        split: validation, numbers 1 to 30, or test, 31 to 100, which nothing is ever tuned on.
-        folder: that ``python -m training.motionbench fetch`` filled; validation problems are read from where
-            they ship unless it is given.
+    ``split``: validation, numbers 1 to 30, or test, 31 to 100, which nothing is ever tuned on. ``folder``:
+    that ``python -m training.motionbench fetch`` filled; validation problems are read from where they ship
+    unless it is given.
     """
     if split not in NUMBERS:
         raise DatasetError("the benchmark has no such split", expected="validation or test", got=str(split))
@@ -312,8 +305,7 @@ def from_both_sides(
 ) -> SpatialScene:
     """A layout as cameras see it that do not all stand on the same side of the line to what they look at.
 
-    Args:
-        state: (d,) rad, of the arm.
+    ``state``: (d,) rad, of the arm.
     """
     if aim == "scene":
         layout = replace(layout, focus=middle(layout.obstacles))

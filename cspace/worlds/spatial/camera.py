@@ -22,28 +22,15 @@ MIN_FIELD_DEG, MAX_FIELD_DEG = 1.0, 170.0
 
 @validated(ScenarioError)
 class DepthCamera(Record):
-    """A pinhole camera without distortion.
+    """A pinhole camera without distortion."""
 
-    Args:
-        fx: focal length along a row, pixels.
-        fy: focal length along a column, pixels.
-        cx: column of the principal point, pixels.
-        cy: row of the principal point, pixels.
-        width: of the picture, pixels.
-        height: of the picture, pixels.
-        pose: of the camera's optical frame in the base frame, rows of a 4 x 4 matrix, m.
-
-    Raises:
-        ScenarioError: the pose is none, or no camera has such a size, focal length or principal point.
-    """
-
-    fx: StrictFloat
-    fy: StrictFloat
-    cx: StrictFloat
-    cy: StrictFloat
-    width: Side
-    height: Side
-    pose: Pose = HERE
+    fx: StrictFloat  # focal length along a row, pixels
+    fy: StrictFloat  # focal length along a column, pixels
+    cx: StrictFloat  # column of the principal point, pixels
+    cy: StrictFloat  # row of the principal point, pixels
+    width: Side  # of the picture, pixels
+    height: Side  # of the picture, pixels
+    pose: Pose = HERE  # of the camera's optical frame in the base frame, rows of a 4 x 4 matrix, m
 
     def __post_init__(self) -> None:
         check_pose(self.pose, "the camera")
@@ -107,11 +94,7 @@ class DepthCamera(Record):
         return np.asarray(within & (projected[..., 2] > 0.0))
 
     def resized(self, width: int, height: int) -> "DepthCamera":
-        """The camera of the same pictures in another size.
-
-        Raises:
-            ScenarioError: the size is out of range.
-        """
+        """The camera of the same pictures in another size."""
         across, down = width / self.width, height / self.height
         return replace(
             self,
@@ -125,24 +108,15 @@ class DepthCamera(Record):
 
 
 def read_camera(values: object) -> DepthCamera:
-    """The inverse of ``to_dict``.
-
-    Raises:
-        ScenarioError: a key or a value does not fit.
-    """
+    """The inverse of ``to_dict``."""
     return read_object(DepthCamera, values, "the camera", ScenarioError)
 
 
 def looking(from_m: ArrayLike, at_m: ArrayLike, roll_rad: float = 0.0) -> NDArray[np.float64]:
     """(4, 4): the optical frame of a camera at one point that looks at another.
 
-    Args:
-        from_m: (3,) m in the base frame.
-        at_m: (3,) m.
-        roll_rad: about the optical axis; with 0 the picture's rows are level.
-
-    Raises:
-        ScenarioError: the points are one.
+    ``from_m``: (3,) m in the base frame. ``at_m``: (3,) m. ``roll_rad``: about the optical axis; with 0 the
+    picture's rows are level.
     """
     place = np.asarray(from_m, dtype=np.float64)
     ahead = np.asarray(at_m, dtype=np.float64) - place
@@ -161,11 +135,8 @@ def looking(from_m: ArrayLike, at_m: ArrayLike, roll_rad: float = 0.0) -> NDArra
 def camera_place(focus_m: ArrayLike, side_rad: float, up_rad: float, away_m: float) -> NDArray[np.float64]:
     """Where a camera is, (3,) m in the base frame.
 
-    Args:
-        focus_m: (3,) what it looks at.
-        side_rad: angle on the ground from the line to the base to the line to the camera, left of it above 0.
-        up_rad: above the focus's level.
-        away_m: from the focus.
+    ``focus_m``: (3,) what it looks at. ``side_rad``: angle on the ground from the line to the base to the
+    line to the camera, left of it above 0. ``up_rad``: above the focus's level. ``away_m``: from the focus.
     """
     focus = np.asarray(focus_m, dtype=np.float64)
     bearing = np.arctan2(-focus[1], -focus[0]) + side_rad
@@ -208,12 +179,8 @@ MAX_MM = 65_535
 def decode_depth(data: bytes, check_cancelled: CheckCancelled = lambda: None) -> NDArray[np.uint16]:
     """An untrusted PNG as (H, W) uint16, mm along the optical axis, 0 where there is no reading.
 
-    Args:
-        data: the file's bytes.
-        check_cancelled: called between the parts of the work; what it raises passes through.
-
-    Raises:
-        ImageError: not a PNG, not 16-bit grey, animated, below 16 or above 2048 pixels on a side, or damaged.
+    ``data``: the file's bytes. ``check_cancelled``: called between the parts of the work; what it raises
+    passes through.
     """
     picture = decoded(data, _check)
     check_cancelled()
@@ -231,11 +198,7 @@ def _check(picture: Image.Image) -> None:
 
 
 def encode_depth(depth_mm: NDArray[np.uint16]) -> bytes:
-    """A depth picture (H, W) uint16 mm as PNG bytes.
-
-    Raises:
-        ImageError: it is no such array.
-    """
+    """A depth picture (H, W) uint16 mm as PNG bytes."""
     depth = np.asarray(depth_mm)
     if depth.ndim != 2 or depth.dtype != np.uint16 or not depth.size:
         raise ImageError(
@@ -261,11 +224,7 @@ def to_m(depth_mm: NDArray[np.uint16]) -> NDArray[np.float32]:
 
 
 def check_scale(depth_scale_m: float) -> None:
-    """Refuse what is no unit of depths.
-
-    Raises:
-        ImageError: it is not a finite number from 1e-6 to 1.
-    """
+    """Refuse what is no unit of depths."""
     if not MIN_SCALE_M <= depth_scale_m <= MAX_SCALE_M:
         raise ImageError(
             "depth_scale_m does not fit",
@@ -300,11 +259,7 @@ def _least(values: NDArray[np.uint16], axis: int, size: int) -> NDArray[np.uint1
 
 
 def check_size(height: int, width: int) -> None:
-    """Refuse pictures that are too small or too large.
-
-    Raises:
-        ImageError: a side is below 16 or above 2048 pixels.
-    """
+    """Refuse pictures that are too small or too large."""
     if not (MIN_SIDE <= width <= MAX_SIDE and MIN_SIDE <= height <= MAX_SIDE):
         raise ImageError(
             "the depth picture's size is out of range",

@@ -28,17 +28,10 @@ _REMEDY = "send the camera in the base frame: x right, y down, z forward, pixel 
 def read_pinhole(values: object, shape: tuple[int, ...]) -> tuple[DepthCamera, tuple[float, ...]]:
     """The camera of a picture (H, W), of plain values, and the distortion of its lens.
 
-    Args:
-        values: ``fx, fy, cx, cy`` in pixels, or ``camera_info``, ROS's message as a mapping or as text in
-            YAML or JSON; with ``pose``, and ``frame`` where the pose is of the camera's body.
-        shape: of the picture.
-
-    Returns:
-        The camera without distortion, and the coefficients that :func:`undistorted` takes; none where the
-        picture is as the camera's.
-
-    Raises:
-        ImageError: no camera is like that, or its lens follows another model.
+    ``values``: ``fx, fy, cx, cy`` in pixels, or ``camera_info``, ROS's message as a mapping or as text in
+    YAML or JSON; with ``pose``, and ``frame`` where the pose is of the camera's body. ``shape``: of the
+    picture. Returns the camera without distortion, and the coefficients that :func:`undistorted` takes; none
+    where the picture is as the camera's.
     """
     members = values if isinstance(values, Mapping) else {}
     keys = {_INFO, "pose"} if _INFO in members else {*PINHOLE, "pose"}
@@ -69,9 +62,6 @@ def camera_pose(camera: Mapping[str, Any]) -> Pose:
 
     Its ``pose`` is as :func:`read_pose` takes it; its ``frame`` is ``optical``, which is the default, or
     ``body``.
-
-    Raises:
-        ImageError: there is no such pose.
     """
     pose, frame = read_pose(camera.get("pose"), "the camera", ImageError), camera.get("frame", _FRAMES[0])
     if frame not in _FRAMES:
@@ -162,14 +152,9 @@ def undistorted(
     Every pixel has the reading of the nearest pixel that its ray falls on, for depths are never averaged over
     edges; 0 where that lies beside the picture. Source: OpenCV, camera calibration and 3D reconstruction.
 
-    Args:
-        picture: (H, W), depth along the optical axis.
-        camera: of it.
-        distortion: k1, k2, p1, p2, k3, k4, k5, k6 as far as there are; none leaves the picture as it is.
-        check_cancelled: called between parts of some ms; what it raises passes through.
-
-    Raises:
-        ImageError: the distortion folds the picture over.
+    ``picture``: (H, W), depth along the optical axis. ``camera``: of it. ``distortion``: k1, k2, p1, p2, k3,
+    k4, k5, k6 as far as there are; none leaves the picture as it is. ``check_cancelled``: called between
+    parts of some ms; what it raises passes through.
     """
     if not distortion:
         return picture

@@ -40,26 +40,18 @@ from cspace.worlds.spatial.visibility import distances_m
 
 
 class SceneArrays(NamedTuple):
-    """An arm of d joints among obstacles as the kernels take it.
-
-    Attributes:
-        boxes: (B, 16), see :class:`cspace.worlds.spatial.obstacles.ObstacleArrays`.
-        cylinders: (C, 15), likewise.
-        lower: (d,) rad.
-        upper: (d,) rad.
-        periodic: (d,) which joints are circles.
-        upright: (U, 7) axes of the last link that stay near directions of the base: either unit vector, and
-            the least cosine of the angle between the two.
-    """
+    """An arm of d joints among obstacles as the kernels take it."""
 
     arm: ArmArrays
-    boxes: NDArray[np.float64]
-    cylinders: NDArray[np.float64]
+    boxes: NDArray[np.float64]  # (B, 16), see :class:`cspace.worlds.spatial.obstacles.ObstacleArrays`
+    cylinders: NDArray[np.float64]  # (C, 15), likewise
     grid: DistanceGrid
     bodies: BodyArrays
-    lower: NDArray[np.float64]
-    upper: NDArray[np.float64]
-    periodic: NDArray[np.bool_]
+    lower: NDArray[np.float64]  # (d,) rad
+    upper: NDArray[np.float64]  # (d,) rad
+    periodic: NDArray[np.bool_]  # (d,) which joints are circles
+    # (U, 7) axes of the last link that stay near directions of the base: either unit vector, and the least
+    # cosine of the angle between the two
     upright: NDArray[np.float64] = np.empty((0, 7))
 
 

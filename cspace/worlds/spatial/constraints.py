@@ -34,39 +34,28 @@ _STEP_RAD, _LEAST_GAIN, _AT_ONCE = 0.6, 0.1, 4
 
 @validated(InputError)
 class GoalPose:
-    """Where the tool shall be in the end.
+    """Where the tool shall be in the end."""
 
-    Args:
-        pose: of its frame in the base, m, as that of a camera: 4 x 4, or translation and quaternion_xyzw.
-        free_z_rotation: whether any turn about the frame's z axis will do.
-    """
-
-    pose: Any
+    pose: Any  # of its frame in the base, m, as that of a camera: 4 x 4, or translation and quaternion_xyzw
     tolerance_m: Annotated[float, Field(ge=1e-4, le=1.0)] = 0.005
     tolerance_rad: _Angle = 0.05
-    free_z_rotation: bool = False
+    free_z_rotation: bool = False  # whether any turn about the frame's z axis will do
 
 
 @validated(InputError)
 class Upright:
-    """An axis of the tool that stays near a direction.
+    """An axis of the tool that stays near a direction."""
 
-    Args:
-        axis: in the tool's frame, of any length above 0.
-        up: in the base frame, of any length above 0.
-    """
-
-    axis: _Direction
+    axis: _Direction  # in the tool's frame, of any length above 0
     max_rad: _Angle
-    up: _Direction = (0.0, 0.0, 1.0)
+    up: _Direction = (0.0, 0.0, 1.0)  # in the base frame, of any length above 0
 
 
 class ToolConstraints:
     """Constraints of one request on the tool of an arm; see :class:`cspace.simulator.ToolConstraints`.
 
-    Args:
-        goal_pose: plain values of a :class:`GoalPose`, or None.
-        upright: plain values of an :class:`Upright`, or None.
+    ``goal_pose``: plain values of a :class:`GoalPose`, or None. ``upright``: plain values of an
+    :class:`Upright`, or None.
     """
 
     def __init__(

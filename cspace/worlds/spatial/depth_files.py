@@ -23,10 +23,9 @@ def read_depth(
 ) -> NDArray[np.uint16]:
     """An untrusted depth picture as (H, W) uint16, mm along the optical axis, 0 where there is no reading.
 
-    Args:
-        data: a 16-bit grey PNG; or float32, as a TIFF or a ``.npy`` file of shape (H, W), in which NaN,
-            infinity and what is not above 0 are no reading.
-        depth_scale_m: metres per unit, of plain values; None for mm in a PNG and metres in a file of floats.
+    ``data``: a 16-bit grey PNG; or float32, as a TIFF or a ``.npy`` file of shape (H, W), in which NaN,
+    infinity and what is not above 0 are no reading. ``depth_scale_m``: metres per unit, of plain values; None
+    for mm in a PNG and metres in a file of floats.
     """
     if data.startswith(_PNG):
         return in_mm(decode_depth(data, check_cancelled), depth_scale_m)

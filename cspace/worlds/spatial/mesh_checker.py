@@ -20,17 +20,12 @@ _SAME_M = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """Where a robot's meshes are described.
+    """Where a robot's meshes are described."""
 
-    Args:
-        urdf: the file; packages that its meshes are named in are looked for in the folders above it.
-        locked: values of joints that do not move, rad or m.
-        convex: take meshes that are convex as solids, which is quicker; others are surfaces, hollow inside.
-    """
-
-    urdf: Path
-    locked: Mapping[str, float] = field(default_factory=dict)
+    urdf: Path  # the file; packages that its meshes are named in are looked for in the folders above it
+    locked: Mapping[str, float] = field(default_factory=dict)  # values of joints that do not move, rad or m
     packages: tuple[Path, ...] = ()
+    # Take meshes that are convex as solids, which is quicker; others are surfaces, hollow inside
     convex: bool = True
 
 

@@ -67,18 +67,15 @@ class MeshShape(Record):
 
 @validated(InputError)
 class Body(Record):
-    """A shape with a pose.
-
-    Args:
-        pose: of the shape's centre, or of a mesh's origin, in the base frame: 4 x 4, or translation and
-            quaternion, which become 4 x 4.
-    """
+    """A shape with a pose."""
 
     name: Annotated[str, Field(max_length=100)] = ""
     box: BoxShape | None = None
     cylinder: CylinderShape | None = None
     sphere: SphereShape | None = None
     mesh: MeshShape | None = None
+    # Of the shape's centre, or of a mesh's origin, in the base frame: 4 x 4, or translation and quaternion,
+    # which become 4 x 4
     pose: Any = HERE
 
     def __post_init__(self) -> None:
@@ -102,28 +99,22 @@ class Body(Record):
 
 @validated(InputError)
 class Attached(Body):
-    """A body that moves with the arm.
+    """A body that moves with the arm."""
 
-    Args:
-        link: as :meth:`cspace.worlds.spatial.arm.SerialArm.named_frame` has it; the pose is in its frame.
-    """
-
+    # As :meth:`cspace.worlds.spatial.arm.SerialArm.named_frame` has it; the pose is in its frame
     link: _Name = TOOL
     touch_links: Annotated[tuple[_Name, ...], Field(max_length=100)] = ()
 
 
 @validated(InputError)
 class PlanningScene(Record):
-    """What is known.
-
-    Args:
-        meshes: binary STL files in base64, by the names that shapes give.
-    """
+    """What is known."""
 
     scene: Annotated[tuple[Body, ...], Field(max_length=MAX_BODIES)] = ()
     attached: Annotated[tuple[Attached, ...], Field(max_length=MAX_ATTACHED)] = ()
     allowed: Annotated[tuple[tuple[_Name, _Name], ...], Field(max_length=MAX_PAIRS)] = ()
     ignore: Annotated[tuple[Body, ...], Field(max_length=MAX_IGNORED)] = ()
+    # Binary STL files in base64, by the names that shapes give
     meshes: Annotated[dict[_Name, str], Field(max_length=MAX_MESHES)] = Field(default_factory=dict)
 
     def __post_init__(self) -> None:

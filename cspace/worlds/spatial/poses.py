@@ -26,14 +26,7 @@ MAX_PLACE_M = 100.0
 def check_pose(pose: Pose, what: str, error: type[CspaceError] = ScenarioError) -> None:
     """Refuse numbers that are no pose.
 
-    Args:
-        pose: rows of a 4 x 4 matrix.
-        what: whose, in messages.
-        error: the kind of error.
-
-    Raises:
-        error: they are not 4 x 4 finite numbers, the rotation is none or mirrors, the last row is not
-            0 0 0 1, or the place is farther than 100 m.
+    ``pose``: rows of a 4 x 4 matrix. ``what``: whose, in messages. ``error``: the kind of error.
     """
     matrix = _matrix(pose)
     if matrix is None:
@@ -60,13 +53,7 @@ def check_pose(pose: Pose, what: str, error: type[CspaceError] = ScenarioError) 
 def read_pose(values: object, what: str, error: type[CspaceError] = ScenarioError) -> Pose:
     """A pose of plain values: rows of 4 x 4 numbers, or ``translation`` in m with ``quaternion_xyzw``.
 
-    Args:
-        values: of unknown origin.
-        what: whose, in messages.
-        error: the kind of error.
-
-    Raises:
-        error: they are neither, or :func:`check_pose` refuses them.
+    ``values``: of unknown origin. ``what``: whose, in messages. ``error``: the kind of error.
     """
     is_placed = isinstance(values, Mapping) and set(values) == {"translation", "quaternion_xyzw"}
     rows: Any = (values["translation"], values["quaternion_xyzw"]) if is_placed else values  # type: ignore[index]
@@ -185,17 +172,10 @@ _LOCKED = 1e-9
 
 @validated(ScenarioError)
 class Frame:
-    """A frame in its parent's.
+    """A frame in its parent's."""
 
-    Args:
-        xyz_m: its origin.
-        rpy_rad: roll, pitch and yaw about the parent's fixed x, y and z axes, in this order, as in URDF.
-
-    Raises:
-        ScenarioError: a number is not finite, or the origin is further than 100 m away.
-    """
-
-    xyz_m: tuple[Offset, Offset, Offset] = (0.0, 0.0, 0.0)
+    xyz_m: tuple[Offset, Offset, Offset] = (0.0, 0.0, 0.0)  # its origin
+    # Roll, pitch and yaw about the parent's fixed x, y and z axes, in this order, as in URDF
     rpy_rad: tuple[Offset, Offset, Offset] = (0.0, 0.0, 0.0)
 
     def matrix(self) -> NDArray[np.float64]:

@@ -19,15 +19,10 @@ _TINY = 1e-12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DepthView:
-    """What a camera sees.
+    """What a camera sees."""
 
-    Args:
-        depth_m: (H, W) float32 along the optical axis; 0 where nothing is within range.
-        robot: (H, W) bool, which pixels show the robot.
-    """
-
-    depth_m: NDArray[np.float32]
-    robot: NDArray[np.bool_]
+    depth_m: NDArray[np.float32]  # (H, W) float32 along the optical axis; 0 where nothing is within range
+    robot: NDArray[np.bool_]  # (H, W) bool, which pixels show the robot
 
 
 def render_depth(
@@ -38,8 +33,7 @@ def render_depth(
 ) -> DepthView:
     """The exact depth picture, without noise.
 
-    Args:
-        spheres: (S, 4) of the robot: x, y, z, radius in m in the base frame; None for no robot.
+    ``spheres``: (S, 4) of the robot: x, y, z, radius in m in the base frame; None for no robot.
     """
     arrays = obstacles.arrays
     robot = np.zeros((0, 4)) if spheres is None else np.asarray(spheres, dtype=np.float64).reshape(-1, 4)

@@ -50,8 +50,7 @@ _UNSEEN = {NO_READING: "unread", OUT_OF_VIEW: "out of view"}
 class SceneChecker:
     """A planning scene for one arm, as checks take it; needs the compiler.
 
-    Attributes:
-        seen: (X, Y, Z, 2), what pictures show beside that; None before :meth:`complete`.
+    ``seen``: (X, Y, Z, 2), what pictures show beside that; None before :meth:`complete`.
     """
 
     def __init__(self, arm: SerialArm, known: PlanningScene) -> None:
@@ -163,11 +162,8 @@ class SceneChecker:
     ) -> Contact | None:
         """What is in the way of a configuration (d,) rad: known, of the arm, seen or unseen, in this order.
 
-        Args:
-            image: (X, Y, Z, 2), what the pictures show.
-
-        Returns:
-            None where nothing touches and all of the arm is in space that was seen free.
+        ``image``: (X, Y, Z, 2), what the pictures show. None where nothing touches and all of the arm
+        is in space that was seen free.
         """
         centres = self.arm.sphere_centres_m([configuration])[0]
         return (

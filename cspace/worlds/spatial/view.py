@@ -31,22 +31,17 @@ States = State | tuple[State | None, ...] | None
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DepthView:
-    """Depth pictures of one scene.
+    """Depth pictures of one scene."""
 
-    Args:
-        pictures: one to four, (H, W) uint16 mm along the optical axis, 0 = no reading.
-        state: (d,) rad, where the arm was when they were taken; None where it is in no picture; or one or the
-            other for each picture.
-        on_link: numbers of the pictures whose cameras came with a pose in the frame of a link; here it is in
-            the base's.
-        known: of the scene beside the pictures; None without anything.
-    """
-
+    # One to four, (H, W) uint16 mm along the optical axis, 0 = no reading
     pictures: tuple[NDArray[np.uint16], ...]
     cameras: tuple[DepthCamera, ...]
+    # (d,) rad, where the arm was when they were taken; None where it is in no picture; or one or the other
+    # for each picture
     state: States = None
+    # Numbers of the pictures whose cameras came with a pose in the frame of a link; here it is in the base's
     on_link: tuple[int, ...] = ()
-    known: PlanningScene | None = None
+    known: PlanningScene | None = None  # of the scene beside the pictures; None without anything
 
     @property
     def states(self) -> tuple[State | None, ...]:
@@ -117,9 +112,8 @@ _UNIT = (
 def cameras_in_base(cameras: Sequence[object], state: States, arm: SerialArm) -> list[object]:
     """Cameras of plain values, those on a link with the pose of their optical frame in the base.
 
-    Args:
-        cameras: one for each picture; ``link`` names a frame of the arm (:meth:`SerialArm.frame_of`) that
-            ``pose`` is in.
+    ``cameras``: one for each picture; ``link`` names a frame of the arm (:meth:`SerialArm.frame_of`) that
+    ``pose`` is in.
     """
     states = _for_each(state, len(cameras))
     return [_in_base(*one, arm) for one in zip(range(len(cameras)), cameras, states, strict=True)]
@@ -163,8 +157,7 @@ def _for_each(state: States, pictures: int) -> tuple[State | None, ...]:
 def state_of(values: object, pictures: int, space: JointSpace) -> States:
     """Where an arm was, of plain values; None where they are.
 
-    Args:
-        values: a configuration for all pictures, or a list with one, or None, for each.
+    ``values``: a configuration for all pictures, or a list with one, or None, for each.
     """
     if isinstance(values, list | tuple) and any(
         one is None or isinstance(one, list | tuple) for one in values
