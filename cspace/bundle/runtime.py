@@ -3,11 +3,9 @@
 import math
 import os
 import re
-import threading
-import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from collections.abc import Set as AbstractSet
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -86,64 +84,6 @@ def said(error: BaseException) -> str:
     return _FOLDERS.sub("", text[: 4 * _LONGEST])[:_LONGEST]
 
 
-RUN_LIMIT_S = 30.0
-# How late a run is ended at most, about.
-TICK_S = 0.25
-
-
-class Deadlines:
-    """What has to have ended by when. The thread starts with the first entry."""
-
-    def __init__(self) -> None:
-        self._ends: dict[object, tuple[float, Callable[[], None]]] = {}
-        self._thread: threading.Thread | None = None
-        self._starting = threading.Lock()
-
-    def begin(self, key: object, limit_s: float, end: Callable[[], None]) -> None:
-        """Call ``end`` once ``limit_s`` have passed, unless :meth:`done` was called before.
-
-        ``limit_s``: above 0.
-        """
-        self._ends[key] = (time.monotonic() + limit_s, end)
-        thread = self._thread
-        # Not alive in a child process, which has inherited all but the thread.
-        if thread is None or not thread.is_alive():
-            self._start()
-
-    def done(self, key: object) -> None:
-        """The entry has ended by itself, or was ended."""
-        self._ends.pop(key, None)
-
-    @contextmanager
-    def ended_by(self, limit_s: float, end: Callable[[], None]) -> Iterator[None]:
-        """Call ``end`` where the block takes longer; the arguments are those of :meth:`begin`."""
-        key = object()
-        self.begin(key, limit_s, end)
-        try:
-            yield
-        finally:
-            self.done(key)
-
-    def _start(self) -> None:
-        with self._starting:
-            if self._thread is None or not self._thread.is_alive():
-                self._thread = threading.Thread(target=self._watch, name="bundle-deadlines", daemon=True)
-                self._thread.start()
-
-    def _watch(self) -> None:
-        while True:
-            time.sleep(TICK_S)
-            now = time.monotonic()
-            # A copy in one step, for runs come and go meanwhile.
-            for key, (deadline, end) in list(self._ends.items()):
-                if now >= deadline:
-                    self.done(key)
-                    end()
-
-
-DEADLINES = Deadlines()
-
-
 # Bound the memory and the time of one call; fixed sizes, so that they can not move a result. What one call
 # of a path sampler draws comes in the order of the path, so it is drawn in larger parts; a place costs far
 # less than a configuration.
@@ -181,13 +121,18 @@ class Graph:
         model: bytes,
         inputs: set[str],
         outputs: set[str],
-        run_limit_s: float = RUN_LIMIT_S,
         optional: AbstractSet[str] = frozenset(),
     ) -> None:
-        self._name, self._limit_s = name, run_limit_s
-        self._new_run = onnx_runtime().RunOptions
+        self._name = name
         share_arena()
-        self._session = self._opened(model, _options())
+        try:
+            self._session = onnx_runtime().InferenceSession(
+                model, _options(), providers=["CPUExecutionProvider"]
+            )
+        except onnx_errors() as error:
+            raise BundleIntegrityError(
+                f"{name} cannot be opened", expected="an ONNX graph", got=said(error)
+            ) from error
         self.inputs = {node.name for node in self._session.get_inputs()}
         self._shapes = {node.name: node.shape for node in self._session.get_outputs()}
         self.outputs = set(self._shapes)
@@ -213,61 +158,32 @@ class Graph:
     def run(
         self, feeds: Mapping[str, NDArray[np.float32]], outputs: Mapping[str, tuple[int, ...]]
     ) -> dict[str, NDArray[np.float32]]:
-        """Evaluate the graph. Returns output name to float32 array."""
+        """The outputs by name, float32 of the shapes asked for."""
+        options = onnx_runtime().RunOptions()
         try:
-            found = self._run(list(outputs), dict(feeds), self._new_run())
-        except onnx_errors() as error:
-            if _FULL not in str(error):
-                raise BundleError(f"{self._name} failed", got=said(error)) from error
-            # A run with this option gives back at its end what earlier runs left in pieces, failed or not.
-            again = self._new_run()
-            again.add_run_config_entry("memory.enable_memory_arena_shrinkage", "cpu:0")
             try:
-                found = self._run(list(outputs), dict(feeds), again)
-            except onnx_errors() as second:
-                raise BundleError(f"{self._name} failed", got=said(second)) from second
+                found = self._session.run(list(outputs), dict(feeds), options)
+            except onnx_errors() as error:
+                if _FULL not in str(error):
+                    raise
+                # Such a run gives back at its end what earlier runs left in pieces, failed or not.
+                options.add_run_config_entry("memory.enable_memory_arena_shrinkage", "cpu:0")
+                found = self._session.run(list(outputs), dict(feeds), options)
+        except onnx_errors() as error:
+            raise BundleError(f"{self._name} failed", got=said(error)) from error
         return {
             name: self._checked(name, array, shape)
             for (name, shape), array in zip(outputs.items(), found, strict=True)
         }
 
-    def _run(self, outputs: list[str], feeds: dict[str, NDArray[np.float32]], options: Any) -> Any:
-        def end() -> None:
-            options.terminate = True
-
-        try:
-            with DEADLINES.ended_by(self._limit_s, end):
-                return self._session.run(outputs, feeds, options)
-        except onnx_errors() as error:
-            if not options.terminate:
-                raise
-            raise BundleError(
-                f"{self._name} did not end in time",
-                expected=f"an answer within {self._limit_s:g} s",
-                remedy="ask for fewer samples, or export a graph that computes less",
-            ) from error
-
-    def _opened(self, model: bytes, options: Any) -> Any:
-        """A session; between two of its steps, opening one is ended like a run."""
-        cancel = options.set_load_cancellation_flag
-        try:
-            with DEADLINES.ended_by(self._limit_s, lambda: cancel(True)):  # noqa: FBT003 - the library's way
-                return onnx_runtime().InferenceSession(model, options, providers=["CPUExecutionProvider"])
-        except onnx_errors() as error:
-            raise BundleIntegrityError(
-                f"{self._name} cannot be opened", expected="an ONNX graph", got=said(error)
-            ) from error
-
     def _checked(self, name: str, array: Any, shape: tuple[int, ...]) -> NDArray[np.float32]:
         result = np.asarray(array)
-        if result.shape != shape or result.dtype != np.float32:
+        if result.shape != shape or result.dtype != np.float32 or not np.all(np.isfinite(result)):
             raise BundleError(
                 f"{self._name}: {name} does not fit",
-                expected=f"float32 {shape}",
+                expected=f"finite float32 {shape}",
                 got=f"{result.dtype} {result.shape}",
             )
-        if not np.all(np.isfinite(result)):
-            raise BundleError(f"{self._name}: {name} is not finite", expected="finite numbers")
         return result
 
 
