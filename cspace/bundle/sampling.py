@@ -232,20 +232,10 @@ def rejection_sample(
         counts = _within(wanted, left)
         samples, confidence = propose_scored(counts, turn)
         good = confidence[:, 0] >= np.float32(threshold)
-        if turn == 0 and len(shares) == 1:
-            # Nearly every request ends here, and the arrays below would cost it a tenth of a millisecond.
-            kept = np.flatnonzero(good)
-            if len(kept) >= shares[0]:
-                first = kept[: shares[0]]
-                return Sampled(samples[first], confidence[first], len(kept) / len(samples))
         belongs = np.repeat(np.arange(len(counts)), counts)
         found.append((samples[good], confidence[good], belongs[good]))
-        left, sampled, passed, turn = (
-            left - len(samples),
-            sampled + len(samples),
-            passed + int(good.sum()),
-            turn + 1,
-        )
+        left, sampled, turn = left - len(samples), sampled + len(samples), turn + 1
+        passed += int(good.sum())
         missing = np.maximum(missing - np.bincount(belongs[good], minlength=len(counts)), 0)
         if not missing.any() or left < 1:
             break
