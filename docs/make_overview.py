@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from cspace.bundle import Bundle, SampleSet
 from cspace.errors import CspaceError
-from cspace.png import encode_png
+from cspace.files import encode_png
 from cspace.simulator import Problem, Split
 from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.problems import Family, draw_problem

@@ -5,7 +5,7 @@ from typing import Any
 
 import httpx
 
-from cspace.png import encode_png
+from cspace.files import encode_png
 from cspace.simulator import Split
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.render import render

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cspace.png import encode_png
+from cspace.files import encode_png
 from cspace.simulator import Split
 from cspace.worlds.planar.arm import PlanarArm
 from cspace.worlds.planar.camera import decode_png

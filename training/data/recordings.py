@@ -23,8 +23,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from cspace.dataset import write_dataset
 from cspace.errors import ConfigError, CspaceError, DatasetError, ImageError, ScenarioError, StorageError
-from cspace.files import replacing
-from cspace.png import encode_png
+from cspace.files import encode_png, replacing
 from cspace.space import JointSpace
 from cspace.view_file import pack_view
 from cspace.worlds.spatial.camera import DepthCamera, decode_depth, encode_depth, in_range

@@ -10,7 +10,7 @@ from PIL import Image
 from pydantic import Field
 
 from cspace.errors import ImageError, ScenarioError
-from cspace.png import decoded
+from cspace.files import open_png
 from cspace.strict_json import Record, validated
 from cspace.world import CheckCancelled
 
@@ -31,7 +31,7 @@ def decode_png(
 
     RGB as it is, RGBA over white, grey and palette as RGB; resized by area averaging.
     """
-    picture = decoded(data, _check)
+    picture = open_png(data, _check)
     return _to_rgb(picture) if picture.width == pixels else _average(picture, pixels, check_cancelled)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cspace.errors import ScenarioError
-from cspace.png import encode_png
+from cspace.files import encode_png
 from cspace.simulator import (
     Checker,
     Families,

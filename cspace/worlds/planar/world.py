@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import ConfigError, DatasetError, ImageError, ScenarioError
-from cspace.png import encode_png
+from cspace.files import encode_png
 from cspace.strict_json import read_object, validated
 from cspace.view_file import View, check_counts
 from cspace.world import (

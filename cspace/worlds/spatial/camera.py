@@ -10,7 +10,7 @@ from PIL import Image
 from pydantic import Field, StrictFloat
 
 from cspace.errors import ImageError, ScenarioError
-from cspace.png import decoded
+from cspace.files import open_png
 from cspace.strict_json import Record, read_object, validated
 from cspace.world import CheckCancelled
 from cspace.worlds.spatial.poses import HERE, Pose, check_pose, make_pose, pose_of
@@ -182,7 +182,7 @@ def decode_depth(data: bytes, check_cancelled: CheckCancelled = lambda: None) ->
     ``data``: the file's bytes. ``check_cancelled``: called between the parts of the work; what it raises
     passes through.
     """
-    picture = decoded(data, _check)
+    picture = open_png(data, _check)
     check_cancelled()
     return np.array(picture).astype(np.uint16)
 

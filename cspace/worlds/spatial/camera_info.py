@@ -77,7 +77,7 @@ def _of_info(values: object, shape: tuple[int, ...]) -> tuple[dict[str, float], 
     """Pinhole numbers and distortion of a CameraInfo."""
     if isinstance(values, str):
         # Not every installation has YAML.
-        from cspace.yaml_file import read_yaml  # noqa: PLC0415
+        from cspace.files import read_yaml  # noqa: PLC0415
 
         # As `ros2 topic echo` ends a message.
         values = read_yaml(values.rstrip().removesuffix("---"), _INFO, ImageError)

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cspace.files import encode_png
 from cspace.plan import Seen, search_paths
-from cspace.png import encode_png
 from cspace.view_file import pack_view
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
 from cspace.worlds.planar.checks import CollisionChecker, seen_checkers
