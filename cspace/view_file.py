@@ -2,7 +2,7 @@
 
 A view file is a line and the pictures' files behind it, one after the other. The line is the word
 ``cspace-view``, the version 1, and an object in JSON with ``pictures`` (their sizes in bytes), ``cameras``
-(each in a form of :func:`cspace.worlds.spatial.camera_info.read_pinhole`; ``link`` and ``stamp_s`` may stand
+(each in a form of :func:`cspace.worlds.spatial.camera.read_pinhole`; ``link`` and ``stamp_s`` may stand
 beside it), ``state`` (rad, or null where the robot is in no picture, or a list with one or the other for each
 picture) and, where the unit of the pictures is another, ``depth_scale_m`` (metres per unit); ``known`` is the
 size in bytes of a planning scene in JSON behind the pictures, where there is one. The world that takes the

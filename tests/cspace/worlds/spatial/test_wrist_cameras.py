@@ -9,8 +9,7 @@ import pytest
 from cspace.errors import ImageError
 from cspace.view_file import pack_view
 from cspace.world import ARM_IN_PICTURE
-from cspace.worlds.spatial.camera import encode_depth, looking
-from cspace.worlds.spatial.camera_info import OPTICAL_IN_BODY, camera_pose
+from cspace.worlds.spatial.camera import OPTICAL_IN_BODY, camera_pose, encode_depth, looking
 from cspace.worlds.spatial.poses import make_pose, turned
 from cspace.worlds.spatial.view import DepthView
 from tests.cspace.worlds.spatial.test_camera_forms import placed
