@@ -21,9 +21,9 @@ from cspace.simulator import (
 )
 from cspace.world import Image, Scene, World
 from cspace.worlds.planar.checks import CollisionChecker
-from cspace.worlds.planar.free_grid import PathFinder
 from cspace.worlds.planar.problems import (
     Family,
+    PathFinder,
     apart,
     draw_problem,
     narrow_pairs,
@@ -124,7 +124,7 @@ class PlanarSimulator(Simulator):
         return free[rng.integers(len(free), size=(count, 2))]
 
     def path_search(self, scene: Scene) -> PathSearch:
-        """See :mod:`cspace.worlds.planar.free_grid`."""
+        """See :mod:`cspace.worlds.planar.problems`."""
         return PathFinder(cast("Scenario", scene)).path
 
     def problem(self, family: str, split: Split, seed: int, index: int = 0) -> Problem:
