@@ -114,4 +114,4 @@ def _naming(path: Path) -> Iterator[None]:
 
 
 def _part(kind: str) -> Any:
-    return import_module(f"cspace.worlds.{kind}.scene_file")
+    return import_module(f"cspace.worlds.{kind}.simulator")

@@ -22,8 +22,7 @@ from cspace.world import (
 )
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, JointLimits, PlanarArm, levers
 from cspace.worlds.planar.camera import Camera, Length, Place, decode_png
-from cspace.worlds.planar.known import KnownDiscs
-from cspace.worlds.planar.scenes import MAX_GIVEN, DiscScenes, GivenScenes, Scenes
+from cspace.worlds.planar.scenes import MAX_GIVEN, DiscScenes, GivenScenes, KnownDiscs, Scenes
 
 
 @dataclass(frozen=True, slots=True)
