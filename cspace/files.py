@@ -43,10 +43,7 @@ def read_bounded(
 
 @contextmanager
 def replacing(path: Path, what: str | None = None) -> Iterator[Path]:
-    """A path beside another, for a file or a folder that takes its place when the block ends well.
-
-    ``path``: where it is to be; a file there is replaced, a folder that is not empty is not.
-    """
+    """A path beside another, for a file or an empty folder, that takes its place when the block ends well."""
     # Processes on several machines may write the same file at the same time.
     beside = path.with_name(f"{HALF_PREFIX}{path.name}-{secrets.token_hex(4)}{HALF_SUFFIX}")
     try:
@@ -72,10 +69,7 @@ def write_json(path: Path, values: Mapping[str, Any], indent: int | None = None)
 
 @contextmanager
 def holding(path: Path, busy: CspaceError, wait_s: float = 0.0, look_every_s: float = 0.2) -> Iterator[None]:
-    """Hold a lock file, which is made when it is not there and stays; threads exclude each other, too.
-
-    The system frees it when the process ends, however it ends.
-    """
+    """Hold a lock file, which stays; the system frees it when the process ends, however it ends."""
     until_s = time.monotonic() + wait_s
     with path.open("a", encoding="utf-8") as handle:
         while True:
@@ -90,10 +84,7 @@ def holding(path: Path, busy: CspaceError, wait_s: float = 0.0, look_every_s: fl
 
 
 def make_output_folder(folder: Path) -> None:
-    """Make a folder for output that ignores itself, with its parents.
-
-    A folder that holds something already is left as it is: it may be the user's own.
-    """
+    """Make a folder for output, which ignores itself unless it holds something already."""
     folder.mkdir(parents=True, exist_ok=True)
     if not any(folder.iterdir()):
         ignore(folder)

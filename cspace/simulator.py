@@ -175,10 +175,7 @@ class Checker:
     def shortened(
         self, path: ArrayLike, rng: np.random.Generator, shortcuts: int, resolution_rad: float
     ) -> NDArray[np.float64]:
-        """The path with straight pieces between random points of it wherever these are free and shorter.
-
-        ``path``: (k, d) rad, k at least 2. Returns (n, d) rad with the same ends, no longer than before.
-        """
+        """The path (k, d) rad with free pieces straight between random points where these are shorter."""
         rows = np.array(path, dtype=np.float64)
         draws = rng.random((shortcuts, 2))
         # Spans of all sizes: corners are cut by short ones, detours by long ones.
@@ -324,10 +321,7 @@ class Simulator(ABC):
     def group_hits(
         self, arrays: Mapping[str, NDArray[Any]], configurations: ArrayLike, groups: int
     ) -> NDArray[np.bool_]:
-        """Which groups of the robot's spheres touch an obstacle, (N, G); see :meth:`World.grid_arm`.
-
-        ``configurations``: (N, d) rad.
-        """
+        """Which groups of the robot's spheres touch an obstacle at (N, d) rad, (N, G)."""
         del arrays, configurations
         raise ConfigError(
             f"robots of the {self.world.kind} world have no spheres",
@@ -344,10 +338,7 @@ class Simulator(ABC):
             )
 
     def narrow_pairs(self, scene: Scene, configurations: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Pairs of free configurations (n, d) rad that a narrow passage joins and nothing wider, (k, 2).
-
-        There are none where the world does not tell narrow passages.
-        """
+        """Pairs (k, 2) of free configurations (n, d) rad that a narrow passage joins and nothing wider."""
         del scene, configurations
         return np.empty((0, 2), dtype=np.int64)
 
@@ -355,10 +346,7 @@ class Simulator(ABC):
     def ends(
         self, scene: Scene, free: NDArray[np.float64], rng: np.random.Generator, count: int
     ) -> Iterable[NDArray[np.float64]]:
-        """Starts and goals as problems of a scene have them, at most so many, each (2, d) rad and free.
-
-        ``free``: (n, d) rad, uniform ones that are free.
-        """
+        """At most so many starts and goals as problems of a scene have them, each (2, d) rad and free."""
 
     @abstractmethod
     def path_search(self, scene: Scene) -> PathSearch:

@@ -130,10 +130,7 @@ class JointSpace:
         return np.clip(self.bound(configurations).astype(np.float32), low, high)
 
     def embed(self, configurations: ArrayLike) -> NDArray[np.float64]:
-        """(..., d) to cosines of all circles, then their sines, then the other joints as they are in rad.
-
-        Near any configuration distances are those of the joint space.
-        """
+        """(..., d) to cosines of all circles, then their sines, then the other joints as they are in rad."""
         configurations = np.asarray(configurations, dtype=np.float64)
         circles = np.asarray(self.periodic)
         return np.concatenate([embed(configurations[..., circles]), configurations[..., ~circles]], axis=-1)
@@ -191,10 +188,7 @@ class JointSpace:
         )
 
     def holds(self, configurations: Floats) -> NDArray[np.bool_]:
-        """Which values of (..., d) lie in their joint's range, circles in [-pi, pi).
-
-        Limits are compared in the precision of the values, for they may have been rounded to it.
-        """
+        """Which values of (..., d) lie in their joint's range, compared in the precision of the values."""
         low, high = (np.asarray(ends, dtype=configurations.dtype) for ends in (self.lower, self.upper))
         limited = (configurations >= low) & (configurations <= high)
         exact = configurations.astype(np.float64)
@@ -234,21 +228,13 @@ class JointSpace:
         return JointSpace(tuple(ends[0]), tuple(ends[1]), periodic, self.names)
 
     def unwrap(self, path: ArrayLike, start: ArrayLike) -> NDArray[np.float64]:
-        """A path (k, d) rad whose circles go on beyond [-pi, pi) instead of jumping, (k, d) rad.
-
-        ``path``: (k, d) rad. ``start``: (d,) rad, the first of its configurations, circles at any turn: there
-        they begin.
-        """
+        """A path (k, d) rad whose circles go on beyond [-pi, pi) from a start (d,) instead of jumping."""
         rows = np.asarray(path, dtype=np.float64)
         going_on = np.unwrap(np.concatenate([np.asarray(start, dtype=np.float64)[None], rows]), axis=0)[1:]
         return np.where(self.periodic, going_on, rows)
 
     def to_dict(self) -> dict[str, Any]:
-        """The joint space as bundles and answers write it.
-
-        ``torus`` where all joints are circles, ``box`` where none is, else ``mixed``; the latter two with the
-        ends of every joint's range.
-        """
+        """As bundles and answers write it: a ``torus`` of circles, a ``box`` without, else ``mixed``."""
         kind = "torus" if self.is_torus else "mixed" if any(self.periodic) else "box"
         said: dict[str, Any] = {"kind": kind, "dim": self.dim, "unit": "rad"}
         if not self.is_torus:

@@ -108,10 +108,7 @@ class Record:
 
 
 def read_object(kind: type[Kind], values: object, where: str, error: type[CspaceError]) -> Kind:
-    """A value of a type that pydantic knows, of plain values; the inverse of :func:`written`.
-
-    Nothing is converted but whole numbers where others belong, and lists to tuples.
-    """
+    """A value of a type that pydantic knows, of plain values; only whole numbers and lists are converted."""
     try:
         text = json.dumps(values, default=repr)
         return cast("Kind", adapter_of(kind).validate_json(text, strict=True))  # type: ignore[arg-type] # hashable

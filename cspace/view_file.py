@@ -139,10 +139,7 @@ def unstamped(cameras: Sequence[object]) -> tuple[list[object], list[float | Non
 
 
 def check_ages(stamps_s: Sequence[float | None], max_age_s: float, now_s: float) -> None:
-    """Refuse pictures that are too old, or from the future.
-
-    ``stamps_s``: when each picture was taken, seconds since the epoch; None where that is not known.
-    """
+    """Refuse pictures that are too old, or from the future, by their stamps, seconds since the epoch."""
     for number, stamp in enumerate(stamps_s):
         if stamp is None:
             raise InputError(

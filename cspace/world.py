@@ -278,10 +278,7 @@ class World(ABC):
         start: ArrayLike | None = None,
         colliding: float = 0.0,
     ) -> tuple[Finding, ...]:
-        """What an answer to pictures without the robot's state shows of a state that is missing.
-
-        ``start``: (d,) rad, of a plan.
-        """
+        """What an answer to pictures without the robot's state shows of a state that is missing."""
         del image, start, colliding
         return ()
 
@@ -289,20 +286,14 @@ class World(ABC):
     def contact(
         self, configuration: NDArray[np.floating], image: Image, known: Known | None
     ) -> Contact | None:
-        """What is in the way of a configuration (d,) rad, or unseen about it.
-
-        None where nothing is; in worlds that are seen whole only what is known is.
-        """
+        """What is in the way of a configuration (d,) rad, or unseen about it; None where nothing is."""
 
     @abstractmethod
     def blank_picture(self) -> bytes:
         """The file of a picture that shows nothing."""
 
     def levers(self, points_per_link: int, side_m: float) -> Levers:
-        """Where K points of the robot lie in its pictures.
-
-        ``side_m``: distance of the two rows of points beside each link, m; with 0 the middle row is alone.
-        """
+        """Where K points of the robot lie in its pictures, in rows ``side_m`` beside each link."""
         raise ConfigError(
             f"pictures of the {self.kind} world are not read along links",
             expected="look-ups of the planar world for the planar world alone",
@@ -322,10 +313,7 @@ class World(ABC):
         """Check those of the arrays that hold scenes."""
 
     def among(self, data: "World", arrays: Arrays) -> Self:
-        """The same robot and sensor in the scenes of a data set.
-
-        ``arrays``: of the data set; all scenes in them count as held out where ``data`` knows none.
-        """
+        """The same robot and sensor in the scenes of a data set with these arrays."""
         if data.kind != self.kind or data.body != self.body:
             raise ScenarioError(
                 "the data set is another robot's", expected=str(self.body)[:200], got=str(data.body)[:200]

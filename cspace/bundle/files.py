@@ -43,10 +43,7 @@ def sums_of(contents: Mapping[str, bytes]) -> bytes:
 
 
 def read_files(folder: Path) -> BundleFiles:
-    """Read a bundle's folder and hold it against its ``SHA256SUMS``.
-
-    Only plain files straight in the folder are read, under the names of the schema and within their sizes.
-    """
+    """Read the plain files straight in a bundle's folder and hold them against its ``SHA256SUMS``."""
     try:
         contents = _read_all(folder)
     except (OSError, ValueError) as error:

@@ -112,11 +112,7 @@ class Bundle:
         return bundle
 
     def within(self, world: World) -> "Bundle":
-        """The same model for its robot with the joint limits of another world's; graphs are shared.
-
-        ``world``: with the same robot but for the limits. Beyond those that the graphs were trained for they
-        know nothing.
-        """
+        """The same model for its robot with the joint limits of another world's; graphs are shared."""
         found = copy(self)
         found.spec = replace(self.spec, world=replace(cast("Any", self.spec.world), body=world.body))
         found.robot = robot_digest(found.spec.world)
@@ -135,10 +131,7 @@ class Bundle:
         return self.prepare(image).encoding
 
     def prepare(self, picture: NDArray[np.uint8] | Examined) -> Picture:
-        """A picture, uint8 (P, P, 3), for any number of calls of :meth:`sample` and :meth:`score`.
-
-        ``picture``: decoded, from one camera; or what :meth:`cspace.world.World.examine_picture` read.
-        """
+        """An encoded picture, of one that is decoded, uint8 (P, P, 3), or that a world has examined."""
         image = picture.images[0] if isinstance(picture, Examined) else picture
         pixels = self._network_image(image)
         read = picture if isinstance(picture, Examined) else Examined(image[None])
@@ -229,11 +222,7 @@ class Bundle:
         check_cancelled: CheckCancelled | None = None,
         calibration: tuple[float, float] | None = None,
     ) -> Plan:
-        """The path from start to goal of lowest cost, of several that the picture leaves free.
-
-        ``image``: uint8 (P, P, 3), or one that :meth:`prepare` made. ``calibration``: (a, b) in place of the
-        bundle's for so many pictures.
-        """
+        """The path from start to goal of lowest cost; ``calibration`` (a, b) is in place of the bundle's."""
         head, picture = self._head(), self._prepared(image)
         ends = fitted_problem(self.spec, query)
         wanted = fitted_plan(self.spec, query)
@@ -253,10 +242,7 @@ class Bundle:
         return path_confidence(head.seen(self.spec, picture, check_cancelled), path)
 
     def golden_answer(self, image: NDArray[np.uint8], query: SampleQuery) -> SampleSet:
-        """What a golden case holds: :meth:`answer`, or where samples are searched for uniform configurations.
-
-        A search needs packages that not every reader of bundles has; the head is held to them all the same.
-        """
+        """:meth:`answer`, or uniform configurations where samples are searched for, which needs more packages."""
         if self.spec.model_kind != WAYS:
             return self.answer(image, query)
         rng, space = np.random.default_rng(query.seed), self.spec.world.space
@@ -291,10 +277,7 @@ class Bundle:
     def belief(
         self, image: NDArray[np.uint8] | Picture, check_cancelled: CheckCancelled | None = None
     ) -> Belief:
-        """What the model takes the whole scene to be, seen or not.
-
-        ``image``: uint8 (X, Y, Z, 2), or one that :meth:`prepare` made.
-        """
+        """What the model takes the whole scene of an image (X, Y, Z, 2) to be, seen or not."""
         graph, grid = self.require_belief()
         picture, cell_m, counts = self._prepared(image), 2.0 * grid.voxel_m, [n // 2 for n in grid.counts]
         axes = [low + cell_m * (np.arange(n) + 0.5) for low, n in zip(grid.low_m, counts, strict=True)]

@@ -37,11 +37,7 @@ _FOLDERS = re.compile(r"(?:[A-Za-z]:)?(?:[\w.~+-]*[/\\])+")
 
 @cache
 def onnx_runtime() -> Any:
-    """The module ``onnxruntime``, imported when the first graph is opened.
-
-    Its official builds report on their use to their maker from the import on. This project sends nothing
-    anywhere: the environment variable that switches it off is set, unless the user has set it.
-    """
+    """The module ``onnxruntime``; official builds report on their use to their maker unless told not to."""
     os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
     import onnxruntime  # noqa: PLC0415 - only after the variable is set
 
@@ -50,10 +46,7 @@ def onnx_runtime() -> Any:
 
 @cache
 def share_arena() -> None:
-    """Give all sessions of this process one arena, which fails to grow beyond :data:`ARENA_BYTES`.
-
-    A run that needs more raises. Without this each session has an arena of its own that grows without an end.
-    """
+    """Give all sessions of this process one arena, which fails to grow beyond :data:`ARENA_BYTES`."""
     ort, container = onnx_runtime(), container_bytes()
     most = ARENA_BYTES if container is None else min(ARENA_BYTES, int(container * CONTAINER_SHARE))
     place = ort.OrtMemoryInfo("Cpu", ort.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0, ort.OrtMemType.DEFAULT)

@@ -115,12 +115,7 @@ class FittedQuery(SampleQuery):
 
 
 def fitted(query: SampleQuery, spec: BundleSpec, *, has_validity: bool) -> FittedQuery:
-    """The query as its bundle takes it: start and goal wrapped, the confidence that holds.
-
-    Whoever prepares a picture for it fits it before that, so that nothing is computed for one that does not.
-
-    ``has_validity``: whether the bundle scores its samples.
-    """
+    """The query as its bundle takes it: start and goal wrapped, the confidence that holds."""
     if isinstance(query, FittedQuery):
         return query
     require_robot(query.robot, spec)
@@ -180,10 +175,7 @@ def fitted_plan(spec: BundleSpec, query: PlanQuery) -> PlanQuery:
 def fitted_end(
     spec: BundleSpec, name: str, angles: tuple[float, ...], space: JointSpace | None = None
 ) -> tuple[float, ...]:
-    """A start or goal as a bundle takes it: circles wrapped, in single precision.
-
-    ``angles``: finite, rad. ``space``: with narrower limits than the robot's; None for these.
-    """
+    """A start or goal, finite rad, as a bundle takes it: circles wrapped, in single precision."""
     if len(angles) != spec.dim:
         raise InputError(
             f"{name} does not fit the robot",
@@ -212,10 +204,7 @@ def fitted_problem(spec: BundleSpec, query: PlanQuery) -> NDArray[np.float64]:
 
 
 def fitted_configurations(values: ArrayLike, spec: BundleSpec) -> NDArray[np.float32]:
-    """Configurations as a bundle scores them, (n, d) rad: circles wrapped, in single precision.
-
-    ``values``: (n, d) finite rad, at least one row.
-    """
+    """Configurations as a bundle scores them, (n, d) rad: circles wrapped, in single precision."""
     rows, space = np.asarray(values), spec.world.space
     if rows.ndim != 2 or not len(rows) or rows.shape[1] != spec.dim or rows.dtype.kind not in "fiu":
         raise InputError(

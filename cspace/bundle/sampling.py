@@ -168,10 +168,7 @@ def random_numbers(
     epsilon_sigma: Sequence[float],
     turn: int = 0,
 ) -> RandomNumbers:
-    """Everything random in one turn of a request.
-
-    ``mu``: (L,) the encoder's mean. ``sigma``: (L,) its standard deviation. ``turn``: 0 for the first.
-    """
+    """Everything random in one turn of a request, of the encoder's mean and deviation (L,)."""
     per_latent = spec.samples_per_latent
     epsilons: list[NDArray[np.float32]] = []
     kept: list[NDArray[np.bool_]] = []
@@ -261,13 +258,7 @@ PATHS_PASS, PROPOSALS_PASS = 0.75, 0.85
 
 
 class GeneratorSampler:
-    """Samples of a generator's graph, filtered by rejection sampling where a confidence is to be reached.
-
-    The graph may have been trained for wider limits than the description's: what it puts outside the robot's
-    limits is rejected, and sampled again.
-
-    ``head``: that scores; None for a bundle without.
-    """
+    """Samples of a generator's graph within the robot's limits, rejected below a confidence to be reached."""
 
     def __init__(self, spec: BundleSpec, generator: Graph, head: Head | None) -> None:
         self._spec, self._generator, self._head = spec, generator, head
@@ -280,10 +271,7 @@ class GeneratorSampler:
         report_confidence: bool,
         check_cancelled: CheckCancelled | None,
     ) -> Sampled:
-        """Samples for a picture; the same request gives bit-equal ones on one machine.
-
-        ``report_confidence``: whether samples are scored that are not filtered; the samples are the same.
-        """
+        """Samples for a picture; ``report_confidence`` scores those that are not filtered, too."""
         spec, head, space = self._spec, self._head, self._spec.world.space
 
         def generate(counts: Sequence[int], turn: int) -> NDArray[np.float32]:
@@ -363,10 +351,7 @@ def _inside(
     is_kept: Callable[[NDArray[np.float32]], NDArray[np.bool_]],
     check_cancelled: CheckCancelled | None,
 ) -> NDArray[np.float32]:
-    """Rows (n, d) of a first turn, where further ones replace what is not kept.
-
-    What the budget of :func:`rejection_sample` does not replace stays, for the limits to bound.
-    """
+    """Rows (n, d) of a first turn, where further ones replace what is not kept, as far as the budget goes."""
     rows = draw_rows(wanted, 0)
     inside = is_kept(rows)
     if inside.all():

@@ -80,19 +80,13 @@ def default_world() -> World:
 
 
 def part_types(part: str) -> tuple[type[Any], ...]:
-    """The types of a part of worlds, ``body``, ``sensor`` or ``scenes``, of all kinds.
-
-    Each is a dataclass, and its fields are what a configuration says of the part.
-    """
+    """The dataclasses of a part of worlds, ``body``, ``sensor`` or ``scenes``, of all kinds."""
     found = (one for kind in KINDS for one in _part(kind, "world").PARTS[part])
     return tuple(dict.fromkeys(found))
 
 
 def usual_world(robot: Body, **parts: Any) -> World:
-    """A robot that is seen, and stands in scenes, as those of its type usually are.
-
-    ``parts``: ``sensor`` and ``scenes`` instead of the usual ones, where they are not None.
-    """
+    """A robot that is seen, and stands in scenes, as those of its type usually are, but for given parts."""
     example: Any = next(world for world in examples().values() if type(world.body) is type(robot))
     own = {name: part for name, part in parts.items() if part is not None}
     return cast("World", replace(_part(example.kind, "world").usual(robot), **own))
@@ -130,12 +124,7 @@ def partly_seen(world: World) -> PartlySeen:
 def seen_checkers(
     world: World, picture: Image, ends: NDArray[np.float64], known: Known | None = None
 ) -> Sequence[Checker]:
-    """Checks against what a picture shows, the most careful first; what it does not show is free.
-
-    Of the compiled code of a world only what checks is loaded, at the first call: nothing that draws.
-
-    ``ends``: (k, d) rad, where the robot is taken to be free: of what seems to stand there nothing is kept.
-    """
+    """Checks by what a picture shows, the most careful first; the robot is free at ``ends`` (k, d) rad."""
     options = {} if known is None else {"known": known}
     found = _part(world.kind, "checks").seen_checkers(world, picture, ends, **options)
     return cast("Sequence[Checker]", found)

@@ -18,10 +18,7 @@ JointLimits = tuple[tuple[float, float] | None, ...]
 
 @validated(ScenarioError)
 class PlanarArm(Record):
-    """A planar arm with its base at the origin.
-
-    The first joint turns from the x axis, counter-clockwise; every further joint is relative to its link.
-    """
+    """A planar arm with its base at the origin; joints turn counter-clockwise from the link before them."""
 
     link_lengths_m: Annotated[tuple[Length, ...], Field(min_length=1)] = (2.0, 2.0)
     half_width_m: Length = 0.1
@@ -103,11 +100,7 @@ def _is_range(low: float, high: float) -> bool:
 
 
 def link_offsets_m(joints: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """From the nearest point on each link's axis to places.
-
-    ``joints``: (k, d + 1, 2) m, as :meth:`PlanarArm.joint_positions_m` has them. ``places``: (n, 2) m.
-    Returns (k, d, n, 2) m.
-    """
+    """From the nearest point on each link's axis (k, d + 1, 2) m to places (n, 2) m, (k, d, n, 2) m."""
     begins = joints[:, :-1, None]
     along = joints[:, 1:, None] - begins
     offsets = places - begins

@@ -27,10 +27,7 @@ _BAND = 128
 def decode_png(
     data: bytes, pixels: int = 48, check_cancelled: CheckCancelled | None = None
 ) -> NDArray[np.uint8]:
-    """An untrusted PNG as (pixels, pixels, 3) uint8.
-
-    RGB as it is, RGBA over white, grey and palette as RGB; resized by area averaging.
-    """
+    """An untrusted PNG as (pixels, pixels, 3) uint8: over white, as RGB, resized by area averaging."""
     picture = open_png(data, _check)
     return _to_rgb(picture) if picture.width == pixels else _average(picture, pixels, check_cancelled)
 

@@ -18,10 +18,7 @@ _PARALLEL = 1e-9
 
 @njit(cache=True, nogil=True)
 def segment_gap(ax, ay, bx, by, cx, cy, dx, dy):  # type: ignore[no-untyped-def]
-    """Distance between the segments from a to b and from c to d; 0 where they cross.
-
-    Those that do not cross are nearest at an end of one of them.
-    """
+    """Distance between the segments from a to b and from c to d; 0 where they cross."""
     ux, uy, vx, vy = bx - ax, by - ay, dx - cx, dy - cy
     turn = ux * vy - uy * vx
     # Rounding lets parallel lines cross anywhere, and their ends tell the distance anyway.
@@ -63,10 +60,7 @@ def self_clearance(q, links, half_width, pairs):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def arm_clearance(q, links, half_width, discs, pairs):  # type: ignore[no-untyped-def]
-    """Smallest distance between the arm's capsules and the discs, m; inf without discs.
-
-    No more than that between the capsules of the links of a pair.
-    """
+    """Smallest distance between the arm's capsules and the discs, or those of a pair of links, m; else inf."""
     clearance = np.inf
     if pairs is not None:
         clearance = self_clearance(q, links, half_width, pairs)
@@ -129,12 +123,7 @@ _GROUND = 255.0
 
 
 class CollisionChecker(Checker):
-    """Exact collision checks of an arm among discs.
-
-    A configuration is free when the clearance between every link's capsule and every disc is above zero and
-    every limited joint is within its limits. Where the arm collides with itself, the clearance between the
-    capsules of any two links that are not neighbours is above zero as well.
-    """
+    """Exact checks of an arm among discs: every clearance is above zero, also between its own links."""
 
     def __init__(self, scenario: Scenario) -> None:
         space, robot = scenario.robot.space, scenario.robot
@@ -164,10 +153,7 @@ def seen_checkers(
     ends: NDArray[np.float64],
     known: KnownDiscs | None = None,
 ) -> list[CollisionChecker]:
-    """See :func:`cspace.worlds.seen_checkers`; covered pixels are discs of their area, known discs exact.
-
-    Known discs keep their radius at least, even where an end touches them.
-    """
+    """See :func:`cspace.worlds.seen_checkers`; covered pixels are discs of their area, known discs exact."""
     camera, arm = world.sensor, world.body
     if known is not None:
         picture = known.seen

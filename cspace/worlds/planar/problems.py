@@ -26,10 +26,7 @@ from cspace.worlds.planar.world import Scenario
 def distance_to_false(
     inside: NDArray[np.bool_], spacing: Sequence[float] | NDArray[np.float64], wraps: Sequence[bool]
 ) -> NDArray[np.float64]:
-    """Distance of each cell's centre to that of the nearest False cell; inf where there is none.
-
-    ``wraps``: whether the axis is a circle.
-    """
+    """Distance of each cell's centre to that of the nearest False cell, round axes that wrap; inf without."""
     if inside.all():
         return np.full(inside.shape, np.inf)
     # Half a turn on either side shows both ways round a circle.
@@ -107,11 +104,7 @@ class FreeGrid:
         return tuple(int(index) for index in self.cells_of(configuration))
 
     def components(self, above_rad: float = 0.0, *, diagonal: bool = False) -> NDArray[np.int64]:
-        """Component of each cell whose clearance is above ``above_rad``; 0 for the other cells.
-
-        ``above_rad``: 0 for the free space itself. ``diagonal``: whether cells that touch in a corner are
-        connected.
-        """
+        """Component of each cell of a larger clearance, joined at corners if ``diagonal``; 0 for the others."""
         inside = self.free if above_rad <= 0.0 else self.clearance_rad > above_rad
         dim = inside.ndim
         structure = ndimage.generate_binary_structure(dim, dim if diagonal else 1)
@@ -127,10 +120,7 @@ class FreeGrid:
         return bool(first == second and first > 0)
 
     def bottleneck_rad(self, start: ArrayLike, goal: ArrayLike) -> float:
-        """Largest clearance at which start and goal stay connected; 0 when they never are.
-
-        Found by bisection to far below the size of a cell.
-        """
+        """Largest clearance at which start and goal stay connected, by bisection; 0 when they never are."""
         if not self.joined(start, goal):
             return 0.0
         low, high = 0.0, float(min(self.clearance_rad[self.cell_of(q)] for q in (start, goal)))
@@ -297,11 +287,7 @@ def draw_problem(
 
 
 def apart(scenario: Scenario, ends: NDArray[np.float64]) -> str | None:
-    """In words, that ends (2, d) rad lie in different parts of the free space; None where they may not.
-
-    As in the family ``disconnected`` cells that touch in a corner count as joined, so that no path hides
-    between two cells.
-    """
+    """In words, that ends (2, d) rad lie in different parts of the free space; None where they may not."""
     grid = _fine(scenario)
     first, second = grid.touching[grid.cells_of(ends)]
     if 0 in (first, second) or first == second:
@@ -313,10 +299,7 @@ def apart(scenario: Scenario, ends: NDArray[np.float64]) -> str | None:
 def _ends(
     family: Family, scenario: Scenario, free: NDArray[np.float64], rng: np.random.Generator
 ) -> tuple[NDArray[np.float64], float] | None:
-    """Start and goal (2, d) rad of the family among free configurations (n, d), and their bottleneck in rad.
-
-    None where there are none; those of a narrow passage are drawn evenly from all that have one.
-    """
+    """Start and goal (2, d) rad of the family among free (n, d), and their bottleneck in rad, or None."""
     if len(free) < 2:
         return None
     if family is Family.NARROW:
@@ -335,10 +318,7 @@ def _ends(
 
 
 def narrow_pairs(scenario: Scenario, configurations: NDArray[np.float64]) -> NDArray[np.int64]:
-    """All pairs of free configurations that a narrow passage joins and nothing wider.
-
-    ``configurations``: (n, d) rad, free. Returns indices (k, 2) of starts and goals.
-    """
+    """All pairs (k, 2) of free configurations (n, d) rad that a narrow passage joins and nothing wider."""
     low, high = NARROW_RAD
     none = np.empty((0, 2), dtype=np.int64)
     for cells in _SCREEN_CELLS:

@@ -166,10 +166,7 @@ class SerialArm(Record):
 
     @property
     def usual_base_m(self) -> Vector:
-        """Where the base would be if it were below the shoulder as those of most arms are, m.
-
-        That is (0, 0, 0) for most; the first link of a description may be a stand, or the room's origin.
-        """
+        """Where the base would be if it were below the shoulder as most are, m: (0, 0, 0) but for stands."""
         x, y, z = self.joints[0].origin.xyz_m
         if z <= _HIGH_M and x * x + y * y <= _ASIDE_M * _ASIDE_M:
             return (0.0, 0.0, 0.0)

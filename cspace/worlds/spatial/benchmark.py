@@ -303,10 +303,7 @@ def viewed(world: SpatialWorld, pictures: int) -> SpatialWorld:
 def from_both_sides(
     rng: np.random.Generator, world: SpatialWorld, layout: Layout, state: NDArray[np.float64], aim: str
 ) -> SpatialScene:
-    """A layout as cameras see it that do not all stand on the same side of the line to what they look at.
-
-    ``state``: (d,) rad, of the arm.
-    """
+    """A layout as cameras see it that do not all stand on the same side of the line to what they look at."""
     if aim == "scene":
         layout = replace(layout, focus=middle(layout.obstacles))
     focus = np.asarray(layout.focus)[:2]

@@ -340,10 +340,7 @@ def _span(centre, reach, low, voxel, count):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def write_body(observed, low, voxel, number, bodies, is_free, first, last):  # type: ignore[no-untyped-def]
-    """Write a body, in place, into an array (X, Y, Z, 2): its inside as seen free, or its surface as seen.
-
-    Only from ``first`` to before ``last`` along X.
-    """
+    """Write a body into layers of an array (X, Y, Z, 2): its inside as seen free, or its surface as seen."""
     farthest = 0.0 if is_free else FARTHEST * DISTANCE_STEP_M
     centre, reach = bodies.centres[number], bodies.reaches[number] + farthest
     i0, i1 = _span(centre[0], reach, low[0], voxel, observed.shape[0])

@@ -63,20 +63,14 @@ class DepthCamera(Record):
         return rays
 
     def points_m(self, depth_m: ArrayLike) -> NDArray[np.float64]:
-        """Back-projection: a depth picture (H, W) m to points (H, W, 3) m in the base frame.
-
-        NaN where there is no reading, which is where the depth is not a finite number above 0.
-        """
+        """Back-projection: depths (H, W) m to points (H, W, 3) m in the base frame, NaN without a reading."""
         depth = np.asarray(depth_m, dtype=np.float64)
         seen = np.where(np.isfinite(depth) & (depth > 0.0), depth, np.nan)
         pose = self.matrix
         return np.asarray((self.rays() * seen[..., None]) @ pose[:3, :3].T + pose[:3, 3])
 
     def project(self, points_m: ArrayLike) -> NDArray[np.float64]:
-        """Points (..., 3) m in the base frame to (..., 3): column, row in pixels, depth in m.
-
-        Column and row are NaN behind the camera; they may lie beside the picture, see :meth:`shows`.
-        """
+        """Points (..., 3) m in the base frame to column and row in pixels, NaN behind the camera, and depth in m."""
         pose = self.matrix
         seen = (np.asarray(points_m, dtype=np.float64) - pose[:3, 3]) @ pose[:3, :3]
         depth = seen[..., 2]
@@ -111,11 +105,7 @@ def read_camera(values: object) -> DepthCamera:
 
 
 def looking(from_m: ArrayLike, at_m: ArrayLike, roll_rad: float = 0.0) -> NDArray[np.float64]:
-    """(4, 4): the optical frame of a camera at one point that looks at another.
-
-    ``from_m``: (3,) m in the base frame. ``at_m``: (3,) m. ``roll_rad``: about the optical axis; with 0 the
-    picture's rows are level.
-    """
+    """(4, 4): the optical frame of a camera at one point (3,) m that looks at another, level but for a roll."""
     place = np.asarray(from_m, dtype=np.float64)
     ahead = np.asarray(at_m, dtype=np.float64) - place
     length = np.linalg.norm(ahead)
@@ -231,10 +221,7 @@ def read_pinhole(values: object, shape: tuple[int, ...]) -> tuple[DepthCamera, t
 
 
 def camera_pose(camera: Mapping[str, Any]) -> Pose:
-    """Where the optical frame of a camera of plain values is, in the base.
-
-    Its ``frame`` is ``optical``, which is the default, or ``body``.
-    """
+    """The pose of a camera's optical frame, of plain values, whose ``frame`` may be ``body``."""
     pose, frame = read_pose(camera.get("pose"), "the camera", ImageError), camera.get("frame", _FRAMES[0])
     if frame not in _FRAMES:
         raise ImageError(
@@ -342,11 +329,7 @@ MAX_MM = 65_535
 
 
 def decode_depth(data: bytes, check_cancelled: CheckCancelled = lambda: None) -> NDArray[np.uint16]:
-    """An untrusted PNG as (H, W) uint16, mm along the optical axis, 0 where there is no reading.
-
-    ``data``: the file's bytes. ``check_cancelled``: called between the parts of the work; what it raises
-    passes through.
-    """
+    """An untrusted PNG as (H, W) uint16, mm along the optical axis, 0 where there is no reading."""
     picture = open_png(data, _check)
     check_cancelled()
     return np.array(picture).astype(np.uint16)

@@ -76,10 +76,7 @@ def room_of(scene):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def state_is_free(q, scene, room):  # type: ignore[no-untyped-def]
-    """Whether one configuration (d,) is within its limits, clear of every obstacle and of itself.
-
-    The base stands where it stands: on a table, it touches it.
-    """
+    """Whether one configuration (d,) is within its limits, clear of every obstacle and of itself."""
     for joint in range(q.shape[0]):
         if not scene.periodic[joint] and not scene.lower[joint] <= q[joint] <= scene.upper[joint]:
             return False
@@ -233,11 +230,7 @@ def seen_checkers(
     *,
     known: Any = None,
 ) -> list[CollisionChecker]:
-    """See :func:`cspace.worlds.seen_checkers`; distances are those of the picture's voxels.
-
-    Obstacles are known to stand there, too, whatever the picture shows. What else is known is a
-    :class:`cspace.worlds.spatial.scene_checker.SceneChecker`.
-    """
+    """See :func:`cspace.worlds.seen_checkers`; ``known`` is a scene checker, and obstacles stand there, too."""
     arm, bodies = (world.body, NO_BODIES) if known is None else (known.arm, known.bodies)
     grid = world.sensor.grid
     if known is not None and known.seen is not None:

@@ -52,11 +52,7 @@ class Upright:
 
 
 class ToolConstraints:
-    """Constraints of one request on the tool of an arm; see :class:`cspace.simulator.ToolConstraints`.
-
-    ``goal_pose``: plain values of a :class:`GoalPose`, or None. ``upright``: plain values of an
-    :class:`Upright`, or None.
-    """
+    """Constraints on the tool, of plain values of a :class:`GoalPose` and an :class:`Upright`, or None."""
 
     def __init__(
         self, arm: SerialArm, goal_pose: Mapping[str, Any] | None, upright: Mapping[str, Any] | None

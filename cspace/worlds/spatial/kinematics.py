@@ -98,10 +98,7 @@ def points_into(frames, links, points, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def self_distance(centres, bounds, arm):  # type: ignore[no-untyped-def]
-    """Signed distance of the closest spheres of parts that can touch, m; inf where none can.
-
-    ``centres`` (S, 3) and ``bounds`` (P, 3) are in the base's frame.
-    """
+    """Signed distance of the closest spheres (S, 3) of parts that can touch, m; inf where none can."""
     least = np.inf
     for pair in range(arm.pairs.shape[0]):
         i, j = arm.pairs[pair, 0], arm.pairs[pair, 1]
@@ -217,12 +214,7 @@ def aligned(
     within_rad: float,
     space: JointSpace,
 ) -> NDArray[np.float64]:
-    """Configurations changed until an axis of the last link points along a direction.
-
-    ``configurations``: (N, d) rad. ``axis``: (3,) unit vector in the last link's frame. ``along``: (3,) unit
-    vector in the base frame. ``within_rad``: angle between the two that is small enough, above 0. Returns (N,
-    d) rad within the limits, circles in [-pi, pi); as near as they came where there is no such one.
-    """
+    """Configurations (N, d) rad changed until an axis of the last link points along one of the base."""
     frame, wanted = np.eye(4), np.eye(3)
     frame[:3, 2], wanted[:, 2] = axis, along
     rows = np.array(configurations, dtype=np.float64)

@@ -140,10 +140,7 @@ class RobotMeshes:
 
 
 class MeshChecker:
-    """Which configurations are free in one scene; self-collision counts, joint limits do not.
-
-    Not for use by several threads at a time.
-    """
+    """Which configurations are free in one scene, whatever the joint limits; for one thread at a time."""
 
     def __init__(self, meshes: RobotMeshes, obstacles: Obstacles) -> None:
         self._pin, self._meshes = meshes._pin, meshes  # noqa: SLF001 # one module

@@ -24,10 +24,7 @@ MAX_PLACE_M = 100.0
 
 
 def check_pose(pose: Pose, what: str, error: type[CspaceError] = ScenarioError) -> None:
-    """Refuse numbers that are no pose.
-
-    ``pose``: rows of a 4 x 4 matrix. ``what``: whose, in messages. ``error``: the kind of error.
-    """
+    """Refuse rows that are no pose: of 4 x 4 finite numbers, a rotation, and a place within 100 m."""
     matrix = _matrix(pose)
     if matrix is None:
         raise error(f"{what} has no pose", expected="4 x 4 finite numbers", got=repr(pose)[:200])
@@ -51,10 +48,7 @@ def check_pose(pose: Pose, what: str, error: type[CspaceError] = ScenarioError) 
 
 
 def read_pose(values: object, what: str, error: type[CspaceError] = ScenarioError) -> Pose:
-    """A pose of plain values: rows of 4 x 4 numbers, or ``translation`` in m with ``quaternion_xyzw``.
-
-    ``values``: of unknown origin. ``what``: whose, in messages. ``error``: the kind of error.
-    """
+    """A pose of plain values: rows of 4 x 4 numbers, or ``translation`` in m with ``quaternion_xyzw``."""
     is_placed = isinstance(values, Mapping) and set(values) == {"translation", "quaternion_xyzw"}
     rows: Any = (values["translation"], values["quaternion_xyzw"]) if is_placed else values  # type: ignore[index]
     lengths = [3, 4] if is_placed else [4] * 4

@@ -117,10 +117,7 @@ def draw_problem(
     family: str | None = None,
     limits: PathLimits = PathLimits(),
 ) -> SpatialProblem:
-    """A problem that :func:`find_path` solved, of what split, seed and index say.
-
-    Its scene is that of :func:`draw_layout` where that has one, else one drawn after it.
-    """
+    """A problem that :func:`find_path` solved, of what split, seed and index say."""
     # A child, for the scene is drawn from the same three values.
     (rng,) = scenario_rng(split, seed, index).spawn(1)
     kind, rejected = _any_kind(rng), 0
@@ -157,11 +154,7 @@ class Ends:
         self.arm = checker.arm
 
     def pairs(self, count: int, state: NDArray[np.float64] | None) -> Iterator[NDArray[np.float64]]:
-        """Starts and goals (2, d) rad of any kind from so many tries.
-
-        ``count``: tries; those without ends, and most of those that the straight path solves, give none.
-        ``state``: (d,) rad, where the arm waits before it reaches in; None for about the ready pose.
-        """
+        """At most so many starts and goals (2, d) rad of any kind; the arm waits at a state (d,) rad if given."""
         for _ in range(count):
             pair = self.pair(_any_kind(self.rng), state)
             if pair is not None:
@@ -260,10 +253,7 @@ def draw_proposals(
     rng: np.random.Generator,
     count: int,
 ) -> Proposals:
-    """So many configurations, uniform ones first.
-
-    ``start``: (d,) rad, where the arm waits; None where that is not known.
-    """
+    """So many configurations, uniform ones first, about a start (d,) rad where the arm waits."""
     space = checker.space
     counts = [int(share * count) for share in ORIGIN_SHARES]
     anywhere = space.sample_uniform(rng, count - sum(counts))

@@ -140,10 +140,7 @@ NOISES: tuple[Noise, ...] = get_args(Noise)
 
 @validated(ScenarioError)
 class DepthSensor(Record):
-    """What stands for the picture of a scene: an array (X, Y, Z, 2) of what its depth pictures say.
-
-    See :func:`cspace.worlds.spatial.visibility.observe`.
-    """
+    """What stands for the picture of a scene: an array (X, Y, Z, 2) of what its depth pictures say."""
 
     grid: GridBox
     views: CameraViews = field(default_factory=CameraViews)

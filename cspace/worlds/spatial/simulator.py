@@ -112,10 +112,7 @@ class SpatialSimulator(Simulator):
 
     @property
     def measures(self) -> Measures:
-        """Lengths as planners of seven joints have them; no thousand samples cover such a space.
-
-        The free share is that of the Panda's uniform configurations among scenes for training.
-        """
+        """Lengths as planners of seven joints have them; no thousand samples cover such a space."""
         return Measures(
             coverage_radius_rad=1.0,
             near_contact_m=0.02,
@@ -295,10 +292,7 @@ def read_world(values: Values) -> SpatialWorld:
 
 
 def read_scene(world: SpatialWorld, values: Values) -> SpatialScene:
-    """Obstacles, cameras and the arm's state; pictures are exact.
-
-    The arm is where ``state`` says, else at the start, else in no picture.
-    """
+    """Obstacles, cameras and the arm at the state, else at the start, else in no picture; without noise."""
     views, state = world.sensor.views, values.state or values.start
     if state:
         if len(state) != world.dim:

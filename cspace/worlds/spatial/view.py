@@ -122,11 +122,7 @@ _UNIT = (
 
 
 def cameras_in_base(cameras: Sequence[object], state: States, arm: SerialArm) -> list[object]:
-    """Cameras of plain values, those on a link with the pose of their optical frame in the base.
-
-    ``cameras``: one for each picture; ``link`` names a frame of the arm (:meth:`SerialArm.frame_of`) that
-    ``pose`` is in.
-    """
+    """Cameras of plain values; one whose ``link`` names a frame of the arm gets its pose in the base."""
     states = _for_each(state, len(cameras))
     return [_in_base(*one, arm) for one in zip(range(len(cameras)), cameras, states, strict=True)]
 
@@ -167,10 +163,7 @@ def _for_each(state: States, pictures: int) -> tuple[State | None, ...]:
 
 
 def state_of(values: object, pictures: int, space: JointSpace) -> States:
-    """Where an arm was, of plain values; None where they are.
-
-    ``values``: a configuration for all pictures, or a list with one, or None, for each.
-    """
+    """Where an arm was, of plain values: a configuration for all pictures, or one or None for each."""
     if isinstance(values, list | tuple) and any(
         one is None or isinstance(one, list | tuple) for one in values
     ):
@@ -271,10 +264,7 @@ def _read_tiff(data: bytes) -> NDArray[np.float32]:
 
 
 def _check_fields(data: bytes) -> None:
-    """Refuse what Pillow would read before it knows the size: 8 MiB can name 400 GB of values.
-
-    Source: TIFF, revision 6.0, section 2.
-    """
+    """Refuse what Pillow would read before it knows the size: 8 MiB can name 400 GB of values."""
     order = _BYTE_ORDERS[data[:4]]
     (at,) = struct.unpack_from(f"{order}I", data, 4)
     (count,) = struct.unpack_from(f"{order}H", data, at)

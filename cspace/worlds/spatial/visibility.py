@@ -92,10 +92,7 @@ def arm_depth_m(
     check_cancelled: CheckCancelled = lambda: None,
     slack_m: float = 0.0,
 ) -> NDArray[np.float32]:
-    """The arm as rendered: depth (H, W) m at which the first of its spheres begins, inf beside them.
-
-    ``spheres``: (S, 4) m, as for :func:`self_filter`; the depth is 0 for a camera within one.
-    """
+    """The arm as rendered: depth (H, W) m at which its first sphere of (S, 4) m begins, inf beside them."""
     pose = camera.matrix
     centres = (spheres[:, :3] - pose[:3, 3]) @ pose[:3, :3]
     radii = spheres[:, 3] + slack_m
@@ -194,10 +191,7 @@ def sight(
 
 
 def _limits(surface_m: NDArray[np.float32], front_m: NDArray[np.float32], reach: int) -> NDArray[np.float32]:
-    """Up to where rays are free, (reach + 1, H, W), the nearest within so many pixels, from 0.
-
-    0 where nothing is known.
-    """
+    """Up to where rays are free, the nearest within 0 to ``reach`` pixels, (reach + 1, H, W); 0 unknown."""
     read, robot = surface_m > 0, np.isfinite(front_m)
     surfaces = np.where(read, surface_m, np.float32(np.inf))
     fronts = np.minimum(surfaces, front_m)
@@ -388,10 +382,7 @@ def lookup(observed: NDArray[np.uint8], grid: GridBox, points_m: ArrayLike) -> K
 def _cells(
     grid: GridBox, points: NDArray[np.floating]
 ) -> tuple[NDArray[np.intp], NDArray[np.bool_], NDArray[np.float32]]:
-    """The voxels that points (N, 3) are in: numbers, 0 outside of the grid; which are inside; and where.
-
-    The last is (3, N) in voxels from the lowest corner.
-    """
+    """Numbers of the voxels that points (N, 3) are in, which are inside, and where, (3, N) in voxels."""
     place = ((points - np.array(grid.low_m)) / grid.voxel_m).astype(np.float32).T
     counts = np.array(grid.counts, dtype=np.float32)[:, None]
     inside = ((place >= 0.0) & (place < counts)).all(axis=0)

@@ -57,10 +57,7 @@ _BLANK_MM = 4000
 
 @dataclass(frozen=True, slots=True)
 class SpatialWorld(World):
-    """A serial arm that depth cameras see.
-
-    ``boxes`` are (S, any, 15), ``cylinders`` (S, any, 14), padded with NaN.
-    """
+    """A serial arm that depth cameras see; ``boxes`` (S, any, 15), ``cylinders`` (S, any, 14), NaN behind."""
 
     kind: ClassVar[str] = "spatial"
     scene_files: ClassVar[tuple[str, ...]] = ("boxes", "cylinders")
