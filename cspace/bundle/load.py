@@ -242,7 +242,7 @@ class Bundle:
         return path_confidence(head.seen(self.spec, picture, check_cancelled), path)
 
     def golden_answer(self, image: NDArray[np.uint8], query: SampleQuery) -> SampleSet:
-        """:meth:`answer`, or uniform configurations where samples are searched for, which needs more packages."""
+        """:meth:`answer`, or uniform samples where they are searched for, which needs more packages."""
         if self.spec.model_kind != WAYS:
             return self.answer(image, query)
         rng, space = np.random.default_rng(query.seed), self.spec.world.space

@@ -60,7 +60,7 @@ def self_clearance(q, links, half_width, pairs):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def arm_clearance(q, links, half_width, discs, pairs):  # type: ignore[no-untyped-def]
-    """Smallest distance between the arm's capsules and the discs, or those of a pair of links, m; else inf."""
+    """Smallest distance of the arm's capsules to the discs, or between those of a pair, m; else inf."""
     clearance = np.inf
     if pairs is not None:
         clearance = self_clearance(q, links, half_width, pairs)

@@ -104,7 +104,7 @@ class FreeGrid:
         return tuple(int(index) for index in self.cells_of(configuration))
 
     def components(self, above_rad: float = 0.0, *, diagonal: bool = False) -> NDArray[np.int64]:
-        """Component of each cell of a larger clearance, joined at corners if ``diagonal``; 0 for the others."""
+        """Component of each cell of larger clearance, 0 for the others; corners join if ``diagonal``."""
         inside = self.free if above_rad <= 0.0 else self.clearance_rad > above_rad
         dim = inside.ndim
         structure = ndimage.generate_binary_structure(dim, dim if diagonal else 1)

@@ -70,7 +70,7 @@ class DepthCamera(Record):
         return np.asarray((self.rays() * seen[..., None]) @ pose[:3, :3].T + pose[:3, 3])
 
     def project(self, points_m: ArrayLike) -> NDArray[np.float64]:
-        """Points (..., 3) m in the base frame to column and row in pixels, NaN behind the camera, and depth in m."""
+        """Points (..., 3) m in the base frame to column and row, NaN behind the camera, and depth in m."""
         pose = self.matrix
         seen = (np.asarray(points_m, dtype=np.float64) - pose[:3, 3]) @ pose[:3, :3]
         depth = seen[..., 2]
@@ -105,7 +105,7 @@ def read_camera(values: object) -> DepthCamera:
 
 
 def looking(from_m: ArrayLike, at_m: ArrayLike, roll_rad: float = 0.0) -> NDArray[np.float64]:
-    """(4, 4): the optical frame of a camera at one point (3,) m that looks at another, level but for a roll."""
+    """(4, 4): the optical frame of a camera at one point (3,) m that looks at another, level without roll."""
     place = np.asarray(from_m, dtype=np.float64)
     ahead = np.asarray(at_m, dtype=np.float64) - place
     length = np.linalg.norm(ahead)

@@ -230,7 +230,7 @@ def seen_checkers(
     *,
     known: Any = None,
 ) -> list[CollisionChecker]:
-    """See :func:`cspace.worlds.seen_checkers`; ``known`` is a scene checker, and obstacles stand there, too."""
+    """See :func:`cspace.worlds.seen_checkers`; ``known``: a scene checker; obstacles stand there, too."""
     arm, bodies = (world.body, NO_BODIES) if known is None else (known.arm, known.bodies)
     grid = world.sensor.grid
     if known is not None and known.seen is not None:

@@ -154,7 +154,7 @@ class Ends:
         self.arm = checker.arm
 
     def pairs(self, count: int, state: NDArray[np.float64] | None) -> Iterator[NDArray[np.float64]]:
-        """At most so many starts and goals (2, d) rad of any kind; the arm waits at a state (d,) rad if given."""
+        """At most so many starts and goals (2, d) rad of any kind; the arm waits at a state (d,) if given."""
         for _ in range(count):
             pair = self.pair(_any_kind(self.rng), state)
             if pair is not None:
