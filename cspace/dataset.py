@@ -294,8 +294,6 @@ def _rows(name: str, parts: Sequence[NDArray[Any]], space: JointSpace) -> dict[s
     offsets = np.cumsum([0, *(len(array) for array in arrays)], dtype=np.int64)
     joined = np.concatenate(arrays) if arrays else np.empty((0, dim))
     if not np.isfinite(joined).all():
-        raise DatasetError(
-            f"{name} holds values that are not finite", expected="angles in rad", got="nan or inf"
-        )
+        raise DatasetError(f"{name} holds values that are not finite", expected="angles in rad")
     taken = space.admitted(joined, f"{name} holds configurations outside the robot's limits", DatasetError)
     return {name: space.to_float32(taken), f"{name}_offsets": offsets}

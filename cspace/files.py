@@ -52,11 +52,7 @@ def replacing(path: Path, what: str | None = None) -> Iterator[Path]:
     except OSError as error:
         if what is None:
             raise
-        raise StorageError(
-            f"{what} cannot be written",
-            expected=f"room and rights where {path.name} is to be",
-            got=error.strerror or type(error).__name__,
-        ) from error
+        raise StorageError(f"{what} cannot be written", got=error.strerror or type(error).__name__) from error
     finally:
         discard(beside)
 

@@ -183,14 +183,7 @@ class Checker:
         return np.asarray(self.kernels.shortened(rows, draws, resolution_rad, self.scene))
 
     def _rows(self, configurations: ArrayLike) -> NDArray[np.float64]:
-        rows = np.ascontiguousarray(configurations, dtype=np.float64)
-        if rows.ndim != 2 or rows.shape[1] != self.space.dim:
-            raise ScenarioError(
-                "the configurations do not fit the robot",
-                expected=f"shape (N, {self.space.dim})",
-                got=str(rows.shape),
-            )
-        return rows
+        return np.ascontiguousarray(configurations, dtype=np.float64)
 
 
 class ToolConstraints(Protocol):
@@ -323,19 +316,13 @@ class Simulator(ABC):
     ) -> NDArray[np.bool_]:
         """Which groups of the robot's spheres touch an obstacle at (N, d) rad, (N, G)."""
         del arrays, configurations
-        raise ConfigError(
-            f"robots of the {self.world.kind} world have no spheres",
-            expected="a head that reads along links",
-            got=f"one of {groups} groups of spheres",
-        )
+        raise ConfigError(f"robots of the {self.world.kind} world have no {groups} groups of spheres")
 
     def require(self, family: str) -> None:
         """Refuse a family that the robot has no problems of."""
         names = self.families.names
         if family not in names:
-            raise ScenarioError(
-                "there is no such family", expected=f"one of {', '.join(names)}", got=repr(family)
-            )
+            raise ScenarioError("there is no such family", expected=f"one of {', '.join(names)}", got=family)
 
     def narrow_pairs(self, scene: Scene, configurations: NDArray[np.float64]) -> NDArray[np.int64]:
         """Pairs (k, 2) of free configurations (n, d) rad that a narrow passage joins and nothing wider."""

@@ -201,11 +201,8 @@ class JointSpace:
         is a limited joint: its angles are the numbers from low to high, at any turn.
         """
         if len(limits) != self.dim:
-            raise InputError(
-                "limits do not fit the robot",
-                expected=f"{self.dim} entries, each [low, high] in rad, or null for the joint's own",
-                got=f"{len(limits)} entries",
-            )
+            expected = f"{self.dim} entries, each [low, high] in rad, or null for the joint's own"
+            raise InputError("limits do not fit the robot", expected=expected, got=f"{len(limits)} entries")
         ends = [list(self.lower), list(self.upper)]
         for joint, given in enumerate(limits):
             if given is None:
@@ -265,9 +262,7 @@ class Standardisation:
     def __post_init__(self) -> None:
         if len(self.mean) != len(self.std) or any(not value > 0.0 for value in self.std):
             raise ScenarioError(
-                "the standardisation does not fit",
-                expected="one mean and one positive deviation a joint",
-                got=f"mean {self.mean}, std {self.std}",
+                "the standardisation does not fit", expected="positive deviations", got=str(self)
             )
 
     @classmethod
@@ -278,11 +273,3 @@ class Standardisation:
             tuple(float(v) for v in configurations.mean(axis=0)),
             tuple(float(v) for v in configurations.std(axis=0)),
         )
-
-    def standardise(self, configurations: ArrayLike) -> NDArray[np.float64]:
-        """(..., d) rad to (..., d) without unit."""
-        return np.asarray((np.asarray(configurations, dtype=np.float64) - self.mean) / self.std)
-
-    def restore(self, standardised: ArrayLike) -> NDArray[np.float64]:
-        """The inverse of :meth:`standardise`."""
-        return np.asarray(np.asarray(standardised, dtype=np.float64) * self.std + self.mean)

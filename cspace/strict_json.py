@@ -30,9 +30,7 @@ def json_text(values: object, what: str, error: type[CspaceError]) -> str:
         return json.dumps(values, indent=2, sort_keys=True, allow_nan=False) + "\n"
     except (TypeError, ValueError) as problem:
         raise error(
-            f"{what} is not plain JSON",
-            expected="finite numbers, texts, lists and mappings",
-            got=str(problem),
+            f"{what} is not plain JSON", expected="plain finite values", got=str(problem)
         ) from problem
 
 

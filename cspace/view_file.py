@@ -87,9 +87,7 @@ def pack_view(
     header |= {} if known is None else {"known": len(known)}
     line = json.dumps(header, separators=(",", ":")).encode()
     if len(line) > _MAX_LINE_BYTES:
-        raise ImageError(
-            "the cameras are too long", expected=f"at most {_MAX_LINE_BYTES} bytes", got=f"{len(line)} bytes"
-        )
+        raise ImageError("the cameras are too long", expected=f"at most {_MAX_LINE_BYTES} bytes")
     return b"".join((_MAGIC, line, b"\n", *pictures, known or b""))
 
 
@@ -107,7 +105,7 @@ def unpack_view(data: bytes) -> View:
     line, _, rest = data.removeprefix(_MAGIC).partition(b"\n")
     if not is_view(data) or len(line) > _MAX_LINE_BYTES:
         raise ImageError(
-            "the file is no view", expected=f"a file that begins with {_MAGIC!r}", got=repr(data[:20])
+            "the file is no view", expected=f"one that begins with {_MAGIC!r}", got=repr(data[:20])
         )
     try:
         header = adapter_of(_Line).validate_json(line)

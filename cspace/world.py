@@ -288,25 +288,16 @@ class World(ABC):
     ) -> Contact | None:
         """What is in the way of a configuration (d,) rad, or unseen about it; None where nothing is."""
 
-    @abstractmethod
-    def blank_picture(self) -> bytes:
-        """The file of a picture that shows nothing."""
-
     def levers(self, points_per_link: int, side_m: float) -> Levers:
         """Where K points of the robot lie in its pictures, in rows ``side_m`` beside each link."""
         raise ConfigError(
             f"pictures of the {self.kind} world are not read along links",
-            expected="look-ups of the planar world for the planar world alone",
             got=f"{points_per_link} points a link, {side_m} m beside it",
         )
 
     def grid_arm(self, groups: int) -> GridArm:
         """What a network that reads arrays of space has to know of the robot."""
-        raise ConfigError(
-            f"pictures of the {self.kind} world are no arrays of space",
-            expected="a head that reads along links",
-            got=f"one of {groups} groups of spheres",
-        )
+        raise ConfigError(f"pictures of the {self.kind} world are no arrays of space", got=f"{groups} groups")
 
     @abstractmethod
     def check_scenes(self, arrays: Arrays, count: int) -> None:
@@ -315,16 +306,10 @@ class World(ABC):
     def among(self, data: "World", arrays: Arrays) -> Self:
         """The same robot and sensor in the scenes of a data set with these arrays."""
         if data.kind != self.kind or data.body != self.body:
-            raise ScenarioError(
-                "the data set is another robot's", expected=str(self.body)[:200], got=str(data.body)[:200]
-            )
+            raise ScenarioError("the data set is another robot's", got=str(data.body)[:200])
         scenes = self.held_out(arrays) if data.scenes is None else data.scenes
         if scenes is None:
-            raise ScenarioError(
-                "the data set holds no scenes",
-                expected="obstacles, by which samples can be checked",
-                got="pictures and configurations alone",
-            )
+            raise ScenarioError("the data set holds no scenes", expected="obstacles, to check samples by")
         found: Self = replace(cast("Any", self), scenes=scenes)
         return found
 

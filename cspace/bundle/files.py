@@ -47,11 +47,7 @@ def read_files(folder: Path) -> BundleFiles:
     try:
         contents = _read_all(folder)
     except (OSError, ValueError) as error:
-        raise BundleIntegrityError(
-            "the bundle cannot be read",
-            expected="a readable folder",
-            got=getattr(error, "strerror", None) or type(error).__name__,
-        ) from error
+        raise BundleIntegrityError("the bundle cannot be read", got=type(error).__name__) from error
     sums = contents.pop(SUMS_FILE, b"")
     matches = [_LINE.fullmatch(line) for line in sums.decode("ascii", errors="replace").splitlines()]
     listed = {match[2]: match[1] for match in matches if match is not None}

@@ -82,9 +82,7 @@ class GoldenCase:
 
 def _close(name: str, expected: NDArray[Any], got: NDArray[Any], space: JointSpace | None = None) -> None:
     if expected.shape != got.shape:
-        raise GoldenMismatchError(
-            f"the golden case's {name} has another shape", expected=str(expected.shape), got=str(got.shape)
-        )
+        raise GoldenMismatchError(f"the golden case's {name} is of shape {expected.shape}, not {got.shape}")
     gap = got.astype(np.float64) - expected if space is None else space.difference(expected, got)
     worst = float(np.max(np.abs(gap), initial=0.0))
     if not worst <= TOLERANCE:

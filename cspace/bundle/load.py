@@ -36,7 +36,7 @@ from cspace.bundle.sampling import Head, sampler_of
 from cspace.bundle.spec import MAP, PICTURE, WAYS, BundleSpec
 from cspace.errors import BundleIntegrityError, InputError, StorageError
 from cspace.files import replacing
-from cspace.plan import path_confidence, plan
+from cspace.plan import plan
 from cspace.query import Plan, PlanQuery, QueryOptions, SampleQuery
 from cspace.world import CheckCancelled, Examined, World
 from cspace.worlds import robot_digest
@@ -231,16 +231,6 @@ class Bundle:
             seen = replace(seen, plan_calibration=calibration)
         return plan(seen, ends, wanted, check_cancelled)
 
-    def path_confidence(
-        self,
-        image: NDArray[np.uint8] | Picture,
-        path: NDArray[np.float64],
-        check_cancelled: CheckCancelled | None = None,
-    ) -> float:
-        """How confident the model is that a whole path, (k, d) rad, is free; whoever planned it."""
-        head, picture = self._head(), self._prepared(image)
-        return path_confidence(head.seen(self.spec, picture, check_cancelled), path)
-
     def golden_answer(self, image: NDArray[np.uint8], query: SampleQuery) -> SampleSet:
         """:meth:`answer`, or uniform samples where they are searched for, which needs more packages."""
         if self.spec.model_kind != WAYS:
@@ -296,9 +286,7 @@ class Bundle:
         graph, grid = self._graphs.belief, getattr(self.spec.world.sensor, "grid", None)
         if graph is None or grid is None:
             raise InputError(
-                "the model cannot tell what it takes the scene to be",
-                expected="a model of an arm that sees with depth cameras, with belief.onnx",
-                remedy="make the model again with this version of training",
+                "the model cannot tell what it takes the scene to be", expected="one with belief.onnx"
             )
         return graph, grid
 
@@ -313,12 +301,8 @@ class Bundle:
     def _network_image(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         shape = self.spec.world.sensor.picture_shape
         if getattr(image, "shape", None) != shape or image.dtype != np.uint8:
-            raise InputError(
-                "the picture does not fit the model",
-                expected=f"uint8 {shape}",
-                got=f"{getattr(image, 'dtype', type(image).__name__)} {getattr(image, 'shape', '')}",
-                remedy="read files with bundle.spec.world.read_picture(data)",
-            )
+            got = f"{getattr(image, 'dtype', type(image).__name__)} {getattr(image, 'shape', '')}"
+            raise InputError("the picture does not fit the model", expected=f"uint8 {shape}", got=got)
         return self.spec.world.sensor.to_network(image[None])
 
     def _replay(self, case: GoldenCase) -> None:
@@ -352,9 +336,7 @@ def write_bundle(
     contents = {SPEC_FILE: spec.to_json(), **{_GRAPH_FILES[name]: data for name, data in graphs.items()}}
     contents[GOLDEN_FILE] = (golden or _compute_golden(folder, contents)).to_npz()
     if folder.exists():
-        raise StorageError(
-            "the bundle's folder exists", expected="a new folder", got=folder.name, remedy="choose another"
-        )
+        raise StorageError("the bundle's folder exists", expected="a new folder", got=folder.name)
     with replacing(folder, "the bundle") as beside:
         beside.mkdir(parents=True)
         for name, data in {**contents, SUMS_FILE: sums_of(contents)}.items():

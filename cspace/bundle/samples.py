@@ -149,19 +149,9 @@ def _endpoint(spec: BundleSpec, name: str, angles: tuple[float, ...] | None) -> 
     if name not in spec.endpoints:
         if angles is None:
             return None
-        raise InputError(
-            f"the model takes no {name}",
-            expected=f"no {name} for a {spec.kind} model",
-            got=str(list(angles))[:200],
-            remedy=f"leave {name} out, or choose a path model",
-        )
+        raise InputError(f"the model takes no {name}", expected="a path model", got=f"a {spec.kind} model")
     if angles is None:
-        raise InputError(
-            f"the model needs a {name}",
-            expected=f"{spec.dim} angles in rad",
-            got="none",
-            remedy=f"send {name}",
-        )
+        raise InputError(f"the model needs a {name}", expected=f"{spec.dim} angles in rad", got="none")
     return fitted_end(spec, name, angles)
 
 
@@ -177,11 +167,8 @@ def fitted_end(
 ) -> tuple[float, ...]:
     """A start or goal, finite rad, as a bundle takes it: circles wrapped, in single precision."""
     if len(angles) != spec.dim:
-        raise InputError(
-            f"{name} does not fit the robot",
-            expected=f"{spec.dim} finite angles in rad",
-            got=str(list(angles))[:200],
-        )
+        expected = f"{spec.dim} finite angles in rad"
+        raise InputError(f"{name} does not fit the robot", expected=expected, got=str(list(angles))[:200])
     whose = "the robot's joints" if space is None else "this request"
     space = spec.world.space if space is None else space
     configuration = space.admitted(angles, f"{name} lies outside the limits of {whose}")

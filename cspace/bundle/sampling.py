@@ -454,7 +454,5 @@ def sampler_of(
     if generator is not None:
         return GeneratorSampler(spec, generator, head)
     if head is None:
-        raise BundleIntegrityError(
-            "a bundle of paths has no validity head", expected="validity.onnx", got="none"
-        )
+        raise BundleIntegrityError("a bundle of paths has no validity head", expected="validity.onnx")
     return PathSampler(spec, head)

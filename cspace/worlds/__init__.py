@@ -37,7 +37,7 @@ def read_world(values: object) -> World:
     kind = members.pop("kind", FIRST)
     if kind not in KINDS:
         raise ScenarioError(
-            "the world is unknown", expected=f"one of {', '.join(KINDS)}", got=repr(kind)[:200]
+            "the world is unknown", expected=f"one of {', '.join(KINDS)}", got=str(kind)[:200]
         )
     return cast("World", _part(kind, "world").read(members))
 
@@ -113,11 +113,7 @@ def simulator_of(world: World) -> Simulator:
 def partly_seen(world: World) -> PartlySeen:
     """Planning problems of a world that no picture shows whole."""
     if world.kind not in _PARTLY_SEEN:
-        raise ScenarioError(
-            "the world's pictures hide nothing",
-            expected=f"a world of the kind {', '.join(_PARTLY_SEEN)}",
-            got=world.kind,
-        )
+        raise ScenarioError("the world's pictures hide nothing", got=world.kind)
     return cast("PartlySeen", _part(world.kind, "benchmark").open_partly_seen(world))
 
 

@@ -42,8 +42,7 @@ class DiscScenes(Record):
         if not fits:
             raise ScenarioError(
                 "the family of scenes does not fit",
-                expected=f"1 to {MAX_DISCS} discs, radii and a range above 0, and room for the largest disc "
-                "off the base",
+                expected="room for the largest disc off the base",
                 got=str(self),
             )
 

@@ -280,10 +280,7 @@ class PlanarSimulator(Simulator):
     def _scenes(self) -> Scenes:
         if self.world.scenes is None:
             raise ScenarioError(
-                "nobody knows where this world's scenes come from",
-                expected="a family of scenes, or given ones",
-                got="data of one's own, whose obstacles are not known",
-                remedy="name a data set that holds scenes",
+                "nobody knows where this world's scenes come from", remedy="name a data set that holds scenes"
             )
         return self.world.scenes
 

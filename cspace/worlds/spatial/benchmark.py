@@ -44,6 +44,7 @@ BENCH_FAMILIES = (
 )
 # Of the hundred in each family.
 NUMBERS = {Split.VALIDATION: range(1, 31), Split.TEST: range(31, 101)}
+_FETCH = "python -m training.motionbench fetch --out FOLDER"
 SHIPPED = Path(__file__).with_name("motionbench")
 # Of the Panda's joints in the benchmark, wider than its maker's; some starts and goals need them.
 LIMITS_RAD = (
@@ -93,29 +94,15 @@ def problems(
     that ``python -m training.motionbench fetch`` filled; validation problems are read from where they ship
     unless it is given.
     """
-    if split not in NUMBERS:
-        raise DatasetError("the benchmark has no such split", expected="validation or test", got=str(split))
     wanted = tuple(families)
-    if unknown := sorted(set(wanted) - set(BENCH_FAMILIES)):
-        raise ScenarioError(
-            "families are unknown", expected=f"some of {', '.join(BENCH_FAMILIES)}", got=str(unknown)[:200]
-        )
     if folder is None and split is Split.TEST:
-        raise DatasetError(
-            "the benchmark's test problems do not ship",
-            expected="a folder that holds them",
-            got="none",
-            remedy="python -m training.motionbench fetch --out FOLDER",
-        )
+        raise DatasetError("the benchmark's test problems do not ship", remedy=_FETCH)
     path = _file(SHIPPED if folder is None else folder, split)
     try:
         values = parse_json(gzip.decompress(path.read_bytes()))
     except (OSError, EOFError, zlib.error, ValueError) as error:
         raise DatasetError(
-            "the benchmark's problems cannot be read",
-            expected="the file that python -m training.motionbench fetch writes",
-            got=f"{path}: {error}"[:300],
-            remedy="python -m training.motionbench fetch --out FOLDER",
+            "the benchmark's problems cannot be read", got=f"{path}: {error}"[:300], remedy=_FETCH
         ) from error
     found = read_object(_Problems, values, str(path), DatasetError).problems
     by_name = {(one.family, one.number): one for one in found}

@@ -141,7 +141,7 @@ def _check_pinhole(camera: DepthCamera) -> None:
             raise ScenarioError(
                 "the camera's focal length cannot be",
                 expected=f"a field of view of {MIN_FIELD_DEG:g} to {MAX_FIELD_DEG:g} degrees",
-                got=f"{focal!r} pixels for {side} pixels"[:200],
+                got=repr(focal)[:200],
             )
     # Of a picture that was cut out of a larger one it may lie beside it.
     for centre, side in ((camera.cx, camera.width), (camera.cy, camera.height)):
@@ -224,11 +224,7 @@ def camera_pose(camera: Mapping[str, Any]) -> Pose:
     """The pose of a camera's optical frame, of plain values, whose ``frame`` may be ``body``."""
     pose, frame = read_pose(camera.get("pose"), "the camera", ImageError), camera.get("frame", _FRAMES[0])
     if frame not in _FRAMES:
-        raise ImageError(
-            "the camera's frame is unknown",
-            expected="optical (x right, y down, z forward) or body (x forward, y left, z up)",
-            got=repr(frame)[:200],
-        )
+        raise ImageError("the camera's frame is unknown", expected="optical or body", got=repr(frame)[:200])
     return pose if frame == _FRAMES[0] else pose_of(np.array(pose) @ OPTICAL_IN_BODY)
 
 
@@ -339,9 +335,7 @@ def _check(picture: Image.Image) -> None:
     check_size(picture.height, picture.width)
     if not picture.mode.startswith("I"):
         raise ImageError(
-            "the picture is no depth picture",
-            expected="16-bit grey, mm along the optical axis, 0 = no reading",
-            got=f"a picture of mode {picture.mode}",
+            "the picture is no depth picture", expected="16-bit grey, mm", got=f"mode {picture.mode}"
         )
 
 

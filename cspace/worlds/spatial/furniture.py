@@ -414,7 +414,5 @@ class SpatialScenes(Record):
     def __post_init__(self) -> None:
         if self.room_m >= self.reach_m or not any(self.shares):
             raise ScenarioError(
-                "the families of scenes do not fit",
-                expected="a share above 0, and a reach beyond the room",
-                got=str(self)[:200],
+                "the families of scenes do not fit", expected="a share above 0, and a reach beyond the room"
             )

@@ -82,9 +82,7 @@ class Body(Record):
         given = [name for name in _SHAPES if getattr(self, name) is not None]
         if len(given) != 1:
             raise InputError(
-                f"the body {self.name!r} has no single shape",
-                expected=f"one of {', '.join(_SHAPES)}",
-                got=", ".join(given) or "none",
+                f"the body {self.name!r} has no single shape", expected=f"one of {', '.join(_SHAPES)}"
             )
         pose = self.pose
         if isinstance(pose, Mapping):
@@ -166,9 +164,7 @@ def read_stl(data: bytes, name: str) -> NDArray[np.float64]:
         )
     corners = np.frombuffer(data, dtype=_TRIANGLE, offset=84)["corners"].astype(np.float64)
     if not np.isfinite(corners).all() or np.abs(corners).max() > 1e6:
-        raise InputError(
-            f"the mesh {name} has corners that are none", expected="finite numbers", got="others"
-        )
+        raise InputError(f"the mesh {name} has corners that are no finite numbers")
     sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     corners = np.asarray(corners[np.linalg.norm(sides, axis=1) > 0.0])
     if not len(corners):
@@ -180,6 +176,4 @@ def _decoded(name: str, text: str) -> bytes:
     try:
         return base64.b64decode(text, validate=True)
     except (binascii.Error, ValueError) as error:
-        raise InputError(
-            f"the mesh {name} is not base64", expected="base64 of a binary STL", got=text[:50]
-        ) from error
+        raise InputError(f"the mesh {name} is not base64 of a binary STL", got=text[:50]) from error

@@ -37,9 +37,7 @@ def check_pose(pose: Pose, what: str, error: type[CspaceError] = ScenarioError) 
         or np.linalg.det(turn) < 0
     ):
         raise error(
-            f"{what} has a pose that is no rotation",
-            expected="orthonormal rows and columns without a reflection",
-            got=str(turn.tolist()),
+            f"{what} has a pose that is no rotation", expected="orthonormal axes", got=str(turn.tolist())
         )
     if tuple(matrix[3]) != HERE[3]:
         raise error(f"{what} has a pose that is none", expected="a last row 0 0 0 1", got=str(pose[3]))
@@ -65,7 +63,7 @@ def read_pose(values: object, what: str, error: type[CspaceError] = ScenarioErro
         if max(map(abs, quaternion)) > 2.0 or abs(np.linalg.norm(quaternion) - 1.0) > _QUATERNION_TOLERANCE:
             raise error(
                 f"{what} has a quaternion that is no rotation",
-                expected="x, y, z, w with a norm of 1",
+                expected="a norm of 1",
                 got=repr(quaternion)[:200],
             )
         rows = quaternion_pose(place, quaternion)

@@ -133,10 +133,7 @@ def draw_problem(
                 return SpatialProblem(layout, path[0], path[-1], kind, path, rejected)
             rejected += 1
     raise ScenarioError(
-        f"no problem of the kind {kind} was found",
-        expected=f"one in {MAX_DRAWS} scenes of {family or 'any family'}",
-        got="none",
-        remedy="other scenes, or another arm",
+        f"no problem of the kind {kind} was found in {MAX_DRAWS} scenes of {family or 'any family'}"
     )
 
 

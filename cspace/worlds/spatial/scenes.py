@@ -282,10 +282,7 @@ def scenes_of(world: SpatialWorld) -> SpatialScenes:
     """The families that a world's scenes come from."""
     if world.scenes is None:
         raise ScenarioError(
-            "nobody knows where this world's scenes come from",
-            expected="families of scenes",
-            got="data of one's own, whose obstacles are not known",
-            remedy="name a data set that holds scenes",
+            "nobody knows where this world's scenes come from", remedy="name a data set that holds scenes"
         )
     return world.scenes
 

@@ -311,7 +311,5 @@ def read_scene(world: SpatialWorld, values: Values) -> SpatialScene:
 def given(scenes: list[SpatialScene]) -> None:
     """None: scenes of one's own are planned in, not learned from."""
     raise ScenarioError(
-        "scenes of this world are not learned from as files",
-        expected="families of scenes, or recordings of your own",
-        got=f"{len(scenes)} scene files",
+        "scenes of this world are not learned from as files", got=f"{len(scenes)} scene files"
     )

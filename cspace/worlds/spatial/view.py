@@ -67,8 +67,8 @@ class DepthView:
             if picture.shape != camera.picture_shape or picture.dtype != np.uint16:
                 raise ImageError(
                     "the depth picture does not fit its camera",
-                    expected=f"uint16 of {camera.width} x {camera.height} pixels",
-                    got=f"{picture.dtype} of shape {picture.shape}",
+                    expected=f"uint16 {camera.picture_shape}",
+                    got=f"{picture.dtype} {picture.shape}",
                 )
             if not in_range(picture).any():
                 read = picture[picture > 0]
@@ -156,7 +156,7 @@ def _for_each(state: States, pictures: int) -> tuple[State | None, ...]:
     if len(state) != pictures:
         raise ImageError(
             "the states do not fit the pictures",
-            expected=f"one for all, or a list of {pictures}: one, or null, for each picture",
+            expected=f"one for all, or a list of {pictures}",
             got=f"{len(state)} states",
         )
     return cast("tuple[State | None, ...]", state)
