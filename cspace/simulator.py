@@ -8,7 +8,7 @@ from copy import copy
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -183,27 +183,11 @@ class Checker:
         return np.asarray(self.kernels.shortened(rows, draws, resolution_rad, self.scene))
 
     def _rows(self, configurations: ArrayLike) -> NDArray[np.float64]:
-        return np.ascontiguousarray(configurations, dtype=np.float64)
-
-
-class ToolConstraints(Protocol):
-    """Constraints on the tool of an arm in space; see :func:`cspace.worlds.tool_constraints`."""
-
-    max_rad: float
-    """Largest angle of the axis that stays near a direction."""
-
-    @property
-    def reach(self) -> str:
-        """The goal's tolerances in words."""
-
-    def goals(self, space: JointSpace, rng: np.random.Generator) -> NDArray[np.float64]:
-        """Distinct configurations within a space's limits that bring the tool to its goal, (n, d) rad."""
-
-    def angles_rad(self, configurations: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Between the axis and its direction at (N, d) rad, (N,)."""
-
-    def upright(self, checkers: Sequence[Checker], ends: NDArray[np.float64]) -> list[Checker]:
-        """Checkers that also keep the axis near its direction, of those whose angle holds at (n, d) rad."""
+        rows = np.ascontiguousarray(configurations, dtype=np.float64)
+        # Compiled code does not look where its arrays end.
+        if rows.ndim != 2 or rows.shape[1] != self.space.dim:
+            raise ScenarioError(f"configurations (N, {self.space.dim}) were expected", got=str(rows.shape))
+        return rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -392,41 +376,3 @@ class ProblemRequest:
     aim: str = "goal"  # what cameras look at: `goal`, or `scene` for the middle of all obstacles
     folder: Path | None = None  # of problems that do not ship; None where none are needed
     held: bool = False  # whether the robot holds what its goal grasps, and planners know this and the table
-
-
-class ValidityChecker(Protocol):
-    """Checks states exactly, beside a checker."""
-
-    def valid_batch(self, configurations: ArrayLike) -> NDArray[np.bool_]:
-        """Which of (N, d) rad are free, (N,)."""
-
-
-class PartlySeen(Protocol):
-    """See this module."""
-
-    @property
-    def sources(self) -> dict[str, tuple[str, ...]]:
-        """Families of problems by where they come from."""
-
-    @property
-    def hard(self) -> tuple[str, ...]:
-        """The families that planners find hard although all is known; none where nobody looked."""
-
-    @property
-    def grasping(self) -> tuple[str, ...]:
-        """The families whose goals grasp something on a table."""
-
-    def count(self, family: str, split: Split) -> int | None:
-        """How many problems a family has; None where they are drawn without end."""
-
-    def problem(self, request: ProblemRequest, family: str, index: int, pictures: int) -> Problem | None:
-        """A problem, seen in so many pictures; None where an end collides or nothing in reach is seen."""
-
-    def checkers(self, problem: Problem, image: Image, taken: Taken) -> Sequence[Checker]:
-        """Checks by what a picture shows and what the rest is taken to be, the most careful first."""
-
-    def unseen(self, image: Image, configurations: ArrayLike) -> NDArray[np.float64]:
-        """Share of the robot that a picture does not show to be free, at (N, d) rad, (N,)."""
-
-    def mesh_checker(self, problem: Problem, folder: Path | None = None) -> ValidityChecker | None:
-        """The mesh checker of a problem; None where meshes or checker are not installed."""

@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import lru_cache
 from hashlib import sha256
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import PlainSerializer, PlainValidator
 
 from cspace.errors import InputError, ScenarioError
-from cspace.simulator import Checker, PartlySeen, Simulator, ToolConstraints
+from cspace.simulator import Checker, Simulator
 from cspace.strict_json import read_object
 from cspace.world import Body, Image, Known, NextView, Scene, World
 
@@ -25,8 +26,10 @@ from cspace.world import Body, Image, Known, NextView, Scene, World
 # has ``benchmark`` with ``open_partly_seen`` and ``next_view`` (NumPy alone) with ``best_view``; one whose
 # robot has a tool ``constraints`` with ``ToolConstraints``.
 KINDS = ("planar", "spatial")
-_PARTLY_SEEN = ("spatial",)
-WITH_TOOL = ("spatial",)
+_PARTLY_SEEN, WITH_TOOL = (
+    tuple(kind for kind in KINDS if find_spec(f"{__name__}.{kind}.{part}"))
+    for part in ("benchmark", "constraints")
+)
 # What files are of that do not name their kind: older than kinds are.
 FIRST = "planar"
 
@@ -110,11 +113,11 @@ def simulator_of(world: World) -> Simulator:
     return cast("Simulator", _part(world.kind, "simulator").open_simulator(world))
 
 
-def partly_seen(world: World) -> PartlySeen:
-    """Planning problems of a world that no picture shows whole."""
+def partly_seen(world: World) -> Any:
+    """Planning problems of a world that no picture shows whole, as ``SpatialPartlySeen``."""
     if world.kind not in _PARTLY_SEEN:
         raise ScenarioError("the world's pictures hide nothing", got=world.kind)
-    return cast("PartlySeen", _part(world.kind, "benchmark").open_partly_seen(world))
+    return _part(world.kind, "benchmark").open_partly_seen(world)
 
 
 def seen_checkers(
@@ -134,8 +137,8 @@ def load_known(world: World) -> None:
 
 def tool_constraints(
     world: World, goal_pose: Mapping[str, Any] | None, upright: Mapping[str, Any] | None
-) -> ToolConstraints | None:
-    """What a plan asks of the tool; None where that is nothing."""
+) -> Any:
+    """The ``ToolConstraints`` of a plan; None without any."""
     if goal_pose is None and upright is None:
         return None
     if world.kind not in WITH_TOOL:
@@ -145,9 +148,7 @@ def tool_constraints(
             got=f"a world of the kind {world.kind}",
             remedy="send goal as a configuration",
         )
-    return cast(
-        "ToolConstraints", _part(world.kind, "constraints").ToolConstraints(world.body, goal_pose, upright)
-    )
+    return _part(world.kind, "constraints").ToolConstraints(world.body, goal_pose, upright)
 
 
 def best_view(

@@ -139,7 +139,7 @@ FINGERS_M = 0.065
 
 @dataclass(frozen=True, slots=True)
 class SpatialPartlySeen:
-    """See :class:`cspace.simulator.PartlySeen`."""
+    """Planning problems of an arm that pictures show in part, by family."""
 
     world: SpatialWorld
 
