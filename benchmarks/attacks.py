@@ -25,7 +25,7 @@ import pandas as pd
 
 from benchmarks.command import arguments
 from benchmarks.machine import ROOT, machine
-from cspace.png import encode_png
+from cspace.files import encode_png
 from cspace.worlds.spatial.camera import encode_depth
 
 CONNECTIONS, PAUSE_S, MIB = 4, 0.02, 2**20

@@ -13,129 +13,17 @@ from numpy.typing import NDArray
 
 from cspace.errors import DamagedFileError, DatasetError, StorageError
 from cspace.files import make_output_folder, map_npy, read_bounded, replacing
-from cspace.simulator import ORIGINS
 from cspace.space import JointSpace
 from cspace.strict_json import adapter_of, json_text, parse_json, read_object, validated
 from cspace.world import World
-from cspace.worlds import FIRST, WorldField
+from cspace.worlds import WorldField
 
-_BLOCK = 1_000_000
 # Of each configuration, free or in collision: how far it is from contact, and how it was drawn.
 ATTRIBUTES: dict[str, type] = {
     f"{name}_{what}": dtype
     for name in ("free", "collision")
     for what, dtype in (("clearance", np.float32), ("origin", np.uint8))
 }
-
-
-def check_arrays(
-    arrays: Mapping[str, NDArray[Any]],
-    world: World,
-    required: Sequence[str],
-    optional: Sequence[str],
-) -> None:
-    """Check names, shapes, types, offsets and angles."""
-    optional = (*optional, *world.scene_files)
-    missing, unknown = set(required) - set(arrays), set(arrays) - set(required) - set(optional)
-    if missing or unknown:
-        raise DatasetError(
-            "the data set's files do not fit",
-            expected=f"{', '.join(required)} and optionally {', '.join(optional)}",
-            got=f"without {sorted(missing)}, with {sorted(unknown)}",
-        )
-    picture = world.sensor.picture_shape
-    scenarios = len(arrays["images"])
-    _must("images.npy", arrays["images"], np.uint8, (None, *picture))
-    if scenarios == 0:
-        raise DatasetError("images.npy is empty", expected="at least one scenario", got="none")
-    if "extra_images" in arrays:
-        _must("extra_images.npy", arrays["extra_images"], np.uint8, (None, *picture))
-    world.check_scenes(arrays, scenarios)
-    _must_own("free", arrays, world.space, scenarios)
-    if "collision" in arrays or "collision_offsets" in arrays:
-        _must_own("collision", arrays, world.space, scenarios)
-    for name in set(ATTRIBUTES) & set(arrays):
-        _check_attribute(name, arrays)
-    if {"paths", "path_offsets", "path_scenario"} & set(arrays):
-        _must_hold_paths(arrays, world.space, scenarios)
-
-
-def _must(file: str, array: NDArray[Any], dtype: type, shape: tuple[int | None, ...]) -> None:
-    fits = array.ndim == len(shape) and all(
-        want in (None, have) for want, have in zip(shape, array.shape, strict=True)
-    )
-    if array.dtype != dtype or not fits:
-        wanted = ", ".join("any" if size is None else str(size) for size in shape)
-        raise DatasetError(
-            f"{file} does not fit",
-            expected=f"{np.dtype(dtype)} of shape ({wanted})",
-            got=f"{array.dtype} of shape {array.shape}",
-        )
-
-
-def _must_own(name: str, arrays: Mapping[str, NDArray[Any]], space: JointSpace, scenarios: int) -> None:
-    if name not in arrays or f"{name}_offsets" not in arrays:
-        raise DatasetError(f"{name}.npy and {name}_offsets.npy belong together", got="only one of them")
-    _must_be_angles(f"{name}.npy", arrays[name], space)
-    _must_be_offsets(f"{name}_offsets.npy", arrays[f"{name}_offsets"], scenarios, len(arrays[name]))
-
-
-def _check_attribute(name: str, arrays: Mapping[str, NDArray[Any]]) -> None:
-    rows, what = name.split("_")
-    if rows not in arrays:
-        raise DatasetError(f"{name}.npy belongs to {rows}.npy", got="the first alone")
-    _must(f"{name}.npy", arrays[name], ATTRIBUTES[name], (len(arrays[rows]),))
-    values = arrays[name]
-    fits = values < len(ORIGINS) if what == "origin" else (values > 0.0 if rows == "free" else values <= 0.0)
-    if not fits.all():
-        raise DatasetError(
-            f"{name}.npy does not fit",
-            expected=f"below {len(ORIGINS)}" if what == "origin" else "m, above 0 where free, else not",
-            got=str(values[~fits][0]),
-        )
-
-
-def _must_hold_paths(arrays: Mapping[str, NDArray[Any]], space: JointSpace, scenarios: int) -> None:
-    if not {"paths", "path_offsets", "path_scenario"} <= set(arrays):
-        raise DatasetError(
-            "paths.npy, path_offsets.npy and path_scenario.npy belong together", got="some of them"
-        )
-    _must_be_angles("paths.npy", arrays["paths"], space)
-    owner = arrays["path_scenario"]
-    _must("path_scenario.npy", owner, np.int64, (None,))
-    _must_be_offsets("path_offsets.npy", arrays["path_offsets"], len(owner), len(arrays["paths"]))
-    if len(owner) and not (owner.min() >= 0 and owner.max() < scenarios):
-        raise DatasetError(
-            "path_scenario.npy does not fit",
-            expected=f"0 to {scenarios - 1}",
-            got=f"{owner.min()} to {owner.max()}",
-        )
-
-
-def _must_be_angles(file: str, array: NDArray[Any], space: JointSpace) -> None:
-    _must(file, array, np.float32, (None, space.dim))
-    for start in range(0, len(array), _BLOCK):
-        block = array[start : start + _BLOCK]
-        inside = space.holds(block)
-        if not inside.all():
-            raise DatasetError(
-                f"{file} holds values that are no angles",
-                expected="finite rad, in [-pi, pi) or within the joint's limits",
-                got=str(block[~inside][0]),
-                remedy="bring them there with JointSpace.to_float32 of cspace.space",
-            )
-
-
-def _must_be_offsets(file: str, offsets: NDArray[Any], parts: int, rows: int) -> None:
-    _must(file, offsets, np.int64, (parts + 1,))
-    if offsets[0] != 0 or offsets[-1] != rows or (np.diff(offsets) < 0).any():
-        raise DatasetError(
-            f"{file} does not fit",
-            expected=f"rising from 0 to {rows}",
-            got=f"from {offsets[0]} to {offsets[-1]}",
-        )
-
-
 SCHEMA_VERSION = 2
 MANIFEST_FILE = "manifest.json"
 # Of a data set with some hundred files it has some 100 KiB.
@@ -144,21 +32,17 @@ MAX_MANIFEST_BYTES = 16 * 2**20
 
 @validated(DatasetError)
 class Manifest:
-    """A data set's description.
-
-    Args:
-        files: SHA-256 of each file by its name.
-    """
+    """A data set's description."""
 
     world: WorldField
     counts: Mapping[str, int]
     generator: Mapping[str, Any]
-    files: Mapping[str, str]
+    files: Mapping[str, str]  # SHA-256 of each file by its name
 
     @property
     def digest(self) -> str:
         """One SHA-256 over the world and all files; two data sets with equal content share it."""
-        content = {**self._world(), "files": dict(self.files)}
+        content = {**self.world.to_dict(), "files": dict(self.files)}
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
     def to_json(self) -> str:
@@ -177,13 +61,6 @@ class Manifest:
         if manifest.digest != digest:
             raise DamagedFileError(f"{path} is damaged", expected=str(digest)[:200], got=manifest.digest)
         return manifest
-
-    def _world(self) -> dict[str, Any]:
-        # A world of the first kind without its name, so that the digests of older data sets stay.
-        world = self.world.to_dict()
-        return (
-            {key: value for key, value in world.items() if key != "kind"} if world["kind"] == FIRST else world
-        )
 
 
 def _read_members(path: Path) -> dict[str, Any]:
@@ -212,11 +89,6 @@ def file_digest(path: Path) -> str:
         return hashlib.file_digest(handle, "sha256").hexdigest()
 
 
-REQUIRED = ("images", "free", "free_offsets")
-OPTIONAL = (
-    *("collision", "collision_offsets", "paths", "path_offsets", "path_scenario", "extra_images"),
-    *ATTRIBUTES,
-)
 # Room that stays free on the disk after a data set has been written.
 RESERVE_BYTES = 256 * 2**20
 
@@ -309,11 +181,7 @@ class Dataset:
 
 
 def open_dataset(folder: Path, *, verify: bool = True) -> Dataset:
-    """Open a data-set folder.
-
-    Args:
-        verify: whether every file's digest is computed and compared.
-    """
+    """Open a data-set folder. ``verify``: whether every file's digest is computed and compared."""
     folder = Path(folder)
     manifest = Manifest.read(folder)
     for name, expected in manifest.files.items():
@@ -325,7 +193,6 @@ def open_dataset(folder: Path, *, verify: bool = True) -> Dataset:
                 f"{path} is damaged", expected=f"SHA-256 {expected}", got=got, remedy="make or copy it again"
             )
     arrays = {Path(name).stem: map_npy(folder / name, DamagedFileError) for name in manifest.files}
-    check_arrays(arrays, manifest.world, REQUIRED, OPTIONAL)
     return Dataset(folder, manifest, arrays)
 
 
@@ -344,30 +211,51 @@ def write_dataset(
 ) -> Dataset:
     """Write a data set beside its place and rename it, so that it appears whole or not at all.
 
-    Args:
-        images: (S, P, P, 3).
-        free: one (n_i, d) rad array a scenario.
-        attributes: what is told of each configuration, one (n_i,) array a scenario, by the file's name.
-        paths: (scenario, waypoints (t, d) rad) each.
-        extra_images: (E, P, P, 3).
+    ``images``: (S, P, P, 3). ``free``: one (n_i, d) rad array a scenario. ``attributes``: what is told of
+    each configuration, one (n_i,) array a scenario, by the file's name. ``paths``: (scenario, waypoints (t,
+    d) rad) each. ``extra_images``: (E, P, P, 3).
     """
-    arrays: dict[str, NDArray[Any]] = {"images": images, **_rows("free", free, world.space)}
-    if collision is not None:
-        arrays |= _rows("collision", collision, world.space)
+    arrays: dict[str, NDArray[Any]] = {
+        name: np.asarray(array, np.float64) for name, array in (scenes or {}).items()
+    }
+    world.check_scenes(arrays, len(images))
+    arrays |= {"images": images} | ({} if extra_images is None else {"extra_images": extra_images})
+    for name in {"images", "extra_images"} & set(arrays):
+        _check_pictures(name, arrays[name], world.sensor.picture_shape)
+    for name, parts in (("free", free), ("collision", collision)):
+        if parts is not None:
+            arrays |= _rows(name, parts, world.space)
+            _check_count(f"{name}_offsets", len(parts), len(images))
     arrays |= {
         name: np.concatenate(parts).astype(ATTRIBUTES[name]) for name, parts in (attributes or {}).items()
     }
     if paths is not None:
         waypoints = _rows("paths", [path for _, path in paths], world.space)
-        arrays |= {"paths": waypoints["paths"], "path_offsets": waypoints["paths_offsets"]}
-        arrays["path_scenario"] = np.array([scenario for scenario, _ in paths], dtype=np.int64)
-    arrays |= {name: np.asarray(array, dtype=np.float64) for name, array in (scenes or {}).items()}
-    arrays |= {} if extra_images is None else {"extra_images": extra_images}
-    check_arrays(arrays, world, REQUIRED, OPTIONAL)
+        owners = np.array([scenario for scenario, _ in paths], dtype=np.int64)
+        _check_count("path_scenario", max(owners.tolist(), default=-1) + 1, len(images), at_most=True)
+        arrays |= {
+            "paths": waypoints["paths"],
+            "path_offsets": waypoints["paths_offsets"],
+            "path_scenario": owners,
+        }
     counted = (name for name in arrays if not name.endswith("_offsets") and name not in ATTRIBUTES)
     counts = {name: len(arrays[name]) for name in counted}
     _write(Path(folder), arrays, Manifest(world, counts, generator, {}))
     return open_dataset(folder, verify=False)
+
+
+def _check_pictures(name: str, images: NDArray[Any], shape: tuple[int, ...]) -> None:
+    if images.dtype != np.uint8 or images.shape[1:] != shape or not len(images):
+        raise DatasetError(
+            f"{name} do not fit",
+            expected=f"uint8 (n, {', '.join(map(str, shape))}), n above 0",
+            got=f"{images.dtype} {images.shape}",
+        )
+
+
+def _check_count(name: str, got: int, scenarios: int, *, at_most: bool = False) -> None:
+    if got > scenarios or (got < scenarios and not at_most):
+        raise DatasetError(f"{name} do not fit the pictures", expected=f"{scenarios} scenarios", got=str(got))
 
 
 def require_room(folder: Path, needed_bytes: int) -> None:
@@ -406,8 +294,6 @@ def _rows(name: str, parts: Sequence[NDArray[Any]], space: JointSpace) -> dict[s
     offsets = np.cumsum([0, *(len(array) for array in arrays)], dtype=np.int64)
     joined = np.concatenate(arrays) if arrays else np.empty((0, dim))
     if not np.isfinite(joined).all():
-        raise DatasetError(
-            f"{name} holds values that are not finite", expected="angles in rad", got="nan or inf"
-        )
+        raise DatasetError(f"{name} holds values that are not finite", expected="angles in rad")
     taken = space.admitted(joined, f"{name} holds configurations outside the robot's limits", DatasetError)
     return {name: space.to_float32(taken), f"{name}_offsets": offsets}

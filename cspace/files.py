@@ -1,20 +1,23 @@
-"""Files: bounded reads, atomic writes, lock files, and untrusted .npy files."""
+"""Files: bounded reads, atomic writes, lock files, and untrusted .npy, PNG and YAML files."""
 
 import fcntl
 import io
 import json
+import re
 import secrets
 import shutil
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
-from cspace.errors import CspaceError, StorageError
+from cspace.errors import CspaceError, ImageError, StorageError
 
 # How the names of half-written things begin and end, for those who clear up after killed processes.
 HALF_PREFIX, HALF_SUFFIX = ".write-", ".tmp"
@@ -40,11 +43,7 @@ def read_bounded(
 
 @contextmanager
 def replacing(path: Path, what: str | None = None) -> Iterator[Path]:
-    """A path beside another, for a file or a folder that takes its place when the block ends well.
-
-    Args:
-        path: where it is to be; a file there is replaced, a folder that is not empty is not.
-    """
+    """A path beside another, for a file or an empty folder, that takes its place when the block ends well."""
     # Processes on several machines may write the same file at the same time.
     beside = path.with_name(f"{HALF_PREFIX}{path.name}-{secrets.token_hex(4)}{HALF_SUFFIX}")
     try:
@@ -53,11 +52,7 @@ def replacing(path: Path, what: str | None = None) -> Iterator[Path]:
     except OSError as error:
         if what is None:
             raise
-        raise StorageError(
-            f"{what} cannot be written",
-            expected=f"room and rights where {path.name} is to be",
-            got=error.strerror or type(error).__name__,
-        ) from error
+        raise StorageError(f"{what} cannot be written", got=error.strerror or type(error).__name__) from error
     finally:
         discard(beside)
 
@@ -70,10 +65,7 @@ def write_json(path: Path, values: Mapping[str, Any], indent: int | None = None)
 
 @contextmanager
 def holding(path: Path, busy: CspaceError, wait_s: float = 0.0, look_every_s: float = 0.2) -> Iterator[None]:
-    """Hold a lock file, which is made when it is not there and stays; threads exclude each other, too.
-
-    The system frees it when the process ends, however it ends.
-    """
+    """Hold a lock file, which stays; the system frees it when the process ends, however it ends."""
     until_s = time.monotonic() + wait_s
     with path.open("a", encoding="utf-8") as handle:
         while True:
@@ -88,10 +80,7 @@ def holding(path: Path, busy: CspaceError, wait_s: float = 0.0, look_every_s: fl
 
 
 def make_output_folder(folder: Path) -> None:
-    """Make a folder for output that ignores itself, with its parents.
-
-    A folder that holds something already is left as it is: it may be the user's own.
-    """
+    """Make a folder for output, which ignores itself unless it holds something already."""
     folder.mkdir(parents=True, exist_ok=True)
     if not any(folder.iterdir()):
         ignore(folder)
@@ -111,21 +100,15 @@ def discard(path: Path) -> None:
             path.unlink()
 
 
-def read_npy(data: bytes, types: tuple[str, ...], axes: int | tuple[int, ...]) -> NDArray[Any]:
-    """An untrusted ``.npy`` file of version 1.0; the array shares its memory.
-
-    Args:
-        types: that the array may have, as ``.npy`` writes them: ``<f4``.
-        axes: number of the array's axes, or those that it may have.
-    """
-    stream = io.BytesIO(data)
-    if np.lib.format.read_magic(stream) != (1, 0):
-        raise ValueError("an array of another version")
-    shape, is_fortran, kind = np.lib.format.read_array_header_1_0(stream, max_header_size=512)
-    if kind.str not in types or len(shape) not in ((axes,) if isinstance(axes, int) else axes):
-        raise ValueError(f"an array of type {kind} and shape {shape}")
-    found = np.frombuffer(data, dtype=kind, offset=stream.tell())
-    return found.reshape(shape, order="F" if is_fortran else "C")
+def read_npy(data: bytes, types: tuple[str, ...], axes: int) -> NDArray[Any]:
+    """An untrusted ``.npy`` file of one of the types, as ``<f4``, and of so many axes; else a ValueError."""
+    try:
+        found = np.load(io.BytesIO(data), allow_pickle=False)
+    except (EOFError, MemoryError) as error:
+        raise ValueError(str(error) or "an array that does not end") from error
+    if not isinstance(found, np.ndarray) or found.dtype.str not in types or found.ndim != axes:
+        raise ValueError(f"an array of type {getattr(found, 'dtype', None)} and shape {np.shape(found)}")
+    return found
 
 
 def map_npy(path: Path, error: type[CspaceError]) -> NDArray[Any]:
@@ -137,3 +120,75 @@ def map_npy(path: Path, error: type[CspaceError]) -> NDArray[Any]:
         got = str(problem)[:200] or type(problem).__name__
         raise error(f"{path} is no array", expected="a .npy file of numbers", got=got) from problem
     return mapped
+
+
+def open_png(data: bytes, check: Callable[[Image.Image], None]) -> Image.Image:
+    """An untrusted PNG file as Pillow decodes it; ``check`` refuses it by mode and size before that."""
+    try:
+        picture = Image.open(io.BytesIO(data), formats=["PNG"])
+        if getattr(picture, "is_animated", False):
+            raise ImageError("the picture is animated", expected="one frame")  # noqa: TRY301
+        check(picture)
+        picture.load()
+    except ImageError:
+        raise
+    except Exception as error:
+        # All, for there is no list of what a decoder raises for bytes from outside. Some of Pillow's messages
+        # hold an object's address, which is nobody's business.
+        text = str(error)
+        raise ImageError(
+            "the picture is not a PNG, or damaged",
+            expected="a complete PNG file",
+            got=type(error).__name__ if not text or "0x" in text else text[:200],
+        ) from error
+    return picture
+
+
+def encode_png(image: NDArray[np.uint8]) -> bytes:
+    """A picture, (H, W, 3) uint8 or (H, W) uint16, as PNG bytes."""
+    buffer = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(image)).save(buffer, format="PNG")
+    return buffer.getvalue()
+
+
+# Aliases can stand for parts with aliases: with so many, for e^(20 / e) or 1,600 times the text.
+MAX_YAML_BYTES, MAX_ALIASES = 2**20, 20
+
+
+def read_yaml_file(path: Path, error: type[CspaceError]) -> Any:
+    """The values of a file, as :func:`read_yaml` gives them."""
+    return read_yaml(read_bounded(path, MAX_YAML_BYTES, error), str(path), error)
+
+
+def read_yaml(text: bytes | str, name: str, error: type[CspaceError]) -> Any:
+    """The plain values of a text, YAML or JSON, of at most 1 MiB; None where it is empty."""
+    if len(text) > MAX_YAML_BYTES:
+        raise error(f"{name} is too large", expected=f"at most {MAX_YAML_BYTES} bytes", got=f"{len(text)}")
+    yaml, loader = _yaml()
+    try:
+        return yaml.load(text, Loader=loader)
+    except (yaml.YAMLError, RecursionError, ValueError) as problem:
+        raise error(f"{name} is no YAML", expected="YAML or JSON", got=str(problem)[:200]) from problem
+
+
+@cache
+def _yaml() -> tuple[Any, Any]:
+    # Not every installation has it.
+    import yaml  # noqa: PLC0415
+
+    class Loader(yaml.SafeLoader):
+        """Safe, with few aliases, and reads the numbers of JSON as such: YAML 1.1 takes 1e-3 for a text."""
+
+        aliases = 0
+
+        def compose_node(self, parent: Any, index: Any) -> Any:
+            if self.check_event(yaml.AliasEvent):
+                self.aliases += 1
+                whole = self.anchors.get(self.peek_event().anchor)  # type: ignore[no-untyped-call]
+                if self.aliases > MAX_ALIASES or (whole is not None and whole.end_mark is None):
+                    raise yaml.YAMLError(f"more than {MAX_ALIASES} aliases, or one within what it names")
+            return super().compose_node(parent, index)
+
+    number = re.compile(r"-?(?:0|[1-9]\d*)(?:\.\d+)?[eE][-+]?\d+")
+    Loader.add_implicit_resolver("tag:yaml.org,2002:float", number, list("-0123456789"))
+    return yaml, Loader

@@ -8,7 +8,7 @@ from copy import copy
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,23 +29,16 @@ OWN = "own"
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A planning problem.
-
-    Args:
-        start: (d,) rad.
-        goal: (d,) rad.
-        bottleneck_rad: largest clearance at which start and goal stay connected; 0 without a path, NaN where
-            nobody looked.
-        rejected: draws before it that were not of the family.
-    """
+    """A planning problem."""
 
     scenario: Scene
-    start: NDArray[np.float64]
-    goal: NDArray[np.float64]
+    start: NDArray[np.float64]  # (d,) rad
+    goal: NDArray[np.float64]  # (d,) rad
     family: str = OWN
+    # Largest clearance at which start and goal stay connected; 0 without a path, NaN where nobody looked
     bottleneck_rad: float = math.nan
     seed: int = 0
-    rejected: int = 0
+    rejected: int = 0  # draws before it that were not of the family
 
     @property
     def passage(self) -> str:
@@ -170,15 +163,10 @@ class Checker:
     ) -> tuple[int, int, int, int]:
         """Grow RRT-Connect's trees by a block of states (n, d).
 
-        Args:
-            nodes: (2, m, d) rad, the start's tree and the goal's; grown in place, and so the rest.
-            parents: (2, m), -1 for the roots.
-            counts: (2,) nodes in use.
-            checks: (2,) counts on: edges, and states within them and alone.
-            states: sampled ones, in order.
-
-        Returns:
-            Iterations done, whose turn it is, and the node that both trees share, -1 twice without one.
+        ``nodes``: (2, m, d) rad, the start's tree and the goal's; grown in place, and so the rest.
+        ``parents``: (2, m), -1 for the roots. ``counts``: (2,) nodes in use. ``checks``: (2,) counts on:
+        edges, and states within them and alone. ``states``: sampled ones, in order. Returns iterations done,
+        whose turn it is, and the node that both trees share, -1 twice without one.
         """
         trees = (nodes, parents, counts, checks, states, side, range_rad, resolution_rad)
         grown: tuple[int, int, int, int] = self.kernels.grow_trees(*trees, self.scene)
@@ -187,14 +175,7 @@ class Checker:
     def shortened(
         self, path: ArrayLike, rng: np.random.Generator, shortcuts: int, resolution_rad: float
     ) -> NDArray[np.float64]:
-        """The path with straight pieces between random points of it wherever these are free and shorter.
-
-        Args:
-            path: (k, d) rad, k at least 2.
-
-        Returns:
-            (n, d) rad with the same ends, no longer than before.
-        """
+        """The path (k, d) rad with free pieces straight between random points where these are shorter."""
         rows = np.array(path, dtype=np.float64)
         draws = rng.random((shortcuts, 2))
         # Spans of all sizes: corners are cut by short ones, detours by long ones.
@@ -203,33 +184,10 @@ class Checker:
 
     def _rows(self, configurations: ArrayLike) -> NDArray[np.float64]:
         rows = np.ascontiguousarray(configurations, dtype=np.float64)
+        # Compiled code does not look where its arrays end.
         if rows.ndim != 2 or rows.shape[1] != self.space.dim:
-            raise ScenarioError(
-                "the configurations do not fit the robot",
-                expected=f"shape (N, {self.space.dim})",
-                got=str(rows.shape),
-            )
+            raise ScenarioError(f"configurations (N, {self.space.dim}) were expected", got=str(rows.shape))
         return rows
-
-
-class ToolConstraints(Protocol):
-    """Constraints on the tool of an arm in space; see :func:`cspace.worlds.tool_constraints`."""
-
-    max_rad: float
-    """Largest angle of the axis that stays near a direction."""
-
-    @property
-    def reach(self) -> str:
-        """The goal's tolerances in words."""
-
-    def goals(self, space: JointSpace, rng: np.random.Generator) -> NDArray[np.float64]:
-        """Distinct configurations within a space's limits that bring the tool to its goal, (n, d) rad."""
-
-    def angles_rad(self, configurations: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Between the axis and its direction at (N, d) rad, (N,)."""
-
-    def upright(self, checkers: Sequence[Checker], ends: NDArray[np.float64]) -> list[Checker]:
-        """Checkers that also keep the axis near its direction, of those whose angle holds at (n, d) rad."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,22 +208,18 @@ class Families:
 
 @dataclass(frozen=True, slots=True)
 class Measures:
-    """Numbers that fit one world: how samples and plans are measured there, and what its training assumes.
-
-    Args:
-        range_rad: longest step of a planner's tree, the sum over the joints; it decides how strong the
-            uniform baseline is.
-        coverage_share: of what as many real samples cover; a sampler of configurations that covers less is
-            not promoted. None where samples cover nothing that could be told by balls.
-        margins: the metrics by which a version is compared with champions that were not measured beside it,
-            and how much worse than the best of them it may be.
-    """
+    """Numbers that fit one world: how samples and plans are measured there, and what its training assumes."""
 
     coverage_radius_rad: float
     near_contact_m: float
+    # Longest step of a planner's tree, the sum over the joints; it decides how strong the uniform baseline is
     range_rad: float
     resolution_rad: float
+    # Of what as many real samples cover; a sampler of configurations that covers less is not promoted. None
+    # where samples cover nothing that could be told by balls.
     coverage_share: float | None
+    # The metrics by which a version is compared with champions that were not measured beside it, and how much
+    # worse than the best of them it may be
     margins: Mapping[str, float]
     path_margins: Mapping[str, float]
     free_share: float
@@ -278,15 +232,10 @@ ORIGINS = ("uniform", "near contact", "about ends", "along paths", "along mistak
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Proposals:
-    """Configurations of a scene that are worth labelling, free ones and others.
+    """Configurations of a scene that are worth labelling, free ones and others."""
 
-    Args:
-        configurations: (n, d) rad, within the limits.
-        origins: (n,) uint8, places in :data:`ORIGINS`.
-    """
-
-    configurations: NDArray[np.float64]
-    origins: NDArray[np.uint8]
+    configurations: NDArray[np.float64]  # (n, d) rad, within the limits
+    origins: NDArray[np.uint8]  # (n,) uint8, places in :data:`ORIGINS`
 
 
 def near_contact(
@@ -349,31 +298,18 @@ class Simulator(ABC):
     def group_hits(
         self, arrays: Mapping[str, NDArray[Any]], configurations: ArrayLike, groups: int
     ) -> NDArray[np.bool_]:
-        """Which groups of the robot's spheres touch an obstacle, (N, G); see :meth:`World.grid_arm`.
-
-        Args:
-            configurations: (N, d) rad.
-        """
+        """Which groups of the robot's spheres touch an obstacle at (N, d) rad, (N, G)."""
         del arrays, configurations
-        raise ConfigError(
-            f"robots of the {self.world.kind} world have no spheres",
-            expected="a head that reads along links",
-            got=f"one of {groups} groups of spheres",
-        )
+        raise ConfigError(f"robots of the {self.world.kind} world have no {groups} groups of spheres")
 
     def require(self, family: str) -> None:
         """Refuse a family that the robot has no problems of."""
         names = self.families.names
         if family not in names:
-            raise ScenarioError(
-                "there is no such family", expected=f"one of {', '.join(names)}", got=repr(family)
-            )
+            raise ScenarioError("there is no such family", expected=f"one of {', '.join(names)}", got=family)
 
     def narrow_pairs(self, scene: Scene, configurations: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Pairs of free configurations (n, d) rad that a narrow passage joins and nothing wider, (k, 2).
-
-        There are none where the world does not tell narrow passages.
-        """
+        """Pairs (k, 2) of free configurations (n, d) rad that a narrow passage joins and nothing wider."""
         del scene, configurations
         return np.empty((0, 2), dtype=np.int64)
 
@@ -381,11 +317,7 @@ class Simulator(ABC):
     def ends(
         self, scene: Scene, free: NDArray[np.float64], rng: np.random.Generator, count: int
     ) -> Iterable[NDArray[np.float64]]:
-        """Starts and goals as problems of a scene have them, at most so many, each (2, d) rad and free.
-
-        Args:
-            free: (n, d) rad, uniform ones that are free.
-        """
+        """At most so many starts and goals as problems of a scene have them, each (2, d) rad and free."""
 
     @abstractmethod
     def path_search(self, scene: Scene) -> PathSearch:
@@ -437,54 +369,10 @@ class Taken(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ProblemRequest:
-    """Which problems are requested, and how they are seen.
-
-    Args:
-        aim: what cameras look at: ``goal``, or ``scene`` for the middle of all obstacles.
-        folder: of problems that do not ship; None where none are needed.
-        held: whether the robot holds what its goal grasps, and planners know this and the table.
-    """
+    """Which problems are requested, and how they are seen."""
 
     split: Split
     seed: int = 0
-    aim: str = "goal"
-    folder: Path | None = None
-    held: bool = False
-
-
-class ValidityChecker(Protocol):
-    """Checks states exactly, beside a checker."""
-
-    def valid_batch(self, configurations: ArrayLike) -> NDArray[np.bool_]:
-        """Which of (N, d) rad are free, (N,)."""
-
-
-class PartlySeen(Protocol):
-    """See this module."""
-
-    @property
-    def sources(self) -> dict[str, tuple[str, ...]]:
-        """Families of problems by where they come from."""
-
-    @property
-    def hard(self) -> tuple[str, ...]:
-        """The families that planners find hard although all is known; none where nobody looked."""
-
-    @property
-    def grasping(self) -> tuple[str, ...]:
-        """The families whose goals grasp something on a table."""
-
-    def count(self, family: str, split: Split) -> int | None:
-        """How many problems a family has; None where they are drawn without end."""
-
-    def problem(self, request: ProblemRequest, family: str, index: int, pictures: int) -> Problem | None:
-        """A problem, seen in so many pictures; None where an end collides or nothing in reach is seen."""
-
-    def checkers(self, problem: Problem, image: Image, taken: Taken) -> Sequence[Checker]:
-        """Checks by what a picture shows and what the rest is taken to be, the most careful first."""
-
-    def unseen(self, image: Image, configurations: ArrayLike) -> NDArray[np.float64]:
-        """Share of the robot that a picture does not show to be free, at (N, d) rad, (N,)."""
-
-    def mesh_checker(self, problem: Problem, folder: Path | None = None) -> ValidityChecker | None:
-        """The mesh checker of a problem; None where meshes or checker are not installed."""
+    aim: str = "goal"  # what cameras look at: `goal`, or `scene` for the middle of all obstacles
+    folder: Path | None = None  # of problems that do not ship; None where none are needed
+    held: bool = False  # whether the robot holds what its goal grasps, and planners know this and the table

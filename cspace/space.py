@@ -29,11 +29,7 @@ MIN_RANGE_RAD = 1e-3
 
 
 def wrap(angles: ArrayLike) -> NDArray[np.float64]:
-    """Angles brought into [-pi, pi).
-
-    Args:
-        angles: any shape, rad.
-    """
+    """Angles brought into [-pi, pi). ``angles``: any shape, rad."""
     wrapped = np.mod(np.asarray(angles, dtype=np.float64) + np.pi, 2.0 * np.pi) - np.pi
     # The modulo of a tiny negative number rounds up to the full period.
     return np.where(wrapped >= np.pi, -np.pi, wrapped)
@@ -63,18 +59,12 @@ def to_float32(angles: ArrayLike) -> NDArray[np.float32]:
 
 @dataclass(frozen=True, slots=True)
 class JointSpace:
-    """A robot's joint space: circles for periodic joints, intervals for the others.
+    """A robot's joint space: circles for periodic joints, intervals for the others."""
 
-    Args:
-        lower: lower end of each joint, rad; -pi where periodic.
-        upper: upper end of each joint, rad; pi where periodic.
-        periodic: whether the joint is a circle.
-        names: of the joints, for messages; none where they are numbered from 1.
-    """
-
-    lower: tuple[float, ...]
-    upper: tuple[float, ...]
-    periodic: tuple[bool, ...]
+    lower: tuple[float, ...]  # lower end of each joint, rad; -pi where periodic
+    upper: tuple[float, ...]  # upper end of each joint, rad; pi where periodic
+    periodic: tuple[bool, ...]  # whether the joint is a circle
+    # Of the joints, for messages; none where they are numbered from 1
     names: tuple[str, ...] = field(default=(), compare=False)
 
     @property
@@ -140,10 +130,7 @@ class JointSpace:
         return np.clip(self.bound(configurations).astype(np.float32), low, high)
 
     def embed(self, configurations: ArrayLike) -> NDArray[np.float64]:
-        """(..., d) to cosines of all circles, then their sines, then the other joints as they are in rad.
-
-        Near any configuration distances are those of the joint space.
-        """
+        """(..., d) to cosines of all circles, then their sines, then the other joints as they are in rad."""
         configurations = np.asarray(configurations, dtype=np.float64)
         circles = np.asarray(self.periodic)
         return np.concatenate([embed(configurations[..., circles]), configurations[..., ~circles]], axis=-1)
@@ -181,12 +168,8 @@ class JointSpace:
         Limited joints are clamped to their limits where they lie up to ``LIMIT_TOLERANCE_RAD`` beyond, as
         values in single precision do. Circles stay as they are, within ``MAX_CIRCLE_RAD`` of 0.
 
-        Args:
-            configurations: (d,) or (n, d) rad.
-            what: the clause of the error's message, as "start lies outside the robot's limits".
-
-        Returns:
-            The same, clamped.
+        ``configurations``: (d,) or (n, d) rad. ``what``: the clause of the error's message, as "start lies
+        outside the robot's limits". Returns the same, clamped.
         """
         values = np.asarray(configurations, dtype=np.float64)
         low = np.where(self.periodic, -MAX_CIRCLE_RAD, self.lower)
@@ -207,10 +190,7 @@ class JointSpace:
         )
 
     def holds(self, configurations: Floats) -> NDArray[np.bool_]:
-        """Which values of (..., d) lie in their joint's range, circles in [-pi, pi).
-
-        Limits are compared in the precision of the values, for they may have been rounded to it.
-        """
+        """Which values of (..., d) lie in their joint's range, compared in the precision of the values."""
         low, high = (np.asarray(ends, dtype=configurations.dtype) for ends in (self.lower, self.upper))
         limited = (configurations >= low) & (configurations <= high)
         exact = configurations.astype(np.float64)
@@ -219,16 +199,12 @@ class JointSpace:
     def narrowed(self, limits: Sequence[Sequence[float] | None]) -> "JointSpace":
         """The space whose joints keep to narrower ranges.
 
-        Args:
-            limits: for each joint low and high, rad, or None where it stays as it is. A circle with a range
-                is a limited joint: its angles are the numbers from low to high, at any turn.
+        ``limits``: for each joint low and high, rad, or None where it stays as it is. A circle with a range
+        is a limited joint: its angles are the numbers from low to high, at any turn.
         """
         if len(limits) != self.dim:
-            raise InputError(
-                "limits do not fit the robot",
-                expected=f"{self.dim} entries, each [low, high] in rad, or null for the joint's own",
-                got=f"{len(limits)} entries",
-            )
+            expected = f"{self.dim} entries, each [low, high] in rad, or null for the joint's own"
+            raise InputError("limits do not fit the robot", expected=expected, got=f"{len(limits)} entries")
         ends = [list(self.lower), list(self.upper)]
         for joint, given in enumerate(limits):
             if given is None:
@@ -251,22 +227,13 @@ class JointSpace:
         return JointSpace(tuple(ends[0]), tuple(ends[1]), periodic, self.names)
 
     def unwrap(self, path: ArrayLike, start: ArrayLike) -> NDArray[np.float64]:
-        """A path (k, d) rad whose circles go on beyond [-pi, pi) instead of jumping, (k, d) rad.
-
-        Args:
-            path: (k, d) rad.
-            start: (d,) rad, the first of its configurations, circles at any turn: there they begin.
-        """
+        """A path (k, d) rad whose circles go on beyond [-pi, pi) from a start (d,) instead of jumping."""
         rows = np.asarray(path, dtype=np.float64)
         going_on = np.unwrap(np.concatenate([np.asarray(start, dtype=np.float64)[None], rows]), axis=0)[1:]
         return np.where(self.periodic, going_on, rows)
 
     def to_dict(self) -> dict[str, Any]:
-        """The joint space as bundles and answers write it.
-
-        ``torus`` where all joints are circles, ``box`` where none is, else ``mixed``; the latter two with the
-        ends of every joint's range.
-        """
+        """As bundles and answers write it: a ``torus`` of circles, a ``box`` without, else ``mixed``."""
         kind = "torus" if self.is_torus else "mixed" if any(self.periodic) else "box"
         said: dict[str, Any] = {"kind": kind, "dim": self.dim, "unit": "rad"}
         if not self.is_torus:
@@ -289,22 +256,15 @@ def _towards(ends: Sequence[float], inside: Sequence[float]) -> NDArray[np.float
 
 @dataclass(frozen=True, slots=True)
 class Standardisation:
-    """An affine map to zero mean and unit variance, per joint.
+    """An affine map to zero mean and unit variance, per joint."""
 
-    Args:
-        mean: (d,) rad.
-        std: (d,) rad, positive.
-    """
-
-    mean: tuple[float, ...]
-    std: tuple[float, ...]
+    mean: tuple[float, ...]  # (d,) rad
+    std: tuple[float, ...]  # (d,) rad, positive
 
     def __post_init__(self) -> None:
         if len(self.mean) != len(self.std) or any(not value > 0.0 for value in self.std):
             raise ScenarioError(
-                "the standardisation does not fit",
-                expected="one mean and one positive deviation a joint",
-                got=f"mean {self.mean}, std {self.std}",
+                "the standardisation does not fit", expected="positive deviations", got=str(self)
             )
 
     @classmethod
@@ -315,11 +275,3 @@ class Standardisation:
             tuple(float(v) for v in configurations.mean(axis=0)),
             tuple(float(v) for v in configurations.std(axis=0)),
         )
-
-    def standardise(self, configurations: ArrayLike) -> NDArray[np.float64]:
-        """(..., d) rad to (..., d) without unit."""
-        return np.asarray((np.asarray(configurations, dtype=np.float64) - self.mean) / self.std)
-
-    def restore(self, standardised: ArrayLike) -> NDArray[np.float64]:
-        """The inverse of :meth:`standardise`."""
-        return np.asarray(np.asarray(standardised, dtype=np.float64) * self.std + self.mean)

@@ -30,9 +30,7 @@ def json_text(values: object, what: str, error: type[CspaceError]) -> str:
         return json.dumps(values, indent=2, sort_keys=True, allow_nan=False) + "\n"
     except (TypeError, ValueError) as problem:
         raise error(
-            f"{what} is not plain JSON",
-            expected="finite numbers, texts, lists and mappings",
-            got=str(problem),
+            f"{what} is not plain JSON", expected="plain finite values", got=str(problem)
         ) from problem
 
 
@@ -108,10 +106,7 @@ class Record:
 
 
 def read_object(kind: type[Kind], values: object, where: str, error: type[CspaceError]) -> Kind:
-    """A value of a type that pydantic knows, of plain values; the inverse of :func:`written`.
-
-    Nothing is converted but whole numbers where others belong, and lists to tuples.
-    """
+    """A value of a type that pydantic knows, of plain values; only whole numbers and lists are converted."""
     try:
         text = json.dumps(values, default=repr)
         return cast("Kind", adapter_of(kind).validate_json(text, strict=True))  # type: ignore[arg-type] # hashable

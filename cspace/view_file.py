@@ -2,7 +2,7 @@
 
 A view file is a line and the pictures' files behind it, one after the other. The line is the word
 ``cspace-view``, the version 1, and an object in JSON with ``pictures`` (their sizes in bytes), ``cameras``
-(each in a form of :func:`cspace.worlds.spatial.camera_info.read_pinhole`; ``link`` and ``stamp_s`` may stand
+(each in a form of :func:`cspace.worlds.spatial.camera.read_pinhole`; ``link`` and ``stamp_s`` may stand
 beside it), ``state`` (rad, or null where the robot is in no picture, or a list with one or the other for each
 picture) and, where the unit of the pictures is another, ``depth_scale_m`` (metres per unit); ``known`` is the
 size in bytes of a planning scene in JSON behind the pictures, where there is one. The world that takes the
@@ -35,19 +35,14 @@ _AHEAD_S = 1.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """Untrusted pictures of one scene, and what was sent beside them.
-
-    Args:
-        state: likewise, for all pictures or a list with one for each; None where the robot is in no picture.
-        depth_scale_m: likewise, metres per unit of the pictures; None for mm.
-        known: JSON of a planning scene; None without one.
-    """
+    """Untrusted pictures of one scene, and what was sent beside them."""
 
     pictures: Sequence[bytes]
     cameras: Sequence[object] = ()
+    # Likewise, for all pictures or a list with one for each; None where the robot is in no picture
     state: object = None
-    depth_scale_m: object = None
-    known: bytes | None = None
+    depth_scale_m: object = None  # likewise, metres per unit of the pictures; None for mm
+    known: bytes | None = None  # JSON of a planning scene; None without one
 
     @classmethod
     def of(cls, data: "bytes | View") -> "View":
@@ -92,9 +87,7 @@ def pack_view(
     header |= {} if known is None else {"known": len(known)}
     line = json.dumps(header, separators=(",", ":")).encode()
     if len(line) > _MAX_LINE_BYTES:
-        raise ImageError(
-            "the cameras are too long", expected=f"at most {_MAX_LINE_BYTES} bytes", got=f"{len(line)} bytes"
-        )
+        raise ImageError("the cameras are too long", expected=f"at most {_MAX_LINE_BYTES} bytes")
     return b"".join((_MAGIC, line, b"\n", *pictures, known or b""))
 
 
@@ -112,7 +105,7 @@ def unpack_view(data: bytes) -> View:
     line, _, rest = data.removeprefix(_MAGIC).partition(b"\n")
     if not is_view(data) or len(line) > _MAX_LINE_BYTES:
         raise ImageError(
-            "the file is no view", expected=f"a file that begins with {_MAGIC!r}", got=repr(data[:20])
+            "the file is no view", expected=f"one that begins with {_MAGIC!r}", got=repr(data[:20])
         )
     try:
         header = adapter_of(_Line).validate_json(line)
@@ -144,11 +137,7 @@ def unstamped(cameras: Sequence[object]) -> tuple[list[object], list[float | Non
 
 
 def check_ages(stamps_s: Sequence[float | None], max_age_s: float, now_s: float) -> None:
-    """Refuse pictures that are too old, or from the future.
-
-    Args:
-        stamps_s: when each picture was taken, seconds since the epoch; None where that is not known.
-    """
+    """Refuse pictures that are too old, or from the future, by their stamps, seconds since the epoch."""
     for number, stamp in enumerate(stamps_s):
         if stamp is None:
             raise InputError(

@@ -90,16 +90,13 @@ class Body(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """Something about a picture that makes answers from it worse or wrong; answers carry it as a warning.
-
-    Args:
-        pictures: numbers of the pictures that it is about, from 0; none where it is about all.
-    """
+    """Something about a picture that makes answers from it worse or wrong; answers carry it as a warning."""
 
     code: str
     seen: str
     effect: str
     remedy: str
+    # Numbers of the pictures that it is about, from 0; none where it is about all
     pictures: tuple[int, ...] = ()
 
     @property
@@ -110,19 +107,15 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """Why a configuration is not free.
+    """Why a configuration is not free."""
 
-    Args:
-        kind: ``known`` body, ``self``, ``seen`` surface, or space that is ``hidden`` behind a surface,
-            ``unread``, or ``out of view``.
-        depth_m: how deep, 0 or more; 0 for space that nobody saw.
-    """
-
+    # `known` body, `self`, `seen` surface, or space that is `hidden` behind a surface, `unread`, or `out of
+    # view`
     kind: str
     link: str
     other: str
     position_m: tuple[float, float, float]
-    depth_m: float
+    depth_m: float  # how deep, 0 or more; 0 for space that nobody saw
 
     @property
     def text(self) -> str:
@@ -158,32 +151,21 @@ class Known(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Examined:
-    """Pictures that were read, and what is to be said of them.
+    """Pictures that were read, and what is to be said of them."""
 
-    Args:
-        images: uint8 (b, ...).
-        without_state: whether it is not known where the robot stands in them.
-        known: beside the pictures; None where they are all.
-    """
-
-    images: Image
+    images: Image  # uint8 (b, ...)
     findings: tuple[Finding, ...] = ()
-    without_state: bool = False
-    known: Known | None = None
+    without_state: bool = False  # whether it is not known where the robot stands in them
+    known: Known | None = None  # beside the pictures; None where they are all
     pictures: int = 1
 
 
 @dataclass(frozen=True, slots=True)
 class SuggestedPose:
-    """Where a camera seems to stand instead of where it was said to.
+    """Where a camera seems to stand instead of where it was said to."""
 
-    Args:
-        picture: number of its picture, from 0.
-        pose: rows of a 4 x 4 matrix, of the optical frame in the base frame, m.
-    """
-
-    picture: int
-    pose: tuple[tuple[float, ...], ...]
+    picture: int  # number of its picture, from 0
+    pose: tuple[tuple[float, ...], ...]  # rows of a 4 x 4 matrix, of the optical frame in the base frame, m
     offset_m: float
     turn_deg: float
 
@@ -210,27 +192,18 @@ class Diagnosis:
 
 @dataclass(frozen=True, slots=True)
 class NextView:
-    """A camera that would see more.
-
-    Args:
-        sees: share of the cost along a path that lies on space it would see, 0 to 1.
-    """
+    """A camera that would see more."""
 
     camera: Mapping[str, Any]
-    sees: float
+    sees: float  # share of the cost along a path that lies on space it would see, 0 to 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Levers:
-    """Where pictures are read: (cos, sin) of the links' directions times ``levers``, plus ``origin``.
+    """Where pictures are read: (cos, sin) of the links' directions times ``levers``, plus ``origin``."""
 
-    Args:
-        levers: (2 d, 2 K) float32.
-        origin: (2 K,) float32, shares of the picture's width, then of its height.
-    """
-
-    levers: NDArray[np.float32]
-    origin: NDArray[np.float32]
+    levers: NDArray[np.float32]  # (2 d, 2 K) float32
+    origin: NDArray[np.float32]  # (2 K,) float32, shares of the picture's width, then of its height
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -239,50 +212,35 @@ class GridArm:
 
     Frame 0 is the base, frame i is fixed behind joint i. Pictures are (X, Y, Z, 2) uint8, distance to what is
     seen and what is known of each voxel.
-
-    Args:
-        origins: (d, 4, 4) of each joint in the frame before it, m.
-        axes: (d, 3) unit vectors that joints turn about.
-        spheres_m: (S, 4) centres in their frames, and radii.
-        own_radii_m: (S,) of the same spheres, by which they are held apart from each other.
-        links: (S,) the frame of each sphere.
-        touching: pairs of sets of spheres, numbers (a,) and (b,), that must not touch each other.
-        group_spheres_m: (G, 4), each of which holds a group of spheres.
-        group_links: (G,) their frames.
-        members: (G, most) numbers of the spheres in each group, the first repeated behind the last.
-        low_m: (3,) lowest corner of the grid in the base frame.
-        no_reading: code of the second channel; 0 is seen free, what is between is behind a surface.
     """
 
-    origins: NDArray[np.float64]
-    axes: NDArray[np.float64]
-    spheres_m: NDArray[np.float64]
-    own_radii_m: NDArray[np.float64]
-    links: NDArray[np.int64]
+    origins: NDArray[np.float64]  # (d, 4, 4) of each joint in the frame before it, m
+    axes: NDArray[np.float64]  # (d, 3) unit vectors that joints turn about
+    spheres_m: NDArray[np.float64]  # (S, 4) centres in their frames, and radii
+    own_radii_m: NDArray[np.float64]  # (S,) of the same spheres, by which they are held apart from each other
+    links: NDArray[np.int64]  # (S,) the frame of each sphere
+    # Pairs of sets of spheres, numbers (a,) and (b,), that must not touch each other
     touching: tuple[tuple[NDArray[np.int64], NDArray[np.int64]], ...]
-    group_spheres_m: NDArray[np.float64]
-    group_links: NDArray[np.int64]
+    group_spheres_m: NDArray[np.float64]  # (G, 4), each of which holds a group of spheres
+    group_links: NDArray[np.int64]  # (G,) their frames
+    # (G, most) numbers of the spheres in each group, the first repeated behind the last
     members: NDArray[np.int64]
-    low_m: NDArray[np.float64]
+    low_m: NDArray[np.float64]  # (3,) lowest corner of the grid in the base frame
     voxel_m: float
     distance_step_m: float
-    no_reading: int
+    no_reading: int  # code of the second channel; 0 is seen free, what is between is behind a surface
     out_of_view: int
 
 
 class World(ABC):
-    """A robot and how it is seen; each kind is a frozen dataclass of these fields.
-
-    Attributes:
-        scenes: where they come from: a family, or given ones; None where nobody knows.
-        scene_files: names of a data set's arrays that hold scenes, where their geometry is known.
-    """
+    """A robot and how it is seen; each kind is a frozen dataclass of these fields."""
 
     __slots__ = ()
     kind: ClassVar[str]
     body: Body
     sensor: Sensor
-    scenes: Any
+    scenes: Any  # where they come from: a family, or given ones; None where nobody knows
+    # Names of a data set's arrays that hold scenes, where their geometry is known
     scene_files: ClassVar[tuple[str, ...]]
 
     @property
@@ -320,11 +278,7 @@ class World(ABC):
         start: ArrayLike | None = None,
         colliding: float = 0.0,
     ) -> tuple[Finding, ...]:
-        """What an answer to pictures without the robot's state shows of a state that is missing.
-
-        Args:
-            start: (d,) rad, of a plan.
-        """
+        """What an answer to pictures without the robot's state shows of a state that is missing."""
         del image, start, colliding
         return ()
 
@@ -332,56 +286,30 @@ class World(ABC):
     def contact(
         self, configuration: NDArray[np.floating], image: Image, known: Known | None
     ) -> Contact | None:
-        """What is in the way of a configuration (d,) rad, or unseen about it.
-
-        None where nothing is; in worlds that are seen whole only what is known is.
-        """
-
-    @abstractmethod
-    def blank_picture(self) -> bytes:
-        """The file of a picture that shows nothing."""
+        """What is in the way of a configuration (d,) rad, or unseen about it; None where nothing is."""
 
     def levers(self, points_per_link: int, side_m: float) -> Levers:
-        """Where K points of the robot lie in its pictures.
-
-        Args:
-            side_m: distance of the two rows of points beside each link, m; with 0 the middle row is alone.
-        """
+        """Where K points of the robot lie in its pictures, in rows ``side_m`` beside each link."""
         raise ConfigError(
             f"pictures of the {self.kind} world are not read along links",
-            expected="look-ups of the planar world for the planar world alone",
             got=f"{points_per_link} points a link, {side_m} m beside it",
         )
 
     def grid_arm(self, groups: int) -> GridArm:
         """What a network that reads arrays of space has to know of the robot."""
-        raise ConfigError(
-            f"pictures of the {self.kind} world are no arrays of space",
-            expected="a head that reads along links",
-            got=f"one of {groups} groups of spheres",
-        )
+        raise ConfigError(f"pictures of the {self.kind} world are no arrays of space", got=f"{groups} groups")
 
     @abstractmethod
     def check_scenes(self, arrays: Arrays, count: int) -> None:
         """Check those of the arrays that hold scenes."""
 
     def among(self, data: "World", arrays: Arrays) -> Self:
-        """The same robot and sensor in the scenes of a data set.
-
-        Args:
-            arrays: of the data set; all scenes in them count as held out where ``data`` knows none.
-        """
+        """The same robot and sensor in the scenes of a data set with these arrays."""
         if data.kind != self.kind or data.body != self.body:
-            raise ScenarioError(
-                "the data set is another robot's", expected=str(self.body)[:200], got=str(data.body)[:200]
-            )
+            raise ScenarioError("the data set is another robot's", got=str(data.body)[:200])
         scenes = self.held_out(arrays) if data.scenes is None else data.scenes
         if scenes is None:
-            raise ScenarioError(
-                "the data set holds no scenes",
-                expected="obstacles, by which samples can be checked",
-                got="pictures and configurations alone",
-            )
+            raise ScenarioError("the data set holds no scenes", expected="obstacles, to check samples by")
         found: Self = replace(cast("Any", self), scenes=scenes)
         return found
 

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from cspace.bundle import Bundle, SampleSet
 from cspace.errors import CspaceError
-from cspace.png import encode_png
+from cspace.files import encode_png
 from cspace.simulator import Problem, Split
 from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.problems import Family, draw_problem
-from cspace.worlds.planar.render import render
+from cspace.worlds.planar.simulator import render
 from services.planner.ompl_planner import solve
 from services.planner.plotting import GOAL, plot_configurations, plot_workspace
 from services.planner.result import PlannerSettings, PlanResult

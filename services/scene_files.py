@@ -17,11 +17,11 @@ from pydantic import ValidationError
 from pydantic.json_schema import GenerateJsonSchema
 
 from cspace.errors import InputError, ScenarioError
+from cspace.files import read_yaml, read_yaml_file
 from cspace.simulator import Problem
 from cspace.strict_json import refused
 from cspace.world import Scene, World
 from cspace.worlds import FIRST, KINDS, named_world
-from cspace.yaml_file import read_yaml, read_yaml_file
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,4 +114,4 @@ def _naming(path: Path) -> Iterator[None]:
 
 
 def _part(kind: str) -> Any:
-    return import_module(f"cspace.worlds.{kind}.scene_file")
+    return import_module(f"cspace.worlds.{kind}.simulator")

@@ -8,10 +8,10 @@ from pydantic import Field, ValidationError, ValidationInfo, field_validator, mo
 
 from cspace.dataset import Manifest
 from cspace.errors import ConfigError, InputError
+from cspace.files import read_yaml, read_yaml_file
 from cspace.strict_json import refused
 from cspace.world import World
 from cspace.worlds import default_world, simulator_of
-from cspace.yaml_file import read_yaml, read_yaml_file
 from services.names import model_name
 from services.registry.entities import ModelReference, flatten
 from training.data.config import DatasetConfig, GeneratedConfig, PathDatasetConfig

@@ -3,11 +3,9 @@
 import math
 import os
 import re
-import threading
-import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from collections.abc import Set as AbstractSet
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -39,11 +37,7 @@ _FOLDERS = re.compile(r"(?:[A-Za-z]:)?(?:[\w.~+-]*[/\\])+")
 
 @cache
 def onnx_runtime() -> Any:
-    """The module ``onnxruntime``, imported when the first graph is opened.
-
-    Its official builds report on their use to their maker from the import on. This project sends nothing
-    anywhere: the environment variable that switches it off is set, unless the user has set it.
-    """
+    """The module ``onnxruntime``; official builds report on their use to their maker unless told not to."""
     os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
     import onnxruntime  # noqa: PLC0415 - only after the variable is set
 
@@ -52,10 +46,7 @@ def onnx_runtime() -> Any:
 
 @cache
 def share_arena() -> None:
-    """Give all sessions of this process one arena, which fails to grow beyond :data:`ARENA_BYTES`.
-
-    A run that needs more raises. Without this each session has an arena of its own that grows without an end.
-    """
+    """Give all sessions of this process one arena, which fails to grow beyond :data:`ARENA_BYTES`."""
     ort, container = onnx_runtime(), container_bytes()
     most = ARENA_BYTES if container is None else min(ARENA_BYTES, int(container * CONTAINER_SHARE))
     place = ort.OrtMemoryInfo("Cpu", ort.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0, ort.OrtMemType.DEFAULT)
@@ -84,65 +75,6 @@ def said(error: BaseException) -> str:
     """What a library's error says, without folders of the machine and of a bounded length."""
     text = str(error) or type(error).__name__
     return _FOLDERS.sub("", text[: 4 * _LONGEST])[:_LONGEST]
-
-
-RUN_LIMIT_S = 30.0
-# How late a run is ended at most, about.
-TICK_S = 0.25
-
-
-class Deadlines:
-    """What has to have ended by when. The thread starts with the first entry."""
-
-    def __init__(self) -> None:
-        self._ends: dict[object, tuple[float, Callable[[], None]]] = {}
-        self._thread: threading.Thread | None = None
-        self._starting = threading.Lock()
-
-    def begin(self, key: object, limit_s: float, end: Callable[[], None]) -> None:
-        """Call ``end`` once ``limit_s`` have passed, unless :meth:`done` was called before.
-
-        Args:
-            limit_s: above 0.
-        """
-        self._ends[key] = (time.monotonic() + limit_s, end)
-        thread = self._thread
-        # Not alive in a child process, which has inherited all but the thread.
-        if thread is None or not thread.is_alive():
-            self._start()
-
-    def done(self, key: object) -> None:
-        """The entry has ended by itself, or was ended."""
-        self._ends.pop(key, None)
-
-    @contextmanager
-    def ended_by(self, limit_s: float, end: Callable[[], None]) -> Iterator[None]:
-        """Call ``end`` where the block takes longer; the arguments are those of :meth:`begin`."""
-        key = object()
-        self.begin(key, limit_s, end)
-        try:
-            yield
-        finally:
-            self.done(key)
-
-    def _start(self) -> None:
-        with self._starting:
-            if self._thread is None or not self._thread.is_alive():
-                self._thread = threading.Thread(target=self._watch, name="bundle-deadlines", daemon=True)
-                self._thread.start()
-
-    def _watch(self) -> None:
-        while True:
-            time.sleep(TICK_S)
-            now = time.monotonic()
-            # A copy in one step, for runs come and go meanwhile.
-            for key, (deadline, end) in list(self._ends.items()):
-                if now >= deadline:
-                    self.done(key)
-                    end()
-
-
-DEADLINES = Deadlines()
 
 
 # Bound the memory and the time of one call; fixed sizes, so that they can not move a result. What one call
@@ -182,13 +114,18 @@ class Graph:
         model: bytes,
         inputs: set[str],
         outputs: set[str],
-        run_limit_s: float = RUN_LIMIT_S,
         optional: AbstractSet[str] = frozenset(),
     ) -> None:
-        self._name, self._limit_s = name, run_limit_s
-        self._new_run = onnx_runtime().RunOptions
+        self._name = name
         share_arena()
-        self._session = self._opened(model, _options())
+        try:
+            self._session = onnx_runtime().InferenceSession(
+                model, _options(), providers=["CPUExecutionProvider"]
+            )
+        except onnx_errors() as error:
+            raise BundleIntegrityError(
+                f"{name} cannot be opened", expected="an ONNX graph", got=said(error)
+            ) from error
         self.inputs = {node.name for node in self._session.get_inputs()}
         self._shapes = {node.name: node.shape for node in self._session.get_outputs()}
         self.outputs = set(self._shapes)
@@ -205,74 +142,39 @@ class Graph:
         is_fixed = all(isinstance(size, int) and size >= 0 for size in found)
         if not is_fixed or math.prod(found) > MAX_OUTPUT_ELEMENTS:
             raise BundleIntegrityError(
-                f"{self._name}: the shape of {output} is not fixed",
-                expected=f"numbers, at most {MAX_OUTPUT_ELEMENTS} elements",
-                got=str(found)[:200],
+                f"{self._name}: the shape of {output} is not fixed", got=str(found)[:200]
             )
         return tuple(found)
 
     def run(
         self, feeds: Mapping[str, NDArray[np.float32]], outputs: Mapping[str, tuple[int, ...]]
     ) -> dict[str, NDArray[np.float32]]:
-        """Evaluate the graph.
-
-        Returns:
-            Output name to float32 array.
-        """
+        """The outputs by name, float32 of the shapes asked for."""
+        options = onnx_runtime().RunOptions()
         try:
-            found = self._run(list(outputs), dict(feeds), self._new_run())
-        except onnx_errors() as error:
-            if _FULL not in str(error):
-                raise BundleError(f"{self._name} failed", got=said(error)) from error
-            # A run with this option gives back at its end what earlier runs left in pieces, failed or not.
-            again = self._new_run()
-            again.add_run_config_entry("memory.enable_memory_arena_shrinkage", "cpu:0")
             try:
-                found = self._run(list(outputs), dict(feeds), again)
-            except onnx_errors() as second:
-                raise BundleError(f"{self._name} failed", got=said(second)) from second
+                found = self._session.run(list(outputs), dict(feeds), options)
+            except onnx_errors() as error:
+                if _FULL not in str(error):
+                    raise
+                # Such a run gives back at its end what earlier runs left in pieces, failed or not.
+                options.add_run_config_entry("memory.enable_memory_arena_shrinkage", "cpu:0")
+                found = self._session.run(list(outputs), dict(feeds), options)
+        except onnx_errors() as error:
+            raise BundleError(f"{self._name} failed", got=said(error)) from error
         return {
             name: self._checked(name, array, shape)
             for (name, shape), array in zip(outputs.items(), found, strict=True)
         }
 
-    def _run(self, outputs: list[str], feeds: dict[str, NDArray[np.float32]], options: Any) -> Any:
-        def end() -> None:
-            options.terminate = True
-
-        try:
-            with DEADLINES.ended_by(self._limit_s, end):
-                return self._session.run(outputs, feeds, options)
-        except onnx_errors() as error:
-            if not options.terminate:
-                raise
-            raise BundleError(
-                f"{self._name} did not end in time",
-                expected=f"an answer within {self._limit_s:g} s",
-                remedy="ask for fewer samples, or export a graph that computes less",
-            ) from error
-
-    def _opened(self, model: bytes, options: Any) -> Any:
-        """A session; between two of its steps, opening one is ended like a run."""
-        cancel = options.set_load_cancellation_flag
-        try:
-            with DEADLINES.ended_by(self._limit_s, lambda: cancel(True)):  # noqa: FBT003 - the library's way
-                return onnx_runtime().InferenceSession(model, options, providers=["CPUExecutionProvider"])
-        except onnx_errors() as error:
-            raise BundleIntegrityError(
-                f"{self._name} cannot be opened", expected="an ONNX graph", got=said(error)
-            ) from error
-
     def _checked(self, name: str, array: Any, shape: tuple[int, ...]) -> NDArray[np.float32]:
         result = np.asarray(array)
-        if result.shape != shape or result.dtype != np.float32:
+        if result.shape != shape or result.dtype != np.float32 or not np.all(np.isfinite(result)):
             raise BundleError(
                 f"{self._name}: {name} does not fit",
-                expected=f"float32 {shape}",
+                expected=f"finite float32 {shape}",
                 got=f"{result.dtype} {result.shape}",
             )
-        if not np.all(np.isfinite(result)):
-            raise BundleError(f"{self._name}: {name} is not finite", expected="finite numbers")
         return result
 
 
@@ -336,8 +238,4 @@ def open_graphs(spec: BundleSpec, files: BundleFiles) -> GraphSet:
 
 def _check_whole(name: str, graph: Graph | None, beside: str, *, described: bool) -> None:
     if (graph is None) == described:
-        raise BundleIntegrityError(
-            f"the bundle's {name} and its description do not fit",
-            expected=f"{name} and {beside}, or neither",
-            got="one of them",
-        )
+        raise BundleIntegrityError(f"the bundle has {name} without {beside}, or the other way round")

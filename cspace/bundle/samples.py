@@ -26,19 +26,15 @@ class Encoding:
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A picture that a bundle has encoded; what it costs is paid once. Make one with :meth:`Bundle.prepare`.
-
-    Args:
-        image: uint8, decoded.
-        novelty: how unlike the training scenarios it is, 0 to 1; None for a bundle that does not tell.
-        map: float32, what the bundle's map graph makes of it; None for a bundle without.
-    """
+    """A picture that a bundle has encoded, by :meth:`Bundle.prepare`; what it costs is paid once."""
 
     digest: str
-    image: NDArray[np.uint8]
+    image: NDArray[np.uint8]  # uint8, decoded
     sensor: Sensor
     encoding: Encoding
+    # How unlike the training scenarios it is, 0 to 1; None for a bundle that does not tell
     novelty: float | None = None
+    # Float32, what the bundle's map graph makes of it; None for a bundle without
     map: NDArray[np.float32] | None = None
     known: Known | None = None
     pictures: int = 1
@@ -57,15 +53,11 @@ class Picture:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Belief:
-    """What a model takes a scene to be, seen or not, on a grid of cells in the base frame.
-
-    Args:
-        occupied: float32 (X, Y, Z), the probability that a ball of the cell's width in its middle touches
-            something.
-    """
+    """What a model takes a scene to be, seen or not, on a grid of cells in the base frame."""
 
     low_m: tuple[float, float, float]
     cell_m: float
+    # Float32 (X, Y, Z), the probability that a ball of the cell's width in its middle touches something
     occupied: NDArray[np.float32]
 
 
@@ -81,19 +73,14 @@ class ProposalCounts:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sampled:
-    """What a sampler gives.
+    """What a sampler gives."""
 
-    Args:
-        samples: float32 (n', d) rad.
-        scores: float32 (n', k), the validity head's confidence, then the unseen share where it gives that;
-            no columns where the head was not asked.
-        ways: int64 (n',), see :class:`SampleSet`.
-    """
-
-    samples: NDArray[np.float32]
+    samples: NDArray[np.float32]  # float32 (n', d) rad
+    # Float32 (n', k), the validity head's confidence, then the unseen share where it gives that; no columns
+    # where the head was not asked
     scores: NDArray[np.float32]
     acceptance: float = 1.0
-    ways: NDArray[np.int64] | None = None
+    ways: NDArray[np.int64] | None = None  # int64 (n',), see :class:`SampleSet`
     proposals: ProposalCounts | None = None
 
     def only(self, kept: NDArray[np.bool_]) -> "Sampled":
@@ -104,29 +91,21 @@ class Sampled:
 
 @dataclass(frozen=True, slots=True)
 class SampleSet:
-    """Configurations for one picture.
+    """Configurations for one picture."""
 
-    Args:
-        samples: float32 (n', d) rad, circles in [-pi, pi), others within their limits, as real numbers.
-        confidence: float32 (n',), None without a validity head.
-        acceptance: share of what was drawn that reached the confidence asked for; 1 where none was.
-        encode_ms: time in the encoder; 0 for a picture that was prepared.
-        unseen: float32 (n',), share of the robot where no picture shows what is there; None where that is not
-            told.
-        ways: int64 (n',), the path that each sample lies along, 0 for the one with the lowest cost; None for
-            samples that do not lie along paths.
-        proposals: by kind; None for samples along paths.
-    """
-
+    # Float32 (n', d) rad, circles in [-pi, pi), others within their limits, as real numbers
     samples: NDArray[np.float32]
-    confidence: NDArray[np.float32] | None
+    confidence: NDArray[np.float32] | None  # float32 (n',), None without a validity head
     shortfall: int
-    acceptance: float
-    encode_ms: float
+    acceptance: float  # share of what was drawn that reached the confidence asked for; 1 where none was
+    encode_ms: float  # time in the encoder; 0 for a picture that was prepared
     generate_ms: float
+    # Float32 (n',), share of the robot where no picture shows what is there; None where that is not told
     unseen: NDArray[np.float32] | None = None
+    # Int64 (n',), the path that each sample lies along, 0 for the one with the lowest cost; None for samples
+    # that do not lie along paths
     ways: NDArray[np.int64] | None = None
-    proposals: ProposalCounts | None = None
+    proposals: ProposalCounts | None = None  # by kind; None for samples along paths
 
 
 class FittedQuery(SampleQuery):
@@ -136,13 +115,7 @@ class FittedQuery(SampleQuery):
 
 
 def fitted(query: SampleQuery, spec: BundleSpec, *, has_validity: bool) -> FittedQuery:
-    """The query as its bundle takes it: start and goal wrapped, the confidence that holds.
-
-    Whoever prepares a picture for it fits it before that, so that nothing is computed for one that does not.
-
-    Args:
-        has_validity: whether the bundle scores its samples.
-    """
+    """The query as its bundle takes it: start and goal wrapped, the confidence that holds."""
     if isinstance(query, FittedQuery):
         return query
     require_robot(query.robot, spec)
@@ -176,19 +149,9 @@ def _endpoint(spec: BundleSpec, name: str, angles: tuple[float, ...] | None) -> 
     if name not in spec.endpoints:
         if angles is None:
             return None
-        raise InputError(
-            f"the model takes no {name}",
-            expected=f"no {name} for a {spec.kind} model",
-            got=str(list(angles))[:200],
-            remedy=f"leave {name} out, or choose a path model",
-        )
+        raise InputError(f"the model takes no {name}", expected="a path model", got=f"a {spec.kind} model")
     if angles is None:
-        raise InputError(
-            f"the model needs a {name}",
-            expected=f"{spec.dim} angles in rad",
-            got="none",
-            remedy=f"send {name}",
-        )
+        raise InputError(f"the model needs a {name}", expected=f"{spec.dim} angles in rad", got="none")
     return fitted_end(spec, name, angles)
 
 
@@ -202,18 +165,10 @@ def fitted_plan(spec: BundleSpec, query: PlanQuery) -> PlanQuery:
 def fitted_end(
     spec: BundleSpec, name: str, angles: tuple[float, ...], space: JointSpace | None = None
 ) -> tuple[float, ...]:
-    """A start or goal as a bundle takes it: circles wrapped, in single precision.
-
-    Args:
-        angles: finite, rad.
-        space: with narrower limits than the robot's; None for these.
-    """
+    """A start or goal, finite rad, as a bundle takes it: circles wrapped, in single precision."""
     if len(angles) != spec.dim:
-        raise InputError(
-            f"{name} does not fit the robot",
-            expected=f"{spec.dim} finite angles in rad",
-            got=str(list(angles))[:200],
-        )
+        expected = f"{spec.dim} finite angles in rad"
+        raise InputError(f"{name} does not fit the robot", expected=expected, got=str(list(angles))[:200])
     whose = "the robot's joints" if space is None else "this request"
     space = spec.world.space if space is None else space
     configuration = space.admitted(angles, f"{name} lies outside the limits of {whose}")
@@ -236,11 +191,7 @@ def fitted_problem(spec: BundleSpec, query: PlanQuery) -> NDArray[np.float64]:
 
 
 def fitted_configurations(values: ArrayLike, spec: BundleSpec) -> NDArray[np.float32]:
-    """Configurations as a bundle scores them, (n, d) rad: circles wrapped, in single precision.
-
-    Args:
-        values: (n, d) finite rad, at least one row.
-    """
+    """Configurations as a bundle scores them, (n, d) rad: circles wrapped, in single precision."""
     rows, space = np.asarray(values), spec.world.space
     if rows.ndim != 2 or not len(rows) or rows.shape[1] != spec.dim or rows.dtype.kind not in "fiu":
         raise InputError(

@@ -120,31 +120,20 @@ class Head:
 
 @dataclass(frozen=True, slots=True)
 class RandomNumbers:
-    """The random part of one request.
+    """The random part of one request."""
 
-    Args:
-        latents: z = mu + (sigma + epsilon) * eta, float32 (m, L).
-        random_inputs: name to float32 (m, *shape).
-        kept: bool (m, K), which samples of each latent belong to the answer.
-    """
-
-    latents: NDArray[np.float32]
-    random_inputs: dict[str, NDArray[np.float32]]
-    kept: NDArray[np.bool_]
+    latents: NDArray[np.float32]  # z = mu + (sigma + epsilon) * eta, float32 (m, L)
+    random_inputs: dict[str, NDArray[np.float32]]  # name to float32 (m, *shape)
+    kept: NDArray[np.bool_]  # bool (m, K), which samples of each latent belong to the answer
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Proposals:
-    """Which samples of a turn are uniform, and these.
-
-    Args:
-        uniform: bool (m,), the samples in their order.
-        angles: float32 (u, d) rad, the uniform ones.
-    """
+    """Which samples of a turn are uniform, and these."""
 
     learned: list[int]
-    uniform: NDArray[np.bool_]
-    angles: NDArray[np.float32]
+    uniform: NDArray[np.bool_]  # bool (m,), the samples in their order
+    angles: NDArray[np.float32]  # float32 (u, d) rad, the uniform ones
 
     def mixed_with(self, learned: NDArray[np.float32]) -> NDArray[np.float32]:
         """All samples (m, d) in their order, from (m - u, d) generated ones."""
@@ -155,11 +144,7 @@ class Proposals:
 
 
 def propose(spec: BundleSpec, counts: Sequence[int], seed: int, turn: int) -> Proposals:
-    """The uniform samples of one turn of a request that filters.
-
-    Args:
-        turn: 0 for the first.
-    """
+    """The uniform samples of one turn of a request that filters. ``turn``: 0 for the first."""
     total, space = sum(counts), spec.world.space
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(turn, 1))))
     uniform = rng.random(total) < (0.0 if spec.kind == "path" else UNIFORM_SHARE)
@@ -183,13 +168,7 @@ def random_numbers(
     epsilon_sigma: Sequence[float],
     turn: int = 0,
 ) -> RandomNumbers:
-    """Everything random in one turn of a request.
-
-    Args:
-        mu: (L,) the encoder's mean.
-        sigma: (L,) its standard deviation.
-        turn: 0 for the first.
-    """
+    """Everything random in one turn of a request, of the encoder's mean and deviation (L,)."""
     per_latent = spec.samples_per_latent
     epsilons: list[NDArray[np.float32]] = []
     kept: list[NDArray[np.bool_]] = []
@@ -235,11 +214,9 @@ def rejection_sample(
     Further turns propose what is missing by the share that passed so far. Surplus samples are left out from
     the end, so what is accepted does not depend on its score beyond having reached the threshold.
 
-    Args:
-        propose_scored: counts by share and the turn's number to samples (m, d), those of the first share
-            first, and (m, k) whose first column is their confidence.
-        threshold: the least confidence, 0 to 1.
-        expected: share that is likely to pass, above 0 to 1; a further turn costs more than a few too many.
+    ``propose_scored``: counts by share and the turn's number to samples (m, d), those of the first share
+    first, and (m, k) whose first column is their confidence. ``threshold``: the least confidence, 0 to 1.
+    ``expected``: share that is likely to pass, above 0 to 1; a further turn costs more than a few too many.
     """
     left = max(BUDGET * sum(shares), BUDGET_AT_LEAST)
     found: list[tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.intp]]] = []
@@ -252,20 +229,10 @@ def rejection_sample(
         counts = _within(wanted, left)
         samples, confidence = propose_scored(counts, turn)
         good = confidence[:, 0] >= np.float32(threshold)
-        if turn == 0 and len(shares) == 1:
-            # Nearly every request ends here, and the arrays below would cost it a tenth of a millisecond.
-            kept = np.flatnonzero(good)
-            if len(kept) >= shares[0]:
-                first = kept[: shares[0]]
-                return Sampled(samples[first], confidence[first], len(kept) / len(samples))
         belongs = np.repeat(np.arange(len(counts)), counts)
         found.append((samples[good], confidence[good], belongs[good]))
-        left, sampled, passed, turn = (
-            left - len(samples),
-            sampled + len(samples),
-            passed + int(good.sum()),
-            turn + 1,
-        )
+        left, sampled, turn = left - len(samples), sampled + len(samples), turn + 1
+        passed += int(good.sum())
         missing = np.maximum(missing - np.bincount(belongs[good], minlength=len(counts)), 0)
         if not missing.any() or left < 1:
             break
@@ -291,14 +258,7 @@ PATHS_PASS, PROPOSALS_PASS = 0.75, 0.85
 
 
 class GeneratorSampler:
-    """Samples of a generator's graph, filtered by rejection sampling where a confidence is to be reached.
-
-    The graph may have been trained for wider limits than the description's: what it puts outside the robot's
-    limits is rejected, and sampled again.
-
-    Args:
-        head: that scores; None for a bundle without.
-    """
+    """Samples of a generator's graph within the robot's limits, rejected below a confidence to be reached."""
 
     def __init__(self, spec: BundleSpec, generator: Graph, head: Head | None) -> None:
         self._spec, self._generator, self._head = spec, generator, head
@@ -311,11 +271,7 @@ class GeneratorSampler:
         report_confidence: bool,
         check_cancelled: CheckCancelled | None,
     ) -> Sampled:
-        """Samples for a picture; the same request gives bit-equal ones on one machine.
-
-        Args:
-            report_confidence: whether samples are scored that are not filtered; the samples are the same.
-        """
+        """Samples for a picture; ``report_confidence`` scores those that are not filtered, too."""
         spec, head, space = self._spec, self._head, self._spec.world.space
 
         def generate(counts: Sequence[int], turn: int) -> NDArray[np.float32]:
@@ -395,10 +351,7 @@ def _inside(
     is_kept: Callable[[NDArray[np.float32]], NDArray[np.bool_]],
     check_cancelled: CheckCancelled | None,
 ) -> NDArray[np.float32]:
-    """Rows (n, d) of a first turn, where further ones replace what is not kept.
-
-    What the budget of :func:`rejection_sample` does not replace stays, for the limits to bound.
-    """
+    """Rows (n, d) of a first turn, where further ones replace what is not kept, as far as the budget goes."""
     rows = draw_rows(wanted, 0)
     inside = is_kept(rows)
     if inside.all():
@@ -501,7 +454,5 @@ def sampler_of(
     if generator is not None:
         return GeneratorSampler(spec, generator, head)
     if head is None:
-        raise BundleIntegrityError(
-            "a bundle of paths has no validity head", expected="validity.onnx", got="none"
-        )
+        raise BundleIntegrityError("a bundle of paths has no validity head", expected="validity.onnx")
     return PathSampler(spec, head)

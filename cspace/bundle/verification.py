@@ -19,14 +19,7 @@ MEMORY_BYTES, CONTAINER_SHARE = 2**30, 0.25
 
 
 def verify(folder: Path, digest: str | None = None, limit_s: float = VERIFY_S) -> str:
-    """Hold a bundle against its sums, its digest, the checks of its graphs and its golden case.
-
-    Args:
-        digest: that it has to have; any when None.
-
-    Returns:
-        Its digest, for :meth:`cspace.bundle.Bundle.load` to open the same bundle without checking it again.
-    """
+    """The digest of a bundle whose sums, digest, graphs and golden case hold in a worker process."""
     limits = bounded.Limits(memory_bytes(), math.ceil(limit_s), limit_s)
     found: str = bounded.call(
         checked_digest,

@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import lru_cache
 from hashlib import sha256
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import PlainSerializer, PlainValidator
 
 from cspace.errors import InputError, ScenarioError
-from cspace.simulator import Checker, PartlySeen, Simulator, ToolConstraints
+from cspace.simulator import Checker, Simulator
 from cspace.strict_json import read_object
 from cspace.world import Body, Image, Known, NextView, Scene, World
 
@@ -25,8 +26,10 @@ from cspace.world import Body, Image, Known, NextView, Scene, World
 # has ``benchmark`` with ``open_partly_seen`` and ``next_view`` (NumPy alone) with ``best_view``; one whose
 # robot has a tool ``constraints`` with ``ToolConstraints``.
 KINDS = ("planar", "spatial")
-_PARTLY_SEEN = ("spatial",)
-WITH_TOOL = ("spatial",)
+_PARTLY_SEEN, WITH_TOOL = (
+    tuple(kind for kind in KINDS if find_spec(f"{__name__}.{kind}.{part}"))
+    for part in ("benchmark", "constraints")
+)
 # What files are of that do not name their kind: older than kinds are.
 FIRST = "planar"
 
@@ -37,7 +40,7 @@ def read_world(values: object) -> World:
     kind = members.pop("kind", FIRST)
     if kind not in KINDS:
         raise ScenarioError(
-            "the world is unknown", expected=f"one of {', '.join(KINDS)}", got=repr(kind)[:200]
+            "the world is unknown", expected=f"one of {', '.join(KINDS)}", got=str(kind)[:200]
         )
     return cast("World", _part(kind, "world").read(members))
 
@@ -80,20 +83,13 @@ def default_world() -> World:
 
 
 def part_types(part: str) -> tuple[type[Any], ...]:
-    """The types of a part of worlds, ``body``, ``sensor`` or ``scenes``, of all kinds.
-
-    Each is a dataclass, and its fields are what a configuration says of the part.
-    """
+    """The dataclasses of a part of worlds, ``body``, ``sensor`` or ``scenes``, of all kinds."""
     found = (one for kind in KINDS for one in _part(kind, "world").PARTS[part])
     return tuple(dict.fromkeys(found))
 
 
 def usual_world(robot: Body, **parts: Any) -> World:
-    """A robot that is seen, and stands in scenes, as those of its type usually are.
-
-    Args:
-        parts: ``sensor`` and ``scenes`` instead of the usual ones, where they are not None.
-    """
+    """A robot that is seen, and stands in scenes, as those of its type usually are, but for given parts."""
     example: Any = next(world for world in examples().values() if type(world.body) is type(robot))
     own = {name: part for name, part in parts.items() if part is not None}
     return cast("World", replace(_part(example.kind, "world").usual(robot), **own))
@@ -117,27 +113,17 @@ def simulator_of(world: World) -> Simulator:
     return cast("Simulator", _part(world.kind, "simulator").open_simulator(world))
 
 
-def partly_seen(world: World) -> PartlySeen:
-    """Planning problems of a world that no picture shows whole."""
+def partly_seen(world: World) -> Any:
+    """Planning problems of a world that no picture shows whole, as ``SpatialPartlySeen``."""
     if world.kind not in _PARTLY_SEEN:
-        raise ScenarioError(
-            "the world's pictures hide nothing",
-            expected=f"a world of the kind {', '.join(_PARTLY_SEEN)}",
-            got=world.kind,
-        )
-    return cast("PartlySeen", _part(world.kind, "benchmark").open_partly_seen(world))
+        raise ScenarioError("the world's pictures hide nothing", got=world.kind)
+    return _part(world.kind, "benchmark").open_partly_seen(world)
 
 
 def seen_checkers(
     world: World, picture: Image, ends: NDArray[np.float64], known: Known | None = None
 ) -> Sequence[Checker]:
-    """Checks against what a picture shows, the most careful first; what it does not show is free.
-
-    Of the compiled code of a world only what checks is loaded, at the first call: nothing that draws.
-
-    Args:
-        ends: (k, d) rad, where the robot is taken to be free: of what seems to stand there nothing is kept.
-    """
+    """Checks by what a picture shows, the most careful first; the robot is free at ``ends`` (k, d) rad."""
     options = {} if known is None else {"known": known}
     found = _part(world.kind, "checks").seen_checkers(world, picture, ends, **options)
     return cast("Sequence[Checker]", found)
@@ -151,8 +137,8 @@ def load_known(world: World) -> None:
 
 def tool_constraints(
     world: World, goal_pose: Mapping[str, Any] | None, upright: Mapping[str, Any] | None
-) -> ToolConstraints | None:
-    """What a plan asks of the tool; None where that is nothing."""
+) -> Any:
+    """The ``ToolConstraints`` of a plan; None without any."""
     if goal_pose is None and upright is None:
         return None
     if world.kind not in WITH_TOOL:
@@ -162,9 +148,7 @@ def tool_constraints(
             got=f"a world of the kind {world.kind}",
             remedy="send goal as a configuration",
         )
-    return cast(
-        "ToolConstraints", _part(world.kind, "constraints").ToolConstraints(world.body, goal_pose, upright)
-    )
+    return _part(world.kind, "constraints").ToolConstraints(world.body, goal_pose, upright)
 
 
 def best_view(
@@ -181,14 +165,10 @@ def best_view(
 
     Of those from where nobody has looked yet; of the others where none of these sees any.
 
-    Args:
-        states: (n, d) rad along the path.
-        costs: (n,) of each, 0 or more.
-        given: cameras to choose from, as plain values; none for some about the uncertain places.
-        seen_state: where the robot was then, as a view file has it; needed for cameras on a link.
-
-    Returns:
-        None where no camera would see any, and in worlds that are seen whole.
+    ``states``: (n, d) rad along the path. ``costs``: (n,) of each, 0 or more. ``given``: cameras to choose
+    from, as plain values; none for some about the uncertain places. ``seen_state``: where the robot was then,
+    as a view file has it; needed for cameras on a link. None where no camera would see any, and in
+    worlds that are seen whole.
     """
     if world.kind not in _PARTLY_SEEN:
         return None

@@ -13,7 +13,7 @@ from cspace.bundle import Bundle
 from cspace.simulator import Split
 from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.problems import Family, draw_problem
-from cspace.worlds.planar.render import render
+from cspace.worlds.planar.simulator import render
 from inference_api.settings import PRETRAINED_FOLDER
 
 problem = draw_problem(Family.NARROW, Split.DEMO, seed=24)

@@ -15,10 +15,10 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 
-from cspace.png import encode_png
+from cspace.files import encode_png
 from cspace.simulator import Split
 from cspace.worlds.planar.problems import Family, draw_problem
-from cspace.worlds.planar.render import render
+from cspace.worlds.planar.simulator import render
 from inference_api.settings import PRETRAINED_FOLDER
 from services.planner.ompl_planner import solve
 from services.planner.plotting import plot_configurations

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
 
-from cspace.png import encode_png
+from cspace.files import encode_png
 from cspace.worlds.planar.arm import PlanarArm
 from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.world import Disc, Scenario

@@ -9,7 +9,7 @@ from PIL import Image
 from pydantic import ValidationError
 
 from cspace.worlds.planar.camera import decode_png
-from cspace.worlds.spatial.depth_files import read_depth
+from cspace.worlds.spatial.view import read_depth
 from cspace_client import DepthPictures, Known, PlanarPicture, SamplerError
 from cspace_client.pictures import encode_png, form_of, shown
 from tests.bundles import picture

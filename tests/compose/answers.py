@@ -5,10 +5,10 @@ from typing import Any
 
 import httpx
 
-from cspace.png import encode_png
+from cspace.files import encode_png
 from cspace.simulator import Split
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.render import render
+from cspace.worlds.planar.simulator import render
 from services.local.quickstart import wait_served
 from tests.compose.stack import Stack
 from tests.scenarios import random_scenarios

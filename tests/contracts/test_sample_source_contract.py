@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cspace.errors import SamplerError, SamplerUnavailableError
-from cspace.png import encode_png
+from cspace.files import encode_png
 from cspace.query import SampleQuery
 from cspace.worlds.planar.arm import TWO_LINK
 from services.planner.client import SamplingClient

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cspace.errors import RegistryError
-from cspace.png import encode_png
+from cspace.files import encode_png
 from services.registry.tracking import RunLog, Tracking
 from tests.contracts.conftest import Backend
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS

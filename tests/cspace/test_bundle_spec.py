@@ -42,14 +42,11 @@ def test_a_description_survives_the_way_through_json(spec: BundleSpec) -> None:
 
 
 WORLD = full_spec().world.to_dict()
-NOISE = {"name": "u", "distribution": "normal", "shape": [2], "low": None, "high": None}
 CHANGES: list[dict[str, Any]] = [
     {"schema_version": 5},
     {"schema_version": 4},
-    {"schema_version": 6.0},
     {"plan_calibration": [[0.0, 0.0]]},
     {"plan_calibration": [[0.0, 1.0], [0.0, -1.0]]},
-    {"plan_calibration": [[1e9, 1.0]]},
     {"plan_calibration": [0.0, 1.0]},
     {"plan_calibration": []},
     {"plan_calibration": [[0.0, 1.0]] * 5},
@@ -63,13 +60,6 @@ CHANGES: list[dict[str, Any]] = [
     {"world": WORLD | {"camera": WORLD["camera"] | {"pixels": 100_000}}},
     {"world": WORLD | {"robot": WORLD["robot"] | {"link_lengths_m": [1.0] * 1000}}},
     {"latent_dim": 0},
-    {"latent_dim": 10**9},
-    {"samples_per_latent": 10**9},
-    {"random_inputs": [NOISE | {"shape": [10**9]}]},
-    {"random_inputs": [NOISE | {"shape": [64, 64, 64]}]},
-    {"random_inputs": [NOISE | {"name": f"u{index}"} for index in range(500)]},
-    {"random_inputs": [NOISE | {"name": "u" * 10_000}]},
-    {"novelty_quantiles": [[0.0, 1.0]] * 1000},
     {"samples_per_latent": 0},
     {"random_inputs": [{"name": "u"}]},
     {"standardisation": {"mean": [0.0], "std": [1.0]}},

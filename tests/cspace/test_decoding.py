@@ -81,7 +81,7 @@ def test_large_pictures_are_averaged_and_rounded(side: int, colour: int) -> None
 MEMORY = """
 import sys
 import numpy as np
-from cspace.png import encode_png
+from cspace.files import encode_png
 from cspace.worlds.planar.camera import decode_png
 
 def kib(key):

@@ -55,13 +55,9 @@ def test_uniform_samples_fill_the_joint_space():
     np.testing.assert_allclose(samples.std(axis=0), [2 * pi / sqrt(12), 3 / sqrt(12)], atol=0.03)
 
 
-def test_standardising_gives_zero_mean_and_unit_variance_and_goes_back():
-    data = np.random.default_rng(1).normal([1.0, -2.0], [0.5, 3.0], (500, 2))
-    scale = Standardisation.fit(data)
-    standard = scale.standardise(data)
-    np.testing.assert_allclose(standard.mean(axis=0), 0.0, atol=1e-12)
-    np.testing.assert_allclose(standard.std(axis=0), 1.0)
-    np.testing.assert_allclose(scale.restore(standard), data)
+def test_a_standardisation_is_that_of_the_data():
+    scale = Standardisation.fit([[1.0, -2.0], [3.0, 2.0]])
+    assert (scale.mean, scale.std) == ((2.0, 0.0), (1.0, 2.0))
 
 
 @pytest.mark.parametrize(("mean", "std"), [((0.0,), (0.0,)), ((0.0,), (float("nan"),)), ((0.0, 0.0), (1.0,))])

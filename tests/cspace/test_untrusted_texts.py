@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from cspace.errors import ConfigError
-from cspace.files import read_npy
+from cspace.files import MAX_YAML_BYTES, read_npy, read_yaml
 from cspace.strict_json import parse_json
-from cspace.yaml_file import MAX_BYTES, read_yaml
 
 
 @pytest.mark.parametrize(
@@ -34,7 +33,7 @@ LEVELS = ["a0: &a0 [1, 1]", *(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 10)}]" 
         "\0",
         b"\xff",
         "a: 2020-13-45",
-        "a" * (MAX_BYTES + 1),
+        "a" * (MAX_YAML_BYTES + 1),
     ],
 )
 def test_other_texts_are_no_yaml(text):

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import SamplerError, SamplerUnavailableError
-from cspace.png import encode_png
+from cspace.files import encode_png
 from cspace.query import MAX_SAMPLES, SampleQuery
 from cspace.space import to_float32
 from services.planner.samples import Picture, SampleBatch, SampleSource

@@ -5,7 +5,7 @@ from typing import Any
 
 import httpx
 
-from cspace.png import encode_png
+from cspace.files import encode_png
 from inference_api.problems import PROBLEMS
 from tests.bundles import picture
 from tests.inference_api.client import ApiClient

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from cspace.bundle import write_bundle
-from cspace.png import encode_png
+from cspace.files import encode_png
 from inference_api.app import create_app
 from inference_api.settings import ApiSettings
 from tests.bundles import picture, tiny_graphs, tiny_spec, write_tiny_bundle

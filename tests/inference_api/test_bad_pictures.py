@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cspace.png import encode_png
+from cspace.files import encode_png
 from cspace.simulator import Split
 from cspace.worlds import examples, simulator_of
 from cspace.worlds.spatial.camera import DepthCamera, encode_depth, looking

@@ -13,7 +13,7 @@ import httpx
 import numpy as np
 import pytest
 
-from cspace.png import encode_png
+from cspace.files import encode_png
 from cspace.worlds.spatial.camera import encode_depth
 from inference_api.body import MAX_FIELD_BYTES, MAX_FIELDS, MAX_FILES, MAX_JSON_BYTES
 from inference_api.limits import MAX_BODY_BYTES

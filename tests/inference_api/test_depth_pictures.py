@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cspace.bundle import Bundle
-from cspace.png import encode_png
+from cspace.files import encode_png
 from cspace.view_file import pack_view
 from cspace.worlds.spatial.arm import ready_rad
 from cspace.worlds.spatial.camera import DepthCamera, encode_depth, looking

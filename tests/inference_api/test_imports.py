@@ -39,7 +39,7 @@ from pathlib import Path
 from inference_api.settings import ApiSettings
 import numpy as np
 from tests.inference_api.client import running
-from cspace.png import encode_png
+from cspace.files import encode_png
 
 settings = ApiSettings(model_cache=Path({cache!r}), pretrained_model=Path({bundle!r}))
 with running(create_app(settings)) as api:

@@ -6,11 +6,11 @@ import json
 import numpy as np
 import pytest
 
-from cspace.png import encode_png
+from cspace.files import encode_png
 from cspace.simulator import Split
 from cspace.worlds import examples, simulator_of
 from cspace.worlds.planar.checks import CollisionChecker
-from cspace.worlds.planar.known import KnownDiscs
+from cspace.worlds.planar.scenes import KnownDiscs
 from cspace.worlds.planar.world import Disc, Scenario
 from tests.inference_api.answers import assert_problem
 

@@ -12,7 +12,7 @@ import pytest
 
 from cspace.bundle import Bundle
 from cspace.errors import CspaceError, ModelNotFoundError, RegistryError, StorageError
-from cspace.png import encode_png
+from cspace.files import encode_png
 from cspace.view_file import View
 from inference_api.models import BundleFolders, ModelStore
 from inference_api.pictures import PictureCache

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cspace.png import encode_png
+from cspace.files import encode_png
 from cspace.simulator import Split
 from cspace.worlds import examples, robot_digest, simulator_of
 from tests.inference_api.answers import assert_answers, assert_problem

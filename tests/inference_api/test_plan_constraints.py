@@ -7,8 +7,8 @@ import httpx
 import numpy as np
 import pytest
 
+from cspace.files import encode_png
 from cspace.planning.paths import spaced
-from cspace.png import encode_png
 from cspace.worlds import examples
 from tests.inference_api.answers import assert_problem
 from tests.inference_api.client import ApiClient

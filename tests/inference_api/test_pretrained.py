@@ -11,7 +11,7 @@ from cspace.simulator import Split, scenario_rng
 from cspace.worlds import checker_of, examples, picture_of, simulator_of
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.checks import CollisionChecker
-from cspace.worlds.planar.render import render
+from cspace.worlds.planar.simulator import render
 from inference_api.settings import PRETRAINED_FOLDER, further_folders
 from tests.scenarios import random_scenarios
 

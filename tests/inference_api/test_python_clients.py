@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import cspace_client
-from cspace.png import encode_png
+from cspace.files import encode_png
 from cspace.simulator import Split
 from cspace.worlds import examples, robot_digest, simulator_of
 from cspace_client import PlanQuery, SamplerError, SamplerUnavailableError

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cspace.bundle import Bundle
-from cspace.png import encode_png
+from cspace.files import encode_png
 from cspace.worlds import robot_digest
 from cspace.worlds.planar.camera import decode_png
 from cspace.worlds.planar.world import PlanarWorld

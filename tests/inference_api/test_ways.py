@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from cspace.png import encode_png
+from cspace.files import encode_png
 from cspace.simulator import Split
 from cspace.worlds import examples, simulator_of
 from cspace.worlds.planar.checks import CollisionChecker

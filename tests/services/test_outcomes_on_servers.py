@@ -8,7 +8,7 @@ import sys
 import httpx
 import pytest
 
-from cspace.png import encode_png
+from cspace.files import encode_png
 from cspace.simulator import Split
 from cspace.worlds import examples, simulator_of
 from services import outcomes

@@ -115,7 +115,7 @@ def test_what_is_no_scene_file_is_refused(write, text):
 def test_the_command_refuses_a_file_of_aliases_before_it_fills_the_memory(write, capsys):
     levels = ["a0: &a0 [1, 1]", *(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 10)}]" for n in range(1, 9))]
     assert main(["plan", str(write("\n".join(levels))), "--api", "http://127.0.0.1:1"]) == 2
-    assert "scene.yaml is nested too deep" in capsys.readouterr().err
+    assert "scene.yaml is no YAML" in capsys.readouterr().err
 
 
 def test_a_file_without_end_is_refused():

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from cspace.png import encode_png
+from cspace.files import encode_png
 from cspace.simulator import Split
 from cspace.worlds.planar.arm import PlanarArm
 from cspace.worlds.planar.camera import decode_png
-from cspace.worlds.planar.render import render
+from cspace.worlds.planar.simulator import render
 from tests.scenarios import random_scenarios
 from tests.training.clusters.test_pipeline import GATED, bundle_of, submit
 

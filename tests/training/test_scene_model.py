@@ -11,8 +11,10 @@ from cspace.errors import ConfigError
 from cspace.simulator import Split
 from cspace.worlds import examples, usual_world
 from cspace.worlds.spatial.arm import ready_rad
+from cspace.worlds.spatial.camera import DepthCamera, looking
 from cspace.worlds.spatial.checks import CollisionChecker
 from cspace.worlds.spatial.obstacles import Obstacles
+from cspace.worlds.spatial.view import DepthView
 from training.config import SCENE_MODEL, TrainConfig
 from training.models.checkpoint import load_scene_model, save_scene_model, seeded_initialisation
 from training.models.grid_head import GridHead, counts_of
@@ -105,7 +107,8 @@ def test_one_model_learns_with_arms_of_other_sizes_and_serves_a_third(
 
 
 def test_pose_and_state_are_off_by_little_and_pictures_are_not_touched() -> None:
-    view = PANDA.view(PANDA.blank_picture())
+    camera = DepthCamera.of_field(128, 128, 70.0, looking((1.5, 0.0, 0.8), (0.0, 0.0, 0.4)))
+    view = DepthView((np.full(camera.picture_shape, 4000, np.uint16),), (camera,))
     moved = [disturbed(np.random.default_rng(seed), view) for seed in range(40)]
     gaps = [np.linalg.norm(one.cameras[0].matrix[:3, 3] - view.cameras[0].matrix[:3, 3]) for one in moved]
     assert 4 <= sum(gap > 0.0 for gap in gaps) <= 22

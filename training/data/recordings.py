@@ -23,14 +23,19 @@ from rosbags.typesys import Stores, get_typestore
 
 from cspace.dataset import write_dataset
 from cspace.errors import ConfigError, CspaceError, DatasetError, ImageError, ScenarioError, StorageError
-from cspace.files import replacing
-from cspace.png import encode_png
+from cspace.files import encode_png, replacing
 from cspace.space import JointSpace
 from cspace.view_file import pack_view
-from cspace.worlds.spatial.camera import DepthCamera, decode_depth, encode_depth, in_range
-from cspace.worlds.spatial.camera_info import read_pinhole, undistorted
-from cspace.worlds.spatial.depth_files import METRES, rounded_mm
+from cspace.worlds.spatial.camera import (
+    DepthCamera,
+    decode_depth,
+    encode_depth,
+    in_range,
+    read_pinhole,
+    undistorted,
+)
 from cspace.worlds.spatial.poses import quaternion_pose
+from cspace.worlds.spatial.view import METRES, rounded_mm
 from cspace.worlds.spatial.world import SpatialWorld, add_options, described
 from services.commands import finite
 from services.progress import Progress

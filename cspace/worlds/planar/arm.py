@@ -18,18 +18,13 @@ JointLimits = tuple[tuple[float, float] | None, ...]
 
 @validated(ScenarioError)
 class PlanarArm(Record):
-    """A planar arm with its base at the origin.
-
-    The first joint turns from the x axis, counter-clockwise; every further joint is relative to its link.
-
-    Args:
-        joint_limits_rad: None when all joints are circles; else per joint None or (low, high), at any turn.
-        self_collision: whether capsules of links that are not neighbours collide with each other.
-    """
+    """A planar arm with its base at the origin; joints turn counter-clockwise from the link before them."""
 
     link_lengths_m: Annotated[tuple[Length, ...], Field(min_length=1)] = (2.0, 2.0)
     half_width_m: Length = 0.1
+    # None when all joints are circles; else per joint None or (low, high), at any turn
     joint_limits_rad: JointLimits | None = None
+    # Whether capsules of links that are not neighbours collide with each other
     self_collision: Annotated[StrictBool, Field(exclude_if=lambda collides: not collides)] = False
 
     def __post_init__(self) -> None:
@@ -41,20 +36,14 @@ class PlanarArm(Record):
         if limits is None:
             return
         if len(limits) != self.dim or not all(lim is None or _is_range(*lim) for lim in limits):
-            raise ScenarioError(
-                "the joint limits do not fit",
-                expected=f"{self.dim} entries, each None or low < high by {MIN_RANGE_RAD} rad or more, "
-                f"within {MAX_LIMIT_RAD:.0f} rad",
-                got=str(limits),
-            )
+            expected = f"{self.dim} entries, each None or low < high, {MIN_RANGE_RAD} rad or more"
+            raise ScenarioError("the joint limits do not fit", expected=expected, got=str(limits))
 
     def _check_self_collision(self) -> None:
         width_m = 2.0 * self.half_width_m
         if self.self_collision and min(self.link_lengths_m[1:-1], default=np.inf) <= width_m:
             raise ScenarioError(
-                "the arm always collides with itself",
-                expected=f"links between two others longer than the links' width of {width_m} m",
-                got=str(self.link_lengths_m),
+                "the arm always collides with itself", expected=f"links longer than {width_m} m"
             )
 
     @property
@@ -105,15 +94,7 @@ def _is_range(low: float, high: float) -> bool:
 
 
 def link_offsets_m(joints: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """From the nearest point on each link's axis to places.
-
-    Args:
-        joints: (k, d + 1, 2) m, as :meth:`PlanarArm.joint_positions_m` has them.
-        places: (n, 2) m.
-
-    Returns:
-        (k, d, n, 2) m.
-    """
+    """From the nearest point on each link's axis (k, d + 1, 2) m to places (n, 2) m, (k, d, n, 2) m."""
     begins = joints[:, :-1, None]
     along = joints[:, 1:, None] - begins
     offsets = places - begins

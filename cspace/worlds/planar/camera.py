@@ -10,7 +10,7 @@ from PIL import Image
 from pydantic import Field
 
 from cspace.errors import ImageError, ScenarioError
-from cspace.png import decoded
+from cspace.files import open_png
 from cspace.strict_json import Record, validated
 from cspace.world import CheckCancelled
 
@@ -27,11 +27,8 @@ _BAND = 128
 def decode_png(
     data: bytes, pixels: int = 48, check_cancelled: CheckCancelled | None = None
 ) -> NDArray[np.uint8]:
-    """An untrusted PNG as (pixels, pixels, 3) uint8.
-
-    RGB as it is, RGBA over white, grey and palette as RGB; resized by area averaging.
-    """
-    picture = decoded(data, _check)
+    """An untrusted PNG as (pixels, pixels, 3) uint8: over white, as RGB, resized by area averaging."""
+    picture = open_png(data, _check)
     return _to_rgb(picture) if picture.width == pixels else _average(picture, pixels, check_cancelled)
 
 

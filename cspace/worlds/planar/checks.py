@@ -9,7 +9,7 @@ from cspace.kernel_cache import njit
 from cspace.planning.kernels import SceneKernels
 from cspace.simulator import Checker
 from cspace.worlds.planar.arm import PlanarArm, link_offsets_m
-from cspace.worlds.planar.known import KnownDiscs
+from cspace.worlds.planar.scenes import KnownDiscs
 from cspace.worlds.planar.world import PlanarWorld, Scenario
 
 # Sine of the angle up to which two lines count as parallel.
@@ -18,10 +18,7 @@ _PARALLEL = 1e-9
 
 @njit(cache=True, nogil=True)
 def segment_gap(ax, ay, bx, by, cx, cy, dx, dy):  # type: ignore[no-untyped-def]
-    """Distance between the segments from a to b and from c to d; 0 where they cross.
-
-    Those that do not cross are nearest at an end of one of them.
-    """
+    """Distance between the segments from a to b and from c to d; 0 where they cross."""
     ux, uy, vx, vy = bx - ax, by - ay, dx - cx, dy - cy
     turn = ux * vy - uy * vx
     # Rounding lets parallel lines cross anywhere, and their ends tell the distance anyway.
@@ -63,10 +60,7 @@ def self_clearance(q, links, half_width, pairs):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def arm_clearance(q, links, half_width, discs, pairs):  # type: ignore[no-untyped-def]
-    """Smallest distance between the arm's capsules and the discs, m; inf without discs.
-
-    No more than that between the capsules of the links of a pair.
-    """
+    """Smallest distance of the arm's capsules to the discs, or between those of a pair, m; else inf."""
     clearance = np.inf
     if pairs is not None:
         clearance = self_clearance(q, links, half_width, pairs)
@@ -86,25 +80,16 @@ def arm_clearance(q, links, half_width, discs, pairs):  # type: ignore[no-untype
 
 
 class SceneArrays(NamedTuple):
-    """An arm of d joints among discs as the kernels take it.
+    """An arm of d joints among discs as the kernels take it."""
 
-    Attributes:
-        links: (d,) m.
-        half_width: m.
-        discs: (D, 3) x, y, radius, m.
-        pairs: (K, 2) links that collide with each other; None where none do, which loses no time on it.
-        lower: (d,) rad.
-        upper: (d,) rad.
-        periodic: (d,) which joints are circles.
-    """
-
-    links: NDArray[np.float64]
-    half_width: float
-    discs: NDArray[np.float64]
+    links: NDArray[np.float64]  # (d,) m
+    half_width: float  # m
+    discs: NDArray[np.float64]  # (D, 3) x, y, radius, m
+    # (K, 2) links that collide with each other; None where none do, which loses no time on it
     pairs: NDArray[np.int64] | None
-    lower: NDArray[np.float64]
-    upper: NDArray[np.float64]
-    periodic: NDArray[np.bool_]
+    lower: NDArray[np.float64]  # (d,) rad
+    upper: NDArray[np.float64]  # (d,) rad
+    periodic: NDArray[np.bool_]  # (d,) which joints are circles
 
 
 @njit(cache=True, nogil=True)
@@ -138,12 +123,7 @@ _GROUND = 255.0
 
 
 class CollisionChecker(Checker):
-    """Exact collision checks of an arm among discs.
-
-    A configuration is free when the clearance between every link's capsule and every disc is above zero and
-    every limited joint is within its limits. Where the arm collides with itself, the clearance between the
-    capsules of any two links that are not neighbours is above zero as well.
-    """
+    """Exact checks of an arm among discs: every clearance is above zero, also between its own links."""
 
     def __init__(self, scenario: Scenario) -> None:
         space, robot = scenario.robot.space, scenario.robot
@@ -173,10 +153,7 @@ def seen_checkers(
     ends: NDArray[np.float64],
     known: KnownDiscs | None = None,
 ) -> list[CollisionChecker]:
-    """See :func:`cspace.worlds.seen_checkers`; covered pixels are discs of their area, known discs exact.
-
-    Known discs keep their radius at least, even where an end touches them.
-    """
+    """See :func:`cspace.worlds.seen_checkers`; covered pixels are discs of their area, known discs exact."""
     camera, arm = world.sensor, world.body
     if known is not None:
         picture = known.seen

@@ -1,18 +1,245 @@
-"""Planning problems: seeded start and goal in a scenario, by family."""
+"""Planning problems of a scenario by family, and the grid of its joint space that tells them apart."""
 
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from enum import StrEnum
-from functools import lru_cache
+from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components, dijkstra
 
 from cspace.errors import ScenarioError
 from cspace.simulator import NARROW, UNIFORM, Problem, Split, scenario_rng
+from cspace.space import JointSpace
 from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
 from cspace.worlds.planar.checks import CollisionChecker
-from cspace.worlds.planar.free_grid import FreeGrid, cells_per_joint
 from cspace.worlds.planar.scenes import DiscScenes, Scenes
 from cspace.worlds.planar.world import Scenario
+
+
+def distance_to_false(
+    inside: NDArray[np.bool_], spacing: Sequence[float] | NDArray[np.float64], wraps: Sequence[bool]
+) -> NDArray[np.float64]:
+    """Distance of each cell's centre to that of the nearest False cell, round axes that wrap; inf without."""
+    if inside.all():
+        return np.full(inside.shape, np.inf)
+    # Half a turn on either side shows both ways round a circle.
+    beside = [size // 2 if circle else 0 for size, circle in zip(inside.shape, wraps, strict=True)]
+    wide = np.pad(inside, [(one, one) for one in beside], mode="wrap")
+    found = ndimage.distance_transform_edt(wide, sampling=spacing)
+    own = tuple(slice(one, one + size) for one, size in zip(beside, inside.shape, strict=True))
+    return np.asarray(found[own], dtype=np.float64)
+
+
+def spacing(space: JointSpace, cells: tuple[int, ...]) -> NDArray[np.float64]:
+    """Size of a cell along each joint, (d,) rad."""
+    return np.asarray(np.subtract(space.upper, space.lower) / cells, dtype=np.float64)
+
+
+def centres(space: JointSpace, cells: tuple[int, ...]) -> NDArray[np.float64]:
+    """The centres of all cells in their order, (n, d) rad."""
+    index = np.stack(np.meshgrid(*map(np.arange, cells), indexing="ij"), axis=-1).reshape(-1, len(cells))
+    return np.asarray(np.asarray(space.lower) + (index + 0.5) * spacing(space, cells))
+
+
+def cells_of(
+    space: JointSpace, cells: tuple[int, ...], configurations: ArrayLike
+) -> tuple[NDArray[np.int64], ...]:
+    """The cells that hold configurations (..., d) rad, or are nearest, as an index: d arrays (...)."""
+    offset = (space.wrap(configurations) - np.asarray(space.lower)) / spacing(space, cells)
+    found: NDArray[np.int64] = np.clip(np.floor(offset).astype(np.int64), 0, np.asarray(cells) - 1)
+    return tuple(np.moveaxis(found, -1, 0))
+
+
+# Cells a joint for two joints; more joints get as many cells in all.
+FINE_CELLS = 512
+_BISECTIONS = 24
+
+
+def cells_per_joint(dim: int, fine: int = FINE_CELLS) -> int:
+    """Cells along each joint of a grid that has ``fine`` squared cells in all."""
+    return int(np.round(fine ** (2.0 / dim)))
+
+
+@dataclass(frozen=True)
+class FreeGrid:
+    """A scenario's joint space cut into equal cells, each checked at its centre."""
+
+    scenario: Scenario
+    cells: int
+
+    @cached_property
+    def spacing_rad(self) -> NDArray[np.float64]:
+        """Size of a cell along each joint, (d,)."""
+        return spacing(self.scenario.robot.space, self._shape)
+
+    @cached_property
+    def free(self) -> NDArray[np.bool_]:
+        """Which cells are free, (cells,) * d."""
+        points = centres(self.scenario.robot.space, self._shape)
+        return np.reshape(CollisionChecker(self.scenario).valid_batch(points), self._shape)
+
+    @cached_property
+    def touching(self) -> NDArray[np.int64]:
+        """Component of each free cell, those that touch in a corner connected; 0 for the others."""
+        return self.components(diagonal=True)
+
+    @cached_property
+    def clearance_rad(self) -> NDArray[np.float64]:
+        """Torus distance from each cell to the nearest colliding one; inf where nothing collides."""
+        return distance_to_false(self.free, self.spacing_rad, self.scenario.robot.space.periodic)
+
+    def cells_of(self, configurations: ArrayLike) -> tuple[NDArray[np.int64], ...]:
+        """The cells that hold configurations (..., d) rad, as an index: d arrays (...)."""
+        return cells_of(self.scenario.robot.space, self._shape, configurations)
+
+    def cell_of(self, configuration: ArrayLike) -> tuple[int, ...]:
+        """The cell that holds a configuration (d,) rad."""
+        return tuple(int(index) for index in self.cells_of(configuration))
+
+    def components(self, above_rad: float = 0.0, *, diagonal: bool = False) -> NDArray[np.int64]:
+        """Component of each cell of larger clearance, 0 for the others; corners join if ``diagonal``."""
+        inside = self.free if above_rad <= 0.0 else self.clearance_rad > above_rad
+        dim = inside.ndim
+        structure = ndimage.generate_binary_structure(dim, dim if diagonal else 1)
+        labels, count = ndimage.label(inside, structure)
+        return self._close_seams(np.asarray(labels, dtype=np.int64), int(count), diagonal=diagonal)
+
+    def joined(
+        self, start: ArrayLike, goal: ArrayLike, above_rad: float = 0.0, *, diagonal: bool = False
+    ) -> bool:
+        """Whether two configurations lie in one component; False when either's cell is outside."""
+        labels = self.components(above_rad, diagonal=diagonal)
+        first, second = labels[self.cell_of(start)], labels[self.cell_of(goal)]
+        return bool(first == second and first > 0)
+
+    def bottleneck_rad(self, start: ArrayLike, goal: ArrayLike) -> float:
+        """Largest clearance at which start and goal stay connected, by bisection; 0 when they never are."""
+        if not self.joined(start, goal):
+            return 0.0
+        low, high = 0.0, float(min(self.clearance_rad[self.cell_of(q)] for q in (start, goal)))
+        if math.isinf(high) or self.joined(start, goal, high * (1.0 - 1e-9)):
+            return high
+        for _ in range(_BISECTIONS):
+            middle = (low + high) / 2.0
+            low, high = (middle, high) if self.joined(start, goal, middle) else (low, middle)
+        return low
+
+    @property
+    def _shape(self) -> tuple[int, ...]:
+        return (self.cells,) * self.scenario.robot.dim
+
+    def _close_seams(self, labels: NDArray[np.int64], count: int, *, diagonal: bool) -> NDArray[np.int64]:
+        pairs = [np.empty((2, 0), dtype=np.int64)]
+        for axis, wraps in enumerate(self.scenario.robot.space.periodic):
+            if not wraps:
+                continue
+            first, last = np.take(labels, 0, axis), np.take(labels, -1, axis)
+            for shifted in _shifts(last) if diagonal else [last]:
+                both = (first > 0) & (shifted > 0)
+                pairs.append(np.stack([first[both], shifted[both]]))
+        left, right = np.concatenate(pairs, axis=1)
+        graph = coo_array((np.ones(len(left)), (left, right)), shape=(count + 1, count + 1))
+        merged = np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
+        # The ground, label 0, keeps 0 for itself; every other component moves up by one.
+        names = np.where(merged == merged[0], 0, merged + 1)
+        return names[labels]
+
+
+def _shifts(face: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """A face and its neighbours by one cell along its axes (corners wrap as well)."""
+    result = [face]
+    for axis in range(face.ndim):
+        result += [np.roll(part, step, axis) for part in tuple(result) for step in (-1, 1)]
+    return result
+
+
+# Cells a joint for two joints; more joints get as many in all.
+PATH_CELLS = 256
+# A route keeps off obstacles up to here, where it costs up to twice as much.
+MARGIN_RAD = 0.12
+RESOLUTION_RAD = 0.00314
+
+
+class PathFinder:
+    """Near-optimal paths of a scenario that is known in full, on one grid of its joint space."""
+
+    def __init__(self, scenario: Scenario, cells: int = PATH_CELLS) -> None:
+        self._space, self._checker = scenario.robot.space, CollisionChecker(scenario)
+        self._grid = FreeGrid(scenario, cells_per_joint(scenario.robot.dim, cells))
+        self._graph = _graph(self._grid)
+
+    def path(self, start: ArrayLike, goal: ArrayLike) -> NDArray[np.float64] | None:
+        """A free path (k, d) rad from ``start`` (d,) to ``goal`` (d,); None where the grid has none.
+
+        Every edge is free at the resolution. A route of the grid whose cells are free and whose edges are not
+        is no path, so that a passage finer than a cell may be missed; one that is found is always free.
+        """
+        first, last = self._space.wrap(start), self._space.wrap(goal)
+        shape = self._grid.free.shape
+        at, end = (int(np.ravel_multi_index(self._grid.cell_of(q), shape)) for q in (first, last))
+        parents = dijkstra(self._graph, directed=False, indices=end, return_predecessors=True)[1]
+        cells = [at]
+        while cells[-1] != end:
+            if parents[cells[-1]] < 0:
+                return None
+            cells.append(int(parents[cells[-1]]))
+        corners = centres(self._space, shape)[cells[1:-1]]
+        return shortcut(np.concatenate([[first], corners, [last]]), self._edges_free)
+
+    def _edges_free(self, starts: NDArray[np.float64], ends: NDArray[np.float64]) -> NDArray[np.bool_]:
+        return self._checker.edge_batch(starts, ends, RESOLUTION_RAD)
+
+
+def _graph(grid: FreeGrid) -> Any:
+    """Free cells and their neighbours, those that touch in a corner too, by the cost of the way between them.
+
+    A rad costs 1 where the clearance is beyond :data:`MARGIN_RAD`, up to 2 at contact.
+    """
+    near = 1.0 + np.maximum(0.0, 1.0 - grid.clearance_rad / MARGIN_RAD)
+    wraps, shape = grid.scenario.robot.space.periodic, grid.free.shape
+    numbers, axes = np.arange(near.size).reshape(shape), tuple(range(near.ndim))
+    edges = []
+    for step in itertools.product((-1, 0, 1), repeat=near.ndim):
+        # Each pair of neighbours once.
+        if step <= (0,) * near.ndim:
+            continue
+        there = np.roll(numbers, [-one for one in step], axes)
+        joined = grid.free & grid.free.ravel()[there]
+        for axis, one in enumerate(step):
+            if one and not wraps[axis]:
+                np.moveaxis(joined, axis, 0)[-1 if one > 0 else 0] = False
+        costs = np.linalg.norm(step * grid.spacing_rad) * 0.5 * (near + near.ravel()[there])
+        edges.append((numbers[joined], there[joined], costs[joined]))
+    rows, columns, values = (np.concatenate(parts) for parts in zip(*edges, strict=True))
+    return coo_array((values, (rows, columns)), shape=(near.size, near.size)).tocsr()
+
+
+def shortcut(
+    path: NDArray[np.float64],
+    edges_free: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.bool_]],
+) -> NDArray[np.float64] | None:
+    """The path without the corners that are not needed, from the start on always to the farthest in sight.
+
+    ``path``: (k, d) rad. ``edges_free``: (n, d) and (n, d) to which edges are free, (n,). Returns (k', d)
+    rad, every edge of which is free; None where a corner has no free edge to any after it.
+    """
+    kept, at = [0], 0
+    while at < len(path) - 1:
+        ahead = path[at + 1 :]
+        free = edges_free(np.broadcast_to(path[at], ahead.shape), ahead)
+        if not free.any():
+            return None
+        at += 1 + int(np.flatnonzero(free)[-1])
+        kept.append(at)
+    return path[kept]
+
 
 NARROW_RAD = (0.03, 0.08)
 MAX_DRAWS, MAX_OWN_DRAWS = 5000, 200
@@ -52,19 +279,12 @@ def draw_problem(
             ends.setflags(write=False)
             return Problem(scenario, ends[0], ends[1], family, bottleneck, seed, rejected)
     raise ScenarioError(
-        f"no {family} problem was found",
-        expected=f"one in {draws} draws",
-        got="none",
-        remedy="another family, or another robot",
+        f"no {family} problem was found in {draws} draws", remedy="another family, or another robot"
     )
 
 
 def apart(scenario: Scenario, ends: NDArray[np.float64]) -> str | None:
-    """In words, that ends (2, d) rad lie in different parts of the free space; None where they may not.
-
-    As in the family ``disconnected`` cells that touch in a corner count as joined, so that no path hides
-    between two cells.
-    """
+    """In words, that ends (2, d) rad lie in different parts of the free space; None where they may not."""
     grid = _fine(scenario)
     first, second = grid.touching[grid.cells_of(ends)]
     if 0 in (first, second) or first == second:
@@ -76,10 +296,7 @@ def apart(scenario: Scenario, ends: NDArray[np.float64]) -> str | None:
 def _ends(
     family: Family, scenario: Scenario, free: NDArray[np.float64], rng: np.random.Generator
 ) -> tuple[NDArray[np.float64], float] | None:
-    """Start and goal (2, d) rad of the family among free configurations (n, d), and their bottleneck in rad.
-
-    None where there are none; those of a narrow passage are drawn evenly from all that have one.
-    """
+    """Start and goal (2, d) rad of the family among free (n, d), and their bottleneck in rad, or None."""
     if len(free) < 2:
         return None
     if family is Family.NARROW:
@@ -98,14 +315,7 @@ def _ends(
 
 
 def narrow_pairs(scenario: Scenario, configurations: NDArray[np.float64]) -> NDArray[np.int64]:
-    """All pairs of free configurations that a narrow passage joins and nothing wider.
-
-    Args:
-        configurations: (n, d) rad, free.
-
-    Returns:
-        Indices (k, 2) of starts and goals.
-    """
+    """All pairs (k, 2) of free configurations (n, d) rad that a narrow passage joins and nothing wider."""
     low, high = NARROW_RAD
     none = np.empty((0, 2), dtype=np.int64)
     for cells in _SCREEN_CELLS:
@@ -151,8 +361,6 @@ def require_resolution(robot: PlanarArm) -> None:
     if not resolves_narrow(robot):
         raise ScenarioError(
             f"narrow passages of {robot.dim} joints are finer than the grid",
-            expected=f"cells below {NARROW_RAD[1]} rad",
-            got=f"{_cell_rad(robot):.3f} rad",
             remedy="another family, or a robot of two joints",
         )
 

@@ -1,13 +1,17 @@
-"""The simulator of the planar world: scenarios of discs, their pictures, checks and problems."""
+"""The simulator of the planar world: scenarios of discs, their pictures and files, checks and problems."""
 
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from itertools import pairwise
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
+from matplotlib.patches import Circle, Polygon
 from numpy.typing import ArrayLike, NDArray
+from pydantic import BaseModel, ConfigDict, Field
 
 from cspace.errors import ScenarioError
-from cspace.png import encode_png
+from cspace.files import encode_png
+from cspace.kernel_cache import njit
 from cspace.simulator import (
     Checker,
     Families,
@@ -19,20 +23,132 @@ from cspace.simulator import (
     Split,
     near_contact,
 )
+from cspace.strict_json import validated
 from cspace.world import Image, Scene, World
+from cspace.worlds.planar.arm import PlanarArm
+from cspace.worlds.planar.camera import Camera, Length, Place
 from cspace.worlds.planar.checks import CollisionChecker
-from cspace.worlds.planar.free_grid import PathFinder
 from cspace.worlds.planar.problems import (
     Family,
+    PathFinder,
     apart,
     draw_problem,
     narrow_pairs,
     require_resolution,
     resolves_narrow,
 )
-from cspace.worlds.planar.render import draw_arm, draw_discs, render
-from cspace.worlds.planar.scenes import GivenScenes, Scenes
-from cspace.worlds.planar.world import PlanarWorld, Scenario
+from cspace.worlds.planar.scenes import MAX_DISCS, DiscScenes, GivenScenes, Scenes
+from cspace.worlds.planar.world import Disc, PlanarWorld, Scenario
+
+SUBSAMPLES = 8
+WHITE = (255, 255, 255)
+DISC_COLOUR = (255, 0, 0)
+ARM_COLOUR = (0, 0, 255)
+
+
+@njit(cache=True, nogil=True)
+def _signed_distances(x, y, joints, half_width, discs):  # type: ignore[no-untyped-def]
+    to_disc = np.inf
+    for disc in range(discs.shape[0]):
+        gap = np.hypot(x - discs[disc, 0], y - discs[disc, 1]) - discs[disc, 2]
+        to_disc = min(to_disc, gap)
+    to_arm = np.inf
+    for link in range(joints.shape[0] - 1):
+        dx, dy = joints[link + 1, 0] - joints[link, 0], joints[link + 1, 1] - joints[link, 1]
+        px, py = x - joints[link, 0], y - joints[link, 1]
+        along = min(1.0, max(0.0, (px * dx + py * dy) / (dx * dx + dy * dy)))
+        to_arm = min(to_arm, np.hypot(px - along * dx, py - along * dy) - half_width)
+    return to_disc, to_arm
+
+
+@njit(cache=True, nogil=True)
+def _shares(x0, y1, width, height, joints, half_width, discs):  # type: ignore[no-untyped-def]
+    """Shares of one pixel that discs and arm cover, the discs over the arm."""
+    to_disc, to_arm = _signed_distances(x0 + width / 2, y1 - height / 2, joints, half_width, discs)
+    reach = np.hypot(width, height) / 2
+    if to_disc <= -reach:
+        return 1.0, 0.0
+    if to_disc >= reach and (to_arm >= reach or to_arm <= -reach):
+        return 0.0, 1.0 if to_arm < 0 else 0.0
+    in_disc, in_arm = 0, 0
+    for row in range(SUBSAMPLES):
+        for column in range(SUBSAMPLES):
+            x = x0 + (column + 0.5) * width / SUBSAMPLES
+            y = y1 - (row + 0.5) * height / SUBSAMPLES
+            to_disc, to_arm = _signed_distances(x, y, joints, half_width, discs)
+            if to_disc <= 0:
+                in_disc += 1
+            elif to_arm <= 0:
+                in_arm += 1
+    return in_disc / SUBSAMPLES**2, in_arm / SUBSAMPLES**2
+
+
+@njit(cache=True, nogil=True)
+def _draw(pixels, x_min, x_max, y_min, y_max, joints, half_width, discs):  # type: ignore[no-untyped-def]
+    out = np.empty((pixels, pixels, 3), dtype=np.uint8)
+    width, height = (x_max - x_min) / pixels, (y_max - y_min) / pixels
+    for row in range(pixels):
+        for column in range(pixels):
+            disc, arm = _shares(
+                x_min + column * width, y_max - row * height, width, height, joints, half_width, discs
+            )
+            for channel in range(3):
+                value = (
+                    disc * DISC_COLOUR[channel]
+                    + arm * ARM_COLOUR[channel]
+                    + (1 - disc - arm) * WHITE[channel]
+                )
+                out[row, column, channel] = np.uint8(np.floor(value + 0.5))
+    return out
+
+
+def render(scenario: Scenario) -> NDArray[np.uint8]:
+    """The picture, (P, P, 3) uint8: red discs over the blue arm at angle zero, white ground, y up."""
+    camera, robot = scenario.camera, scenario.robot
+    joints = robot.joint_positions_m(np.zeros((1, robot.dim)))[0]
+    picture: NDArray[np.uint8] = _draw(
+        camera.pixels,
+        camera.x_min_m,
+        camera.x_max_m,
+        camera.y_min_m,
+        camera.y_max_m,
+        joints,
+        robot.half_width_m,
+        scenario.disc_array,
+    )
+    return picture
+
+
+def draw_discs(axes: Any, scenario: Scenario, colour: str) -> None:
+    """The discs, in the camera's frame."""
+    for x_m, y_m, radius_m in scenario.disc_array:
+        axes.add_patch(Circle((x_m, y_m), radius_m, facecolor=colour, edgecolor="none", zorder=1))
+    left, right, bottom, top = scenario.camera.extent_m
+    axes.set_xlim(left, right)
+    axes.set_ylim(bottom, top)
+    axes.set_aspect("equal")
+    axes.set_xlabel("x (m)")
+    axes.set_ylabel("y (m)")
+
+
+def draw_arm(axes: Any, robot: PlanarArm, configuration: ArrayLike, colour: str, order: int) -> None:
+    """The links at a configuration (d,) rad."""
+    for base, tip in pairwise(robot.joint_positions_m(configuration)[0]):
+        outline = capsule_outline(base, tip, robot.half_width_m)
+        axes.add_patch(
+            Polygon(outline, closed=True, facecolor=colour, edgecolor="white", linewidth=0.4, zorder=order)
+        )
+
+
+def capsule_outline(
+    base: NDArray[np.float64], tip: NDArray[np.float64], half_width_m: float, points: int = 12
+) -> NDArray[np.float64]:
+    """The outline of a capsule between two points (2,), (2 points, 2) m."""
+    heading = np.arctan2(tip[1] - base[1], tip[0] - base[0])
+    turn = np.linspace(-np.pi / 2.0, np.pi / 2.0, points)
+    round_tip = np.stack([np.cos(heading + turn), np.sin(heading + turn)], axis=-1)
+    return np.concatenate([tip + half_width_m * round_tip, base - half_width_m * round_tip])
+
 
 _NOTE = (
     "Those of the family narrow have a passage whose middle is 0.03 to 0.08 rad from collision, those of "
@@ -84,7 +200,7 @@ class PlanarSimulator(Simulator):
         return {"discs": np.pad(discs, ((0, max(0, self._most - len(discs))), (0, 0)), mode="edge")}
 
     def render(self, scene: Scene) -> Image:
-        """See :func:`cspace.worlds.planar.render.render`."""
+        """See :func:`cspace.worlds.planar.simulator.render`."""
         return render(cast("Scenario", scene))
 
     def picture_file(self, scene: Scene) -> bytes:
@@ -124,7 +240,7 @@ class PlanarSimulator(Simulator):
         return free[rng.integers(len(free), size=(count, 2))]
 
     def path_search(self, scene: Scene) -> PathSearch:
-        """See :mod:`cspace.worlds.planar.free_grid`."""
+        """See :mod:`cspace.worlds.planar.problems`."""
         return PathFinder(cast("Scenario", scene)).path
 
     def problem(self, family: str, split: Split, seed: int, index: int = 0) -> Problem:
@@ -164,10 +280,7 @@ class PlanarSimulator(Simulator):
     def _scenes(self) -> Scenes:
         if self.world.scenes is None:
             raise ScenarioError(
-                "nobody knows where this world's scenes come from",
-                expected="a family of scenes, or given ones",
-                got="data of one's own, whose obstacles are not known",
-                remedy="name a data set that holds scenes",
+                "nobody knows where this world's scenes come from", remedy="name a data set that holds scenes"
             )
         return self.world.scenes
 
@@ -182,3 +295,53 @@ class PlanarSimulator(Simulator):
 def open_simulator(world: World) -> PlanarSimulator:
     """The simulator of a planar world."""
     return PlanarSimulator(cast("PlanarWorld", world))
+
+
+_Configuration = Annotated[tuple[Place, ...], Field(min_length=1, description="rad")]
+
+
+@validated(ScenarioError)
+class _Robot(PlanarArm):
+    link_lengths_m: Annotated[tuple[Length, ...], Field(min_length=1, max_length=64)]
+    kind: Literal["planar_arm"] = "planar_arm"
+
+
+@validated(ScenarioError)
+class _Disc(Disc):
+    shape: Literal["disc"] = "disc"
+
+
+class Values(BaseModel):
+    """What a file says; start, goal and name are empty where it does not name them."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, title="A scene file of the planar world")
+
+    world: Literal["planar"] = "planar"
+    name: Annotated[str, Field(pattern="^[a-z0-9]([a-z0-9-]{0,38}[a-z0-9])?$")] = ""
+    robot: _Robot
+    camera: Camera = Camera()
+    scenes: DiscScenes = DiscScenes()
+    obstacles: Annotated[tuple[_Disc, ...], Field(max_length=MAX_DISCS)] = ()
+    start: _Configuration = ()
+    goal: _Configuration = ()
+
+
+def read_world(values: Values) -> PlanarWorld:
+    """Robot, camera and family of scenes."""
+    one = values.robot
+    arm = PlanarArm(
+        one.link_lengths_m, one.half_width_m, one.joint_limits_rad, self_collision=one.self_collision
+    )
+    return PlanarWorld(arm, values.camera, values.scenes)
+
+
+def read_scene(world: PlanarWorld, values: Values) -> Scenario:
+    """The obstacles about a world's robot."""
+    discs = tuple(Disc(one.x_m, one.y_m, one.radius_m) for one in values.obstacles)
+    return Scenario(world.body, discs, world.sensor)
+
+
+def given(scenes: list[Scenario]) -> GivenScenes:
+    """Scenes as those of a world; see :meth:`cspace.worlds.planar.scenes.GivenScenes.of`."""
+    rows = [tuple((disc.x_m, disc.y_m, disc.radius_m) for disc in scene.discs) for scene in scenes]
+    return GivenScenes.of(tuple(rows))

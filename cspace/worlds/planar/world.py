@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import ConfigError, DatasetError, ImageError, ScenarioError
-from cspace.png import encode_png
 from cspace.strict_json import read_object, validated
 from cspace.view_file import View, check_counts
 from cspace.world import (
@@ -22,8 +21,7 @@ from cspace.world import (
 )
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, JointLimits, PlanarArm, levers
 from cspace.worlds.planar.camera import Camera, Length, Place, decode_png
-from cspace.worlds.planar.known import KnownDiscs
-from cspace.worlds.planar.scenes import MAX_GIVEN, DiscScenes, GivenScenes, Scenes
+from cspace.worlds.planar.scenes import MAX_GIVEN, DiscScenes, GivenScenes, KnownDiscs, Scenes
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,11 +39,7 @@ class PlanarWorld(World):
         """The picture, into which known discs are drawn; nothing is said of it."""
         view = View.of(data)
         if view.cameras or view.state is not None or view.depth_scale_m is not None:
-            raise ImageError(
-                "the picture comes with a camera",
-                expected="a picture alone",
-                remedy="leave camera and state out",
-            )
+            raise ImageError("the picture comes with a camera", remedy="leave camera and state out")
         if len(view.pictures) > 1:
             check_counts(len(view.pictures), 0)
         image = decode_png(view.pictures[0], self.sensor.pixels, check_cancelled)
@@ -59,10 +53,6 @@ class PlanarWorld(World):
         del image
         return known.contact(configuration) if isinstance(known, KnownDiscs) else None
 
-    def blank_picture(self) -> bytes:
-        """All white."""
-        return encode_png(np.full(self.sensor.picture_shape, 255, np.uint8))
-
     def levers(self, points_per_link: int, side_m: float) -> Levers:
         """See :func:`cspace.worlds.planar.arm.levers`."""
         return levers(self.body, self.sensor, points_per_link, side_m)
@@ -75,16 +65,12 @@ class PlanarWorld(World):
         if discs.dtype != np.float64 or discs.ndim != 3 or (len(discs), discs.shape[2]) != (count, 3):
             raise DatasetError(
                 "discs.npy does not fit",
-                expected=f"float64 of shape ({count}, any, 3)",
-                got=f"{discs.dtype} of shape {discs.shape}",
+                expected=f"float64 ({count}, any, 3)",
+                got=f"{discs.dtype} {discs.shape}",
             )
         right = np.isfinite(discs).all(axis=-1) & (discs[..., 2] > 0.0)
         if not right.all():
-            raise DatasetError(
-                "discs.npy holds values that are no discs",
-                expected="finite x, y and a radius above 0, m",
-                got=str(discs[~right][0]),
-            )
+            raise DatasetError("discs.npy holds a radius that is none", got=str(discs[~right][0]))
 
     def held_out(self, arrays: Arrays) -> GivenScenes | None:
         """See :meth:`cspace.world.World.held_out`."""
@@ -203,11 +189,7 @@ def described(options: argparse.Namespace) -> PlanarWorld:
     """The planar world of parsed options."""
     x_min_m, x_max_m, y_min_m, y_max_m = options.view
     if options.pixels < 1 or not (x_min_m < x_max_m and y_min_m < y_max_m):
-        raise ConfigError(
-            "the camera does not fit",
-            expected="--pixels above 0, --view with minimum below maximum",
-            got=f"{options.pixels} pixels, {options.view}",
-        )
+        raise ConfigError("the camera does not fit", got=f"{options.pixels} pixels, {options.view}")
     arm = PlanarArm(tuple(options.links), options.half_width, _limits(options.limit, len(options.links)))
     return PlanarWorld(arm, Camera(x_min_m, x_max_m, y_min_m, y_max_m, options.pixels))
 

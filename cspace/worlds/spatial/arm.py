@@ -25,46 +25,33 @@ _Name = Annotated[str, Field(min_length=1)]
 
 @validated(ScenarioError)
 class Joint:
-    """A revolute joint.
-
-    Args:
-        origin: its frame, in that of the link before it, where its angle is zero.
-        limits_rad: (low, high); None where it is a circle.
-    """
+    """A revolute joint."""
 
     name: _Name
-    origin: Frame = SAME
+    origin: Frame = SAME  # its frame, in that of the link before it, where its angle is zero
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    limits_rad: tuple[float, float] | None = None
+    limits_rad: tuple[float, float] | None = None  # (low, high); None where it is a circle
 
     def __post_init__(self) -> None:
         if not abs(float(np.linalg.norm(self.axis)) - 1.0) <= _UNIT:
             raise ScenarioError(
-                f"the axis of joint {self.name} does not fit",
-                expected="x, y, z of a unit vector",
-                got=str(self.axis),
+                f"the axis of joint {self.name} does not fit", expected="a unit vector", got=str(self.axis)
             )
         if (limits := self.limits_rad) is not None and not _is_range(*limits):
             raise ScenarioError(
-                f"the limits of joint {self.name} do not fit",
-                expected=f"None, or low < high by {MIN_RANGE_RAD} rad or more, within {MAX_LIMIT_RAD:.0f}",
-                got=str(limits),
+                f"the limits of joint {self.name} do not fit", expected="low < high, rad", got=str(limits)
             )
 
 
 @validated(ScenarioError)
 class Part:
-    """A rigid piece of the arm.
-
-    Args:
-        link: what it is fixed to: 0 for the base, k for what joint k moves.
-        overlap_m: spheres stick out of what they cover, so two parts touch where spheres overlap by more
-            than the sum of both values. If one part has None, they touch as soon as spheres do.
-    """
+    """A rigid piece of the arm."""
 
     name: _Name
-    link: int
+    link: int  # what it is fixed to: 0 for the base, k for what joint k moves
     spheres_m: Annotated[tuple[Sphere, ...], Field(min_length=1)]
+    # Spheres stick out of what they cover, so two parts touch where spheres overlap by more than the sum of
+    # both values. If one part has None, they touch as soon as spheres do.
     overlap_m: Annotated[float | None, Field(ge=0.0, le=MAX_OVERLAP_M), LEFT_OUT] = None
 
 
@@ -81,17 +68,14 @@ MAX_SPHERES = 2000
 
 @validated(ScenarioError)
 class SerialArm(Record):
-    """A serial arm with its base at the origin, x forward and z up.
-
-    Args:
-        ready_rad: (d,) where it waits, in scenes that are drawn; None for the middle of its limits.
-    """
+    """A serial arm with its base at the origin, x forward and z up."""
 
     name: str
     joints: Annotated[tuple[Joint, ...], Field(min_length=1, max_length=MAX_JOINTS)]
     parts: tuple[Part, ...] = ()
     touching: tuple[tuple[str, str], ...] = ()
     tool: Frame = SAME
+    # (d,) where it waits, in scenes that are drawn; None for the middle of its limits
     ready_rad: Annotated[tuple[float, ...] | None, LEFT_OUT] = None
 
     def __post_init__(self) -> None:
@@ -121,8 +105,8 @@ class SerialArm(Record):
         if astray or count > MAX_SPHERES:
             raise ScenarioError(
                 "the arm's parts do not fit",
-                expected=f"links 0 to {self.dim}, and at most {MAX_SPHERES} spheres",
-                got=f"{count} spheres; on no link: {astray}",
+                expected=f"at most {MAX_SPHERES} spheres",
+                got=f"{count}; on no link: {astray}",
             )
 
     def _check_pairs(self) -> None:
@@ -130,11 +114,7 @@ class SerialArm(Record):
         pairs = [tuple(sorted(pair)) for pair in self.touching]
         wrong = [pair for pair in pairs if not set(pair) <= set(links) or links[pair[0]] == links[pair[1]]]
         if wrong or len(set(pairs)) != len(pairs):
-            raise ScenarioError(
-                "the pairs of parts that can touch do not fit",
-                expected="names of two parts of different links, each pair once",
-                got=str(wrong or pairs)[:200],
-            )
+            raise ScenarioError("the pairs of parts that can touch do not fit", got=str(wrong or pairs)[:200])
 
     @property
     def dim(self) -> int:
@@ -154,10 +134,6 @@ class SerialArm(Record):
 
     def with_limits(self, limits_rad: Sequence[tuple[float, float] | None]) -> "SerialArm":
         """The same arm with other limits, one pair for each joint, None for a circle."""
-        if len(limits_rad) != self.dim:
-            raise ScenarioError(
-                "the joint limits do not fit", expected=f"{self.dim} pairs", got=str(len(limits_rad))
-            )
         pairs = zip(self.joints, limits_rad, strict=True)
         return replace(self, joints=tuple(replace(joint, limits_rad=one) for joint, one in pairs))
 
@@ -178,10 +154,7 @@ class SerialArm(Record):
 
     @property
     def usual_base_m(self) -> Vector:
-        """Where the base would be if it were below the shoulder as those of most arms are, m.
-
-        That is (0, 0, 0) for most; the first link of a description may be a stand, or the room's origin.
-        """
+        """Where the base would be if it were below the shoulder as most are, m: (0, 0, 0) but for stands."""
         x, y, z = self.joints[0].origin.xyz_m
         if z <= _HIGH_M and x * x + y * y <= _ASIDE_M * _ASIDE_M:
             return (0.0, 0.0, 0.0)
@@ -212,9 +185,8 @@ class SerialArm(Record):
     def named_frame(self, name: str) -> tuple[int, NDArray[np.float64]]:
         """The number of the link that a named frame is fixed to, and the frame in that link's, (4, 4) m.
 
-        Args:
-            name: of a joint, for the link that it moves; of a link, which is that of the first part that is
-                fixed to it; or ``tool``. The frames of further parts are not known.
+        ``name``: of a joint, for the link that it moves; of a link, which is that of the first part that is
+        fixed to it; or ``tool``. The frames of further parts are not known.
         """
         links = {joint.name: number for number, joint in enumerate(self.joints, 1)}
         fixed = {part.name: part.link for part in self.parts if part.link}
@@ -317,17 +289,12 @@ def touching_sets(arm: SerialArm) -> Sets:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grouping:
-    """Groups of an arm's S spheres, G of them, in the order of the parts.
+    """Groups of an arm's S spheres, G of them, in the order of the parts."""
 
-    Attributes:
-        links: (G,) the link of each group.
-        spheres_m: (G, 4) centre in the link's frame and radius of a sphere that holds the group.
-        groups: (S,) the group of each of the arm's spheres.
-    """
-
-    links: NDArray[np.int64]
+    links: NDArray[np.int64]  # (G,) the link of each group
+    # (G, 4) centre in the link's frame and radius of a sphere that holds the group
     spheres_m: NDArray[np.float64]
-    groups: NDArray[np.int64]
+    groups: NDArray[np.int64]  # (S,) the group of each of the arm's spheres
 
     @property
     def members(self) -> NDArray[np.int64]:

@@ -44,6 +44,7 @@ BENCH_FAMILIES = (
 )
 # Of the hundred in each family.
 NUMBERS = {Split.VALIDATION: range(1, 31), Split.TEST: range(31, 101)}
+_FETCH = "python -m training.motionbench fetch --out FOLDER"
 SHIPPED = Path(__file__).with_name("motionbench")
 # Of the Panda's joints in the benchmark, wider than its maker's; some starts and goals need them.
 LIMITS_RAD = (
@@ -63,19 +64,13 @@ _GOAL_HALF_M = 0.01
 
 @validated(ScenarioError)
 class BenchProblem(Record):
-    """A problem of an arm.
-
-    Args:
-        number: in its family, from 1 to 100.
-        start: (d,) rad.
-        goal: (d,) rad.
-    """
+    """A problem of an arm."""
 
     family: Annotated[str, Field(pattern=f"^({'|'.join(BENCH_FAMILIES)})$")]
-    number: Annotated[int, Field(ge=1, le=100)]
+    number: Annotated[int, Field(ge=1, le=100)]  # in its family, from 1 to 100
     obstacles: Obstacles
-    start: Annotated[tuple[float, ...], Field(min_length=1)]
-    goal: tuple[float, ...]
+    start: Annotated[tuple[float, ...], Field(min_length=1)]  # (d,) rad
+    goal: tuple[float, ...]  # (d,) rad
 
     def layout(self, arm: SerialArm) -> Layout:
         """The scene, whose one region and whose cameras' focus are where the goal's tool is."""
@@ -95,34 +90,19 @@ def problems(
 ) -> tuple[BenchProblem, ...]:
     """The problems of a split, by family, then by number.
 
-    Args:
-        split: validation, numbers 1 to 30, or test, 31 to 100, which nothing is ever tuned on.
-        folder: that ``python -m training.motionbench fetch`` filled; validation problems are read from where
-            they ship unless it is given.
+    ``split``: validation, numbers 1 to 30, or test, 31 to 100, which nothing is ever tuned on. ``folder``:
+    that ``python -m training.motionbench fetch`` filled; validation problems are read from where they ship
+    unless it is given.
     """
-    if split not in NUMBERS:
-        raise DatasetError("the benchmark has no such split", expected="validation or test", got=str(split))
     wanted = tuple(families)
-    if unknown := sorted(set(wanted) - set(BENCH_FAMILIES)):
-        raise ScenarioError(
-            "families are unknown", expected=f"some of {', '.join(BENCH_FAMILIES)}", got=str(unknown)[:200]
-        )
     if folder is None and split is Split.TEST:
-        raise DatasetError(
-            "the benchmark's test problems do not ship",
-            expected="a folder that holds them",
-            got="none",
-            remedy="python -m training.motionbench fetch --out FOLDER",
-        )
+        raise DatasetError("the benchmark's test problems do not ship", remedy=_FETCH)
     path = _file(SHIPPED if folder is None else folder, split)
     try:
         values = parse_json(gzip.decompress(path.read_bytes()))
     except (OSError, EOFError, zlib.error, ValueError) as error:
         raise DatasetError(
-            "the benchmark's problems cannot be read",
-            expected="the file that python -m training.motionbench fetch writes",
-            got=f"{path}: {error}"[:300],
-            remedy="python -m training.motionbench fetch --out FOLDER",
+            "the benchmark's problems cannot be read", got=f"{path}: {error}"[:300], remedy=_FETCH
         ) from error
     found = read_object(_Problems, values, str(path), DatasetError).problems
     by_name = {(one.family, one.number): one for one in found}
@@ -159,7 +139,7 @@ FINGERS_M = 0.065
 
 @dataclass(frozen=True, slots=True)
 class SpatialPartlySeen:
-    """See :class:`cspace.simulator.PartlySeen`."""
+    """Planning problems of an arm that pictures show in part, by family."""
 
     world: SpatialWorld
 
@@ -310,11 +290,7 @@ def viewed(world: SpatialWorld, pictures: int) -> SpatialWorld:
 def from_both_sides(
     rng: np.random.Generator, world: SpatialWorld, layout: Layout, state: NDArray[np.float64], aim: str
 ) -> SpatialScene:
-    """A layout as cameras see it that do not all stand on the same side of the line to what they look at.
-
-    Args:
-        state: (d,) rad, of the arm.
-    """
+    """A layout as cameras see it that do not all stand on the same side of the line to what they look at."""
     if aim == "scene":
         layout = replace(layout, focus=middle(layout.obstacles))
     focus = np.asarray(layout.focus)[:2]

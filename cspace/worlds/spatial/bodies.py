@@ -22,39 +22,23 @@ _RAY = (0.5298129428260175, 0.6324555320336759, 0.5651003626478917)
 
 
 class BodyArrays(NamedTuple):
-    """K bodies as the kernels take them: boxes first, then cylinders, spheres and meshes.
+    """K bodies as the kernels take them: boxes first, then cylinders, spheres and meshes."""
 
-    Attributes:
-        boxes: (B, 16), see :class:`cspace.worlds.spatial.obstacles.ObstacleArrays`.
-        cylinders: (C, 15), likewise.
-        spheres: (Q, 4) centres and radii, m.
-        corners: (T, 3, 3) of all triangles in the base frame, m, in the order of the trees' leaves.
-        lows: (M, 3) lowest corner of each node's box.
-        highs: (M, 3) highest corner.
-        rights: (M,) the second child, the first is the next node; -1 of a leaf.
-        firsts: (M,) a leaf's first triangle.
-        counts: (M,) of a leaf's triangles.
-        roots: (R,) of the meshes' trees.
-        closed: (R,) whether a mesh bounds a solid.
-        centres: (K, 3) of a sphere round each body.
-        reaches: (K,) its radius.
-        exempt: (P, K) parts of the arm that may touch a body.
-    """
-
-    boxes: NDArray[np.float64]
-    cylinders: NDArray[np.float64]
-    spheres: NDArray[np.float64]
+    boxes: NDArray[np.float64]  # (B, 16), see :class:`cspace.worlds.spatial.obstacles.ObstacleArrays`
+    cylinders: NDArray[np.float64]  # (C, 15), likewise
+    spheres: NDArray[np.float64]  # (Q, 4) centres and radii, m
+    # (T, 3, 3) of all triangles in the base frame, m, in the order of the trees' leaves
     corners: NDArray[np.float64]
-    lows: NDArray[np.float64]
-    highs: NDArray[np.float64]
-    rights: NDArray[np.int64]
-    firsts: NDArray[np.int64]
-    counts: NDArray[np.int64]
-    roots: NDArray[np.int64]
-    closed: NDArray[np.bool_]
-    centres: NDArray[np.float64]
-    reaches: NDArray[np.float64]
-    exempt: NDArray[np.bool_]
+    lows: NDArray[np.float64]  # (M, 3) lowest corner of each node's box
+    highs: NDArray[np.float64]  # (M, 3) highest corner
+    rights: NDArray[np.int64]  # (M,) the second child, the first is the next node; -1 of a leaf
+    firsts: NDArray[np.int64]  # (M,) a leaf's first triangle
+    counts: NDArray[np.int64]  # (M,) of a leaf's triangles
+    roots: NDArray[np.int64]  # (R,) of the meshes' trees
+    closed: NDArray[np.bool_]  # (R,) whether a mesh bounds a solid
+    centres: NDArray[np.float64]  # (K, 3) of a sphere round each body
+    reaches: NDArray[np.float64]  # (K,) its radius
+    exempt: NDArray[np.bool_]  # (P, K) parts of the arm that may touch a body
 
 
 def body_arrays(
@@ -356,10 +340,7 @@ def _span(centre, reach, low, voxel, count):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def write_body(observed, low, voxel, number, bodies, is_free, first, last):  # type: ignore[no-untyped-def]
-    """Write a body, in place, into an array (X, Y, Z, 2): its inside as seen free, or its surface as seen.
-
-    Only from ``first`` to before ``last`` along X.
-    """
+    """Write a body into layers of an array (X, Y, Z, 2): its inside as seen free, or its surface as seen."""
     farthest = 0.0 if is_free else FARTHEST * DISTANCE_STEP_M
     centre, reach = bodies.centres[number], bodies.reaches[number] + farthest
     i0, i1 = _span(centre[0], reach, low[0], voxel, observed.shape[0])

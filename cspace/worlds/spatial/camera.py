@@ -1,19 +1,19 @@
-"""The depth camera: pinhole model, and its pictures from untrusted PNG bytes to mm. NumPy alone."""
+"""The depth camera: pinhole model, the ways in which people write it, and its pictures. NumPy alone."""
 
-import io
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Annotated
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image
-from pydantic import Field, StrictFloat
+from pydantic import BaseModel, Field, StrictFloat
 
 from cspace.errors import ImageError, ScenarioError
-from cspace.png import decoded
+from cspace.files import encode_png, open_png, read_yaml
 from cspace.strict_json import Record, read_object, validated
 from cspace.world import CheckCancelled
-from cspace.worlds.spatial.poses import HERE, Pose, check_pose, make_pose, pose_of
+from cspace.worlds.spatial.poses import HERE, Pose, check_pose, make_pose, pose_of, read_pose
 
 MIN_SIDE, MAX_SIDE = 16, 2048
 Side = Annotated[int, Field(ge=MIN_SIDE, le=MAX_SIDE, strict=True)]
@@ -22,28 +22,15 @@ MIN_FIELD_DEG, MAX_FIELD_DEG = 1.0, 170.0
 
 @validated(ScenarioError)
 class DepthCamera(Record):
-    """A pinhole camera without distortion.
+    """A pinhole camera without distortion."""
 
-    Args:
-        fx: focal length along a row, pixels.
-        fy: focal length along a column, pixels.
-        cx: column of the principal point, pixels.
-        cy: row of the principal point, pixels.
-        width: of the picture, pixels.
-        height: of the picture, pixels.
-        pose: of the camera's optical frame in the base frame, rows of a 4 x 4 matrix, m.
-
-    Raises:
-        ScenarioError: the pose is none, or no camera has such a size, focal length or principal point.
-    """
-
-    fx: StrictFloat
-    fy: StrictFloat
-    cx: StrictFloat
-    cy: StrictFloat
-    width: Side
-    height: Side
-    pose: Pose = HERE
+    fx: StrictFloat  # focal length along a row, pixels
+    fy: StrictFloat  # focal length along a column, pixels
+    cx: StrictFloat  # column of the principal point, pixels
+    cy: StrictFloat  # row of the principal point, pixels
+    width: Side  # of the picture, pixels
+    height: Side  # of the picture, pixels
+    pose: Pose = HERE  # of the camera's optical frame in the base frame, rows of a 4 x 4 matrix, m
 
     def __post_init__(self) -> None:
         check_pose(self.pose, "the camera")
@@ -52,8 +39,6 @@ class DepthCamera(Record):
     @classmethod
     def of_field(cls, width: int, height: int, field_deg: float, pose: ArrayLike) -> "DepthCamera":
         """A camera of square pixels, ``field_deg`` wide, with the principal point in the middle."""
-        if not MIN_FIELD_DEG <= field_deg <= MAX_FIELD_DEG:
-            raise _no_focal(f"{field_deg} degrees")
         focal = width / (2.0 * np.tan(np.radians(field_deg) / 2.0))
         return cls(
             float(focal), float(focal), (width - 1) / 2.0, (height - 1) / 2.0, width, height, pose_of(pose)
@@ -78,20 +63,14 @@ class DepthCamera(Record):
         return rays
 
     def points_m(self, depth_m: ArrayLike) -> NDArray[np.float64]:
-        """Back-projection: a depth picture (H, W) m to points (H, W, 3) m in the base frame.
-
-        NaN where there is no reading, which is where the depth is not a finite number above 0.
-        """
+        """Back-projection: depths (H, W) m to points (H, W, 3) m in the base frame, NaN without a reading."""
         depth = np.asarray(depth_m, dtype=np.float64)
         seen = np.where(np.isfinite(depth) & (depth > 0.0), depth, np.nan)
         pose = self.matrix
         return np.asarray((self.rays() * seen[..., None]) @ pose[:3, :3].T + pose[:3, 3])
 
     def project(self, points_m: ArrayLike) -> NDArray[np.float64]:
-        """Points (..., 3) m in the base frame to (..., 3): column, row in pixels, depth in m.
-
-        Column and row are NaN behind the camera; they may lie beside the picture, see :meth:`shows`.
-        """
+        """Points (..., 3) m in the base frame to column and row, NaN behind the camera, and depth in m."""
         pose = self.matrix
         seen = (np.asarray(points_m, dtype=np.float64) - pose[:3, 3]) @ pose[:3, :3]
         depth = seen[..., 2]
@@ -107,11 +86,7 @@ class DepthCamera(Record):
         return np.asarray(within & (projected[..., 2] > 0.0))
 
     def resized(self, width: int, height: int) -> "DepthCamera":
-        """The camera of the same pictures in another size.
-
-        Raises:
-            ScenarioError: the size is out of range.
-        """
+        """The camera of the same pictures in another size."""
         across, down = width / self.width, height / self.height
         return replace(
             self,
@@ -125,25 +100,12 @@ class DepthCamera(Record):
 
 
 def read_camera(values: object) -> DepthCamera:
-    """The inverse of ``to_dict``.
-
-    Raises:
-        ScenarioError: a key or a value does not fit.
-    """
+    """The inverse of ``to_dict``."""
     return read_object(DepthCamera, values, "the camera", ScenarioError)
 
 
 def looking(from_m: ArrayLike, at_m: ArrayLike, roll_rad: float = 0.0) -> NDArray[np.float64]:
-    """(4, 4): the optical frame of a camera at one point that looks at another.
-
-    Args:
-        from_m: (3,) m in the base frame.
-        at_m: (3,) m.
-        roll_rad: about the optical axis; with 0 the picture's rows are level.
-
-    Raises:
-        ScenarioError: the points are one.
-    """
+    """(4, 4): the optical frame of a camera at one point (3,) m that looks at another, level without roll."""
     place = np.asarray(from_m, dtype=np.float64)
     ahead = np.asarray(at_m, dtype=np.float64) - place
     length = np.linalg.norm(ahead)
@@ -161,11 +123,8 @@ def looking(from_m: ArrayLike, at_m: ArrayLike, roll_rad: float = 0.0) -> NDArra
 def camera_place(focus_m: ArrayLike, side_rad: float, up_rad: float, away_m: float) -> NDArray[np.float64]:
     """Where a camera is, (3,) m in the base frame.
 
-    Args:
-        focus_m: (3,) what it looks at.
-        side_rad: angle on the ground from the line to the base to the line to the camera, left of it above 0.
-        up_rad: above the focus's level.
-        away_m: from the focus.
+    ``focus_m``: (3,) what it looks at. ``side_rad``: angle on the ground from the line to the base to the
+    line to the camera, left of it above 0. ``up_rad``: above the focus's level. ``away_m``: from the focus.
     """
     focus = np.asarray(focus_m, dtype=np.float64)
     bearing = np.arctan2(-focus[1], -focus[0]) + side_rad
@@ -179,7 +138,11 @@ def _check_pinhole(camera: DepthCamera) -> None:
     for focal, side in ((camera.fx, camera.width), (camera.fy, camera.height)):
         least, most = (side / (2.0 * np.tan(np.radians(deg) / 2.0)) for deg in (MAX_FIELD_DEG, MIN_FIELD_DEG))
         if not least * (1 - 1e-9) <= focal <= most * (1 + 1e-9):
-            raise _no_focal(f"{focal!r} pixels for {side} pixels"[:200])
+            raise ScenarioError(
+                "the camera's focal length cannot be",
+                expected=f"a field of view of {MIN_FIELD_DEG:g} to {MAX_FIELD_DEG:g} degrees",
+                got=repr(focal)[:200],
+            )
     # Of a picture that was cut out of a larger one it may lie beside it.
     for centre, side in ((camera.cx, camera.width), (camera.cy, camera.height)):
         if not -side <= centre <= 2 * side:
@@ -190,12 +153,168 @@ def _check_pinhole(camera: DepthCamera) -> None:
             )
 
 
-def _no_focal(got: str) -> ScenarioError:
-    return ScenarioError(
-        "the camera's focal length cannot be",
-        expected=f"a field of view of {MIN_FIELD_DEG:g} to {MAX_FIELD_DEG:g} degrees",
-        got=got,
-    )
+PINHOLE = ("fx", "fy", "cx", "cy")
+_INFO = "camera_info"
+_FRAMES = ("optical", "body")
+# x right, y down, z forward in x forward, y left, z up: REP 103 of ROS.
+OPTICAL_IN_BODY = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+# Coefficients of each model: k1, k2, p1, p2, k3, and in the second k4, k5, k6.
+_COEFFICIENTS = {"plumb_bob": 5, "rational_polynomial": 8, "": 0, "none": 0}
+# What the files of camera_calibration and camera_info_manager call it.
+_CALIBRATED = {
+    "image_height": "height",
+    "image_width": "width",
+    "camera_matrix": "k",
+    "distortion_coefficients": "d",
+}
+# Rows that are undistorted at once, in some ms.
+_ROWS = 64
+_REMEDY = "send the camera in the base frame: x right, y down, z forward, pixel centres at whole numbers"
+
+
+class _Region(BaseModel):
+    x_offset: Literal[0] = 0
+    y_offset: Literal[0] = 0
+
+
+class _CameraInfo(BaseModel):
+    """ROS's message, of a whole picture."""
+
+    height: int
+    width: int
+    k: Annotated[tuple[float, ...], Field(min_length=9, max_length=9)]
+    d: Annotated[tuple[float, ...], Field(max_length=14)] = ()
+    distortion_model: str = ""
+    binning_x: Literal[0, 1] = 0
+    binning_y: Literal[0, 1] = 0
+    roi: _Region | None = None
+
+
+def read_pinhole(values: object, shape: tuple[int, ...]) -> tuple[DepthCamera, tuple[float, ...]]:
+    """The camera of a picture of a shape (H, W), of plain values, and the distortion of its lens.
+
+    ``values``: ``fx, fy, cx, cy`` in pixels, or ``camera_info``, ROS's message as a mapping or a text; with
+    ``pose``, and ``frame`` where the pose is of the camera's body.
+    """
+    members = values if isinstance(values, Mapping) else {}
+    keys = {_INFO, "pose"} if _INFO in members else {*PINHOLE, "pose"}
+    missing, unknown = sorted(keys - set(members)), sorted(map(str, set(members) - keys - {"frame"}))
+    if missing or unknown:
+        raise ImageError(
+            "the camera has other keys",
+            expected=f"{', '.join(PINHOLE)}, or {_INFO} with a ROS CameraInfo; pose; frame for a body's "
+            "pose; link for one on the arm; stamp_s",
+            got=f"missing {missing}, unknown {unknown}"[:200] if members else repr(values)[:200],
+        )
+    numbers: Mapping[str, Any] = members
+    distortion: tuple[float, ...] = ()
+    if _INFO in members:
+        numbers, distortion = _of_info(members[_INFO], shape)
+    try:
+        focal = {name: float(read_number(numbers[name], name)) for name in PINHOLE}
+        camera = DepthCamera(**focal, width=shape[1], height=shape[0], pose=camera_pose(members))
+    except (ImageError, ScenarioError) as error:
+        raise ImageError(
+            error.what, expected=error.expected, got=error.got, remedy=error.remedy or _REMEDY
+        ) from error
+    return camera, distortion
+
+
+def camera_pose(camera: Mapping[str, Any]) -> Pose:
+    """The pose of a camera's optical frame, of plain values, whose ``frame`` may be ``body``."""
+    pose, frame = read_pose(camera.get("pose"), "the camera", ImageError), camera.get("frame", _FRAMES[0])
+    if frame not in _FRAMES:
+        raise ImageError("the camera's frame is unknown", expected="optical or body", got=repr(frame)[:200])
+    return pose if frame == _FRAMES[0] else pose_of(np.array(pose) @ OPTICAL_IN_BODY)
+
+
+def read_number(value: object, name: str) -> float:
+    """A number of plain values."""
+    if type(value) not in (int, float):
+        raise ImageError(f"{name} does not fit", expected="a finite number", got=repr(value)[:200])
+    return value  # type: ignore[return-value] # one of the two
+
+
+def _of_info(values: object, shape: tuple[int, ...]) -> tuple[dict[str, float], tuple[float, ...]]:
+    """Pinhole numbers and distortion of a CameraInfo."""
+    if isinstance(values, str):
+        # As `ros2 topic echo` ends a message.
+        values = read_yaml(values.rstrip().removesuffix("---"), _INFO, ImageError)
+    # ROS 1 has K and D in its messages.
+    given = {str(key).lower(): value for key, value in values.items()} if isinstance(values, Mapping) else {}
+    for name in set(_CALIBRATED) & set(given):
+        value = given.pop(name)
+        given[_CALIBRATED[name]] = value.get("data") if isinstance(value, Mapping) else value
+    info = read_object(_CameraInfo, given, "the camera info", ImageError)
+    if (info.height, info.width) != shape:
+        raise ImageError(
+            "the camera info is of another picture",
+            expected=f"height {shape[0]} and width {shape[1]}, as the picture",
+            got=f"height {info.height} and width {info.width}",
+            remedy="send the CameraInfo of the depth topic, in the mode that the picture was taken in",
+        )
+    fx, skew, cx, zero, fy, cy, *last = info.k
+    if skew or zero or last != [0.0, 0.0, 1.0]:
+        raise ImageError("the camera info has another k", expected="fx 0 cx, 0 fy cy, 0 0 1", got=str(info.k))
+    # Zeros of a fisheye's model are a distortion.
+    most = _COEFFICIENTS.get(info.distortion_model)
+    if most is None or any(info.d[most:]):
+        raise ImageError(
+            f"the camera info follows the distortion model {info.distortion_model!r}"[:100],
+            expected="plumb_bob with 5 coefficients or rational_polynomial with 8",
+            got=f"d {info.d}"[:200],
+            remedy="rectify the picture, and send the CameraInfo of the rectified one, with zeros as d",
+        )
+    return {"fx": fx, "fy": fy, "cx": cx, "cy": cy}, info.d[:most] if any(info.d) else ()
+
+
+def undistorted(
+    picture: NDArray[np.uint16],
+    camera: DepthCamera,
+    distortion: tuple[float, ...],
+    check_cancelled: CheckCancelled = lambda: None,
+) -> NDArray[np.uint16]:
+    """The picture (H, W) that the camera would take without its lens's distortion.
+
+    Every pixel has the reading of the nearest pixel that its ray falls on, for depths are never averaged over
+    edges; 0 where that lies beside the picture. ``distortion``: k1, k2, p1, p2, k3, k4, k5, k6, as far as
+    there are. Source: OpenCV, camera calibration and 3D reconstruction.
+    """
+    if not distortion:
+        return picture
+    k1, k2, p1, p2, k3, k4, k5, k6 = (*distortion, *(0.0,) * 8)[:8]
+    found = np.zeros_like(picture)
+    x = ((np.arange(camera.width) - camera.cx) / camera.fx)[None, :]
+    for top in range(0, camera.height, _ROWS):
+        y = ((np.arange(top, min(top + _ROWS, camera.height)) - camera.cy) / camera.fy)[:, None]
+        with np.errstate(all="ignore"):
+            square = x * x + y * y
+            above = 1.0 + square * (k1 + square * (k2 + square * k3))
+            below = 1.0 + square * (k4 + square * (k5 + square * k6))
+            radial = above / below
+            # By the square of the radius.
+            slope = k1 + square * (2.0 * k2 + square * 3.0 * k3)
+            slope = (slope - radial * (k4 + square * (2.0 * k5 + square * 3.0 * k6))) / below
+            across = 2.0 * (x * y * slope + p1 * x + p2 * y)
+            right = radial + 2.0 * (x * x * slope + p1 * y + 3.0 * p2 * x)
+            down = radial + 2.0 * (y * y * slope + 3.0 * p1 * y + p2 * x)
+            if not ((right * down - across * across > 0.0) & (below > 0.0)).all():
+                raise ImageError(
+                    "the camera info has a distortion that folds the picture over",
+                    expected="coefficients of this picture's lens",
+                    got=f"d {distortion}"[:200],
+                    remedy="check d, k and the picture's size",
+                )
+            columns = camera.fx * (x * radial + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x)) + camera.cx
+            rows = camera.fy * (y * radial + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y) + camera.cy
+        columns, rows = np.floor(columns + 0.5), np.floor(rows + 0.5)
+        inside = (columns >= 0) & (columns < camera.width) & (rows >= 0) & (rows < camera.height)
+        source = picture[
+            np.where(inside, rows, 0).astype(np.intp), np.where(inside, columns, 0).astype(np.intp)
+        ]
+        found[top : top + len(y)] = np.where(inside, source, 0)
+        check_cancelled()
+    return found
 
 
 # No depth camera for arms reads nearer or farther. What a file says beyond is no reading: 65535, as many
@@ -206,16 +325,8 @@ MAX_MM = 65_535
 
 
 def decode_depth(data: bytes, check_cancelled: CheckCancelled = lambda: None) -> NDArray[np.uint16]:
-    """An untrusted PNG as (H, W) uint16, mm along the optical axis, 0 where there is no reading.
-
-    Args:
-        data: the file's bytes.
-        check_cancelled: called between the parts of the work; what it raises passes through.
-
-    Raises:
-        ImageError: not a PNG, not 16-bit grey, animated, below 16 or above 2048 pixels on a side, or damaged.
-    """
-    picture = decoded(data, _check)
+    """An untrusted PNG as (H, W) uint16, mm along the optical axis, 0 where there is no reading."""
+    picture = open_png(data, _check)
     check_cancelled()
     return np.array(picture).astype(np.uint16)
 
@@ -224,26 +335,13 @@ def _check(picture: Image.Image) -> None:
     check_size(picture.height, picture.width)
     if not picture.mode.startswith("I"):
         raise ImageError(
-            "the picture is no depth picture",
-            expected="16-bit grey, mm along the optical axis, 0 = no reading",
-            got=f"a picture of mode {picture.mode}",
+            "the picture is no depth picture", expected="16-bit grey, mm", got=f"mode {picture.mode}"
         )
 
 
 def encode_depth(depth_mm: NDArray[np.uint16]) -> bytes:
-    """A depth picture (H, W) uint16 mm as PNG bytes.
-
-    Raises:
-        ImageError: it is no such array.
-    """
-    depth = np.asarray(depth_mm)
-    if depth.ndim != 2 or depth.dtype != np.uint16 or not depth.size:
-        raise ImageError(
-            "the depth picture is none", expected="(H, W) uint16", got=f"{depth.shape} {depth.dtype}"
-        )
-    buffer = io.BytesIO()
-    Image.fromarray(np.ascontiguousarray(depth, dtype="<u2")).save(buffer, format="PNG")
-    return buffer.getvalue()
+    """A depth picture (H, W) uint16 mm as PNG bytes."""
+    return encode_png(np.asarray(depth_mm, dtype="<u2"))
 
 
 def to_mm(depth_m: ArrayLike) -> NDArray[np.uint16]:
@@ -258,21 +356,6 @@ def to_mm(depth_m: ArrayLike) -> NDArray[np.uint16]:
 def to_m(depth_mm: NDArray[np.uint16]) -> NDArray[np.float32]:
     """Depths (...) uint16 mm as float32 m; 0 stays 0."""
     return np.asarray(depth_mm.astype(np.float32) / np.float32(1000.0))
-
-
-def check_scale(depth_scale_m: float) -> None:
-    """Refuse what is no unit of depths.
-
-    Raises:
-        ImageError: it is not a finite number from 1e-6 to 1.
-    """
-    if not MIN_SCALE_M <= depth_scale_m <= MAX_SCALE_M:
-        raise ImageError(
-            "depth_scale_m does not fit",
-            expected=f"metres per unit of the depth pictures, {MIN_SCALE_M:g} to {MAX_SCALE_M:g}",
-            got=repr(depth_scale_m)[:100],
-            remedy="send 0.001 for millimetres, 0.0001 for tenths, 0.0002 for TUM RGB-D, 1 for metres",
-        )
 
 
 def in_range(depth_mm: NDArray[np.uint16]) -> NDArray[np.bool_]:
@@ -300,11 +383,7 @@ def _least(values: NDArray[np.uint16], axis: int, size: int) -> NDArray[np.uint1
 
 
 def check_size(height: int, width: int) -> None:
-    """Refuse pictures that are too small or too large.
-
-    Raises:
-        ImageError: a side is below 16 or above 2048 pixels.
-    """
+    """Refuse pictures that are too small or too large."""
     if not (MIN_SIDE <= width <= MAX_SIDE and MIN_SIDE <= height <= MAX_SIDE):
         raise ImageError(
             "the depth picture's size is out of range",

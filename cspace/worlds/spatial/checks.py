@@ -40,26 +40,18 @@ from cspace.worlds.spatial.visibility import distances_m
 
 
 class SceneArrays(NamedTuple):
-    """An arm of d joints among obstacles as the kernels take it.
-
-    Attributes:
-        boxes: (B, 16), see :class:`cspace.worlds.spatial.obstacles.ObstacleArrays`.
-        cylinders: (C, 15), likewise.
-        lower: (d,) rad.
-        upper: (d,) rad.
-        periodic: (d,) which joints are circles.
-        upright: (U, 7) axes of the last link that stay near directions of the base: either unit vector, and
-            the least cosine of the angle between the two.
-    """
+    """An arm of d joints among obstacles as the kernels take it."""
 
     arm: ArmArrays
-    boxes: NDArray[np.float64]
-    cylinders: NDArray[np.float64]
+    boxes: NDArray[np.float64]  # (B, 16), see :class:`cspace.worlds.spatial.obstacles.ObstacleArrays`
+    cylinders: NDArray[np.float64]  # (C, 15), likewise
     grid: DistanceGrid
     bodies: BodyArrays
-    lower: NDArray[np.float64]
-    upper: NDArray[np.float64]
-    periodic: NDArray[np.bool_]
+    lower: NDArray[np.float64]  # (d,) rad
+    upper: NDArray[np.float64]  # (d,) rad
+    periodic: NDArray[np.bool_]  # (d,) which joints are circles
+    # (U, 7) axes of the last link that stay near directions of the base: either unit vector, and the least
+    # cosine of the angle between the two
     upright: NDArray[np.float64] = np.empty((0, 7))
 
 
@@ -84,10 +76,7 @@ def room_of(scene):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def state_is_free(q, scene, room):  # type: ignore[no-untyped-def]
-    """Whether one configuration (d,) is within its limits, clear of every obstacle and of itself.
-
-    The base stands where it stands: on a table, it touches it.
-    """
+    """Whether one configuration (d,) is within its limits, clear of every obstacle and of itself."""
     for joint in range(q.shape[0]):
         if not scene.periodic[joint] and not scene.lower[joint] <= q[joint] <= scene.upper[joint]:
             return False
@@ -241,11 +230,7 @@ def seen_checkers(
     *,
     known: Any = None,
 ) -> list[CollisionChecker]:
-    """See :func:`cspace.worlds.seen_checkers`; distances are those of the picture's voxels.
-
-    Obstacles are known to stand there, too, whatever the picture shows. What else is known is a
-    :class:`cspace.worlds.spatial.scene_checker.SceneChecker`.
-    """
+    """See :func:`cspace.worlds.seen_checkers`; ``known``: a scene checker; obstacles stand there, too."""
     arm, bodies = (world.body, NO_BODIES) if known is None else (known.arm, known.bodies)
     grid = world.sensor.grid
     if known is not None and known.seen is not None:

@@ -34,40 +34,25 @@ _STEP_RAD, _LEAST_GAIN, _AT_ONCE = 0.6, 0.1, 4
 
 @validated(InputError)
 class GoalPose:
-    """Where the tool shall be in the end.
+    """Where the tool shall be in the end."""
 
-    Args:
-        pose: of its frame in the base, m, as that of a camera: 4 x 4, or translation and quaternion_xyzw.
-        free_z_rotation: whether any turn about the frame's z axis will do.
-    """
-
-    pose: Any
+    pose: Any  # of its frame in the base, m, as that of a camera: 4 x 4, or translation and quaternion_xyzw
     tolerance_m: Annotated[float, Field(ge=1e-4, le=1.0)] = 0.005
     tolerance_rad: _Angle = 0.05
-    free_z_rotation: bool = False
+    free_z_rotation: bool = False  # whether any turn about the frame's z axis will do
 
 
 @validated(InputError)
 class Upright:
-    """An axis of the tool that stays near a direction.
+    """An axis of the tool that stays near a direction."""
 
-    Args:
-        axis: in the tool's frame, of any length above 0.
-        up: in the base frame, of any length above 0.
-    """
-
-    axis: _Direction
+    axis: _Direction  # in the tool's frame, of any length above 0
     max_rad: _Angle
-    up: _Direction = (0.0, 0.0, 1.0)
+    up: _Direction = (0.0, 0.0, 1.0)  # in the base frame, of any length above 0
 
 
 class ToolConstraints:
-    """Constraints of one request on the tool of an arm; see :class:`cspace.simulator.ToolConstraints`.
-
-    Args:
-        goal_pose: plain values of a :class:`GoalPose`, or None.
-        upright: plain values of an :class:`Upright`, or None.
-    """
+    """Constraints on the tool, of plain values of a :class:`GoalPose` and an :class:`Upright`, or None."""
 
     def __init__(
         self, arm: SerialArm, goal_pose: Mapping[str, Any] | None, upright: Mapping[str, Any] | None
@@ -80,6 +65,7 @@ class ToolConstraints:
             self._pose[:3, :3] = nearest_rotation(self._pose[:3, :3])
         if upright is not None:
             bound = _read(Upright, upright, "upright")
+            # Largest angle of the axis.
             self.max_rad = bound.max_rad
             # Of the last link, which the tool does not move against.
             self._axis = arm.tool.matrix()[:3, :3] @ _unit("upright.axis", bound.axis)
@@ -93,7 +79,7 @@ class ToolConstraints:
         return f"goal_pose within {goal.tolerance_m:g} m and {turn}"
 
     def goals(self, space: JointSpace, rng: np.random.Generator) -> NDArray[np.float64]:
-        """See :class:`cspace.simulator.ToolConstraints`."""
+        """Distinct configurations within a space's limits that bring the tool to its goal, (n, d) rad."""
         goal, turn = self._goal, self._pose[:3, :3]
         wanted = {"approach": turn[:, 2]} if goal.free_z_rotation else {"rotation": turn}
         most = _SHARE * goal.tolerance_m, _SHARE * goal.tolerance_rad
@@ -106,13 +92,13 @@ class ToolConstraints:
         return space.to_float32(found).astype(np.float64)
 
     def angles_rad(self, configurations: NDArray[np.float64]) -> NDArray[np.float64]:
-        """See :class:`cspace.simulator.ToolConstraints`."""
+        """Between the axis and its direction at (N, d) rad, (N,)."""
         along = self._arm.link_frames(configurations)[:, -1, :3, :3] @ self._axis
         across = np.linalg.norm(np.cross(along, self._up), axis=1)
         return np.asarray(np.arctan2(across, along @ self._up))
 
     def upright(self, checkers: Sequence[Checker], ends: NDArray[np.float64]) -> list[Checker]:
-        """See :class:`cspace.simulator.ToolConstraints`."""
+        """Checkers that also keep the axis near its direction, where its angle holds at ends (n, d) rad."""
         # A little less, for states between those that are checked; no less than the ends have.
         between = min(_BETWEEN_RAD, _BETWEEN_SHARE * self.max_rad)
         least = max(self.max_rad - between, float(self.angles_rad(ends).max()) + 1e-6)

@@ -33,17 +33,11 @@ _NONE = np.uint32(0xFFFFFFFF)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Patches:
-    """Pieces of surface in units of a grid's voxels from its lowest corner, all float32.
+    """Pieces of surface in units of a grid's voxels from its lowest corner, all float32."""
 
-    Args:
-        points: (3, N) their middles.
-        sides: (2, 3, N) steps to the next pixel across and down.
-        ranges: (2, 2, N) least and greatest multiple of each step.
-    """
-
-    points: NDArray[np.float32]
-    sides: NDArray[np.float32]
-    ranges: NDArray[np.float32]
+    points: NDArray[np.float32]  # (3, N) their middles
+    sides: NDArray[np.float32]  # (2, 3, N) steps to the next pixel across and down
+    ranges: NDArray[np.float32]  # (2, 2, N) least and greatest multiple of each step
 
     def chosen(self, numbers: NDArray[np.int64] | slice) -> "Patches":
         """Some of them."""

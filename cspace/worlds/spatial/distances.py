@@ -106,19 +106,13 @@ def clearance_m(obstacles: Obstacles, centres_m: ArrayLike, radii_m: ArrayLike) 
 
 
 class DistanceGrid(NamedTuple):
-    """Signed distances at the centres of voxels, as the kernels take them.
+    """Signed distances at the centres of voxels, as the kernels take them."""
 
-    Attributes:
-        values: (X, Y, Z) m, cut off at ``farthest``; without voxels there is nothing anywhere.
-        low: (3,) lowest corner in the base frame, m.
-        voxel: side of a voxel, m.
-        farthest: what stands for all that is farther away, m.
-    """
-
+    # (X, Y, Z) m, cut off at `farthest`; without voxels there is nothing anywhere
     values: NDArray[np.float32]
-    low: NDArray[np.float64]
-    voxel: float
-    farthest: float
+    low: NDArray[np.float64]  # (3,) lowest corner in the base frame, m
+    voxel: float  # side of a voxel, m
+    farthest: float  # what stands for all that is farther away, m
 
 
 NOTHING = DistanceGrid(np.empty((0, 0, 0), dtype=np.float32), np.zeros(3), 1.0, 0.0)

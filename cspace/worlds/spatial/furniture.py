@@ -29,16 +29,12 @@ class GoalRegion:
 
 @validated(ScenarioError)
 class Layout(Record):
-    """A scene of a family.
-
-    Args:
-        focus: what cameras look at, m.
-    """
+    """A scene of a family."""
 
     family: str
     obstacles: Obstacles
     regions: tuple[GoalRegion, ...]
-    focus: Vector
+    focus: Vector  # what cameras look at, m
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,10 +91,8 @@ def standing(
 ) -> tuple[Box | Cylinder, ...]:
     """Upright boxes, plates and cylinders whose centres are within a rectangle, on its ground.
 
-    Args:
-        x: extent of the rectangle, m.
-        y: extent of the rectangle, m.
-        tallest_m: above the ground; with less than 5 cm nothing stands there.
+    ``x``: extent of the rectangle, m. ``y``: extent of the rectangle, m. ``tallest_m``: above the ground;
+    with less than 5 cm nothing stands there.
     """
     found: list[Box | Cylinder] = []
     for _ in range(count if tallest_m >= 0.05 else 0):
@@ -387,14 +381,9 @@ FAMILIES = ("shelf", "table", "under_table", "bin", "cage", "clutter", "mixture"
 
 @validated(ScenarioError)
 class SpatialScenes(Record):
-    """Which scenes are drawn, and how wide.
+    """Which scenes are drawn, and how wide."""
 
-    Args:
-        shares: how often each family of :data:`FAMILIES` is drawn, in their order; they need not sum to 1.
-        mounted: share of scenes in which the arm stands on a table or block that ends at its base's level.
-        reach_m: a region counts if it has a free place no farther than this from the shoulder.
-    """
-
+    # How often each family of :data:`FAMILIES` is drawn, in their order; they need not sum to 1
     shares: Annotated[tuple[Share, ...], Field(min_length=len(FAMILIES), max_length=len(FAMILIES))] = (
         0.26,
         0.12,
@@ -411,9 +400,10 @@ class SpatialScenes(Record):
     strays: _Counts = (1, 8)
     floor: Share = 0.4
     wall: Share = 0.15
+    # Share of scenes in which the arm stands on a table or block that ends at its base's level
     mounted: Annotated[Share, Field(exclude_if=lambda share: share == 0.0)] = 0.0
     shoulder_m: float = 0.333
-    reach_m: float = 0.9
+    reach_m: float = 0.9  # a region counts if it has a free place no farther than this from the shoulder
     room_m: Annotated[float, Field(ge=0.0)] = 0.04
     base_m: Annotated[Vector, Field(exclude_if=lambda place: not any(place))] = (0.0, 0.0, 0.0)
     shelves: Shelves = field(default_factory=Shelves)
@@ -424,7 +414,5 @@ class SpatialScenes(Record):
     def __post_init__(self) -> None:
         if self.room_m >= self.reach_m or not any(self.shares):
             raise ScenarioError(
-                "the families of scenes do not fit",
-                expected="a share above 0, and a reach beyond the room",
-                got=str(self)[:200],
+                "the families of scenes do not fit", expected="a share above 0, and a reach beyond the room"
             )

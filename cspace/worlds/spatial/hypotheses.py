@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from cspace.world import CheckCancelled
 from cspace.worlds.spatial.arm import SerialArm
-from cspace.worlds.spatial.camera import FARTHEST_MM, NEAREST_MM, DepthCamera
-from cspace.worlds.spatial.camera_info import OPTICAL_IN_BODY
+from cspace.worlds.spatial.camera import FARTHEST_MM, NEAREST_MM, OPTICAL_IN_BODY, DepthCamera
 from cspace.worlds.spatial.poses import MAX_PLACE_M, make_pose, pose_of, quaternion_of, quaternion_pose, turn
 from cspace.worlds.spatial.visibility import arm_depth_m
 

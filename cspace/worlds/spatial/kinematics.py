@@ -14,33 +14,19 @@ from cspace.worlds.spatial.arm import Part, SerialArm
 
 
 class ArmArrays(NamedTuple):
-    """A serial arm of d joints, S spheres, P parts and K pairs as the kernels take it.
+    """A serial arm of d joints, S spheres, P parts and K pairs as the kernels take it."""
 
-    Attributes:
-        origins: (d, 4, 4) joints' frames in those of the links before them.
-        axes: (d, 3) unit vectors.
-        links: (S,) the link of each sphere.
-        centres: (S, 3) in the link's frame, m.
-        radii: (S,) m.
-        ranges: (P, 2) first sphere of each part, and the one after its last.
-        bound_links: (P,) the link of each part.
-        bound_centres: (P, 3) of a sphere round the part, in the link's frame, m.
-        bound_radii: (P,) m.
-        pairs: (K, 2) parts that can touch.
-        overlaps: (K,) m, by which the spheres of a pair may overlap.
-    """
-
-    origins: NDArray[np.float64]
-    axes: NDArray[np.float64]
-    links: NDArray[np.int64]
-    centres: NDArray[np.float64]
-    radii: NDArray[np.float64]
-    ranges: NDArray[np.int64]
-    bound_links: NDArray[np.int64]
-    bound_centres: NDArray[np.float64]
-    bound_radii: NDArray[np.float64]
-    pairs: NDArray[np.int64]
-    overlaps: NDArray[np.float64]
+    origins: NDArray[np.float64]  # (d, 4, 4) joints' frames in those of the links before them
+    axes: NDArray[np.float64]  # (d, 3) unit vectors
+    links: NDArray[np.int64]  # (S,) the link of each sphere
+    centres: NDArray[np.float64]  # (S, 3) in the link's frame, m
+    radii: NDArray[np.float64]  # (S,) m
+    ranges: NDArray[np.int64]  # (P, 2) first sphere of each part, and the one after its last
+    bound_links: NDArray[np.int64]  # (P,) the link of each part
+    bound_centres: NDArray[np.float64]  # (P, 3) of a sphere round the part, in the link's frame, m
+    bound_radii: NDArray[np.float64]  # (P,) m
+    pairs: NDArray[np.int64]  # (K, 2) parts that can touch
+    overlaps: NDArray[np.float64]  # (K,) m, by which the spheres of a pair may overlap
 
 
 def arm_arrays(arm: SerialArm) -> ArmArrays:
@@ -112,10 +98,7 @@ def points_into(frames, links, points, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def self_distance(centres, bounds, arm):  # type: ignore[no-untyped-def]
-    """Signed distance of the closest spheres of parts that can touch, m; inf where none can.
-
-    ``centres`` (S, 3) and ``bounds`` (P, 3) are in the base's frame.
-    """
+    """Signed distance of the closest spheres (S, 3) of parts that can touch, m; inf where none can."""
     least = np.inf
     for pair in range(arm.pairs.shape[0]):
         i, j = arm.pairs[pair, 0], arm.pairs[pair, 1]
@@ -171,15 +154,12 @@ _ALIGNING = 20
 
 @dataclass(frozen=True, slots=True)
 class Solving:
-    """How poses are solved for.
-
-    Args:
-        turn_rad: largest angle between the tool's rotation, or its z axis, and what is asked for.
-    """
+    """How poses are solved for."""
 
     starts: int = 16
     iterations: int = 60
     place_m: float = 0.001
+    # Largest angle between the tool's rotation, or its z axis, and what is asked for
     turn_rad: float = 0.0174
     distinct_rad: float = 0.1
 
@@ -207,15 +187,11 @@ def solve_pose(
 ) -> NDArray[np.float64]:
     """Configurations that bring the tool to a place, obstacles and self-collision left aside.
 
-    Args:
-        place_m: (3,) of the tool's origin, in the base frame.
-        approach: (3,) unit vector in the base frame along which the tool's z axis shall point, with any turn
-            about it.
-        rotation: (3, 3) of the tool in the base frame, instead of an approach; with neither any will do.
-        space: with narrower limits than the arm's; None for these.
-
-    Returns:
-        (n, d) rad within the limits, circles in [-pi, pi); n is 0 where nothing was found.
+    ``place_m``: (3,) of the tool's origin, in the base frame. ``approach``: (3,) unit vector in the base
+    frame along which the tool's z axis shall point, with any turn about it. ``rotation``: (3, 3) of the tool
+    in the base frame, instead of an approach; with neither any will do. ``space``: with narrower limits than
+    the arm's; None for these. Returns (n, d) rad within the limits, circles in [-pi, pi); n is 0 where
+    nothing was found.
     """
     place, wanted, mode = np.array(place_m, dtype=np.float64), np.eye(3), _ANY
     if approach is not None:
@@ -238,17 +214,7 @@ def aligned(
     within_rad: float,
     space: JointSpace,
 ) -> NDArray[np.float64]:
-    """Configurations changed until an axis of the last link points along a direction.
-
-    Args:
-        configurations: (N, d) rad.
-        axis: (3,) unit vector in the last link's frame.
-        along: (3,) unit vector in the base frame.
-        within_rad: angle between the two that is small enough, above 0.
-
-    Returns:
-        (N, d) rad within the limits, circles in [-pi, pi); as near as they came where there is no such one.
-    """
+    """Configurations (N, d) rad changed until an axis of the last link points along one of the base."""
     frame, wanted = np.eye(4), np.eye(3)
     frame[:3, 2], wanted[:, 2] = axis, along
     rows = np.array(configurations, dtype=np.float64)

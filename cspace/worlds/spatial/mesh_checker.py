@@ -20,17 +20,12 @@ _SAME_M = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """Where a robot's meshes are described.
+    """Where a robot's meshes are described."""
 
-    Args:
-        urdf: the file; packages that its meshes are named in are looked for in the folders above it.
-        locked: values of joints that do not move, rad or m.
-        convex: take meshes that are convex as solids, which is quicker; others are surfaces, hollow inside.
-    """
-
-    urdf: Path
-    locked: Mapping[str, float] = field(default_factory=dict)
+    urdf: Path  # the file; packages that its meshes are named in are looked for in the folders above it
+    locked: Mapping[str, float] = field(default_factory=dict)  # values of joints that do not move, rad or m
     packages: tuple[Path, ...] = ()
+    # Take meshes that are convex as solids, which is quicker; others are surfaces, hollow inside
     convex: bool = True
 
 
@@ -145,10 +140,7 @@ class RobotMeshes:
 
 
 class MeshChecker:
-    """Which configurations are free in one scene; self-collision counts, joint limits do not.
-
-    Not for use by several threads at a time.
-    """
+    """Which configurations are free in one scene, whatever the joint limits; for one thread at a time."""
 
     def __init__(self, meshes: RobotMeshes, obstacles: Obstacles) -> None:
         self._pin, self._meshes = meshes._pin, meshes  # noqa: SLF001 # one module

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from cspace.errors import InputError, ScenarioError
 from cspace.world import NextView
-from cspace.worlds.spatial.camera import DepthCamera, camera_place, looking, read_camera
-from cspace.worlds.spatial.camera_info import camera_pose
+from cspace.worlds.spatial.camera import DepthCamera, camera_place, camera_pose, looking, read_camera
 from cspace.worlds.spatial.sensor import DISTANCE_STEP_M, FREE, NO_READING
 from cspace.worlds.spatial.view import cameras_in_base, state_of
 from cspace.worlds.spatial.visibility import lookup

@@ -30,13 +30,9 @@ class Box(Record):
 
 @validated(ScenarioError)
 class Cylinder(Record):
-    """A solid round cylinder.
+    """A solid round cylinder."""
 
-    Args:
-        pose: of its centre, rows of a 4 x 4 matrix in the base frame, m; its axis is its own z.
-    """
-
-    pose: Pose
+    pose: Pose  # of its centre, rows of a 4 x 4 matrix in the base frame, m; its axis is its own z
     radius_m: _Size
     half_length_m: _Size
 
@@ -46,15 +42,12 @@ class Cylinder(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObstacleArrays:
-    """Obstacles as kernels take them, float64.
+    """Obstacles as kernels take them, float64."""
 
-    Args:
-        boxes: (B, 16): centre 3, rotation 9 (row by row, its columns are the box's axes), half sizes 3,
-            radius of the sphere round it.
-        cylinders: (C, 15): centre 3, rotation 9, radius, half length, radius of the sphere round it.
-    """
-
+    # (B, 16): centre 3, rotation 9 (row by row, its columns are the box's axes), half sizes 3, radius of the
+    # sphere round it
     boxes: NDArray[np.float64]
+    # (C, 15): centre 3, rotation 9, radius, half length, radius of the sphere round it
     cylinders: NDArray[np.float64]
 
 

@@ -67,27 +67,22 @@ class MeshShape(Record):
 
 @validated(InputError)
 class Body(Record):
-    """A shape with a pose.
-
-    Args:
-        pose: of the shape's centre, or of a mesh's origin, in the base frame: 4 x 4, or translation and
-            quaternion, which become 4 x 4.
-    """
+    """A shape with a pose."""
 
     name: Annotated[str, Field(max_length=100)] = ""
     box: BoxShape | None = None
     cylinder: CylinderShape | None = None
     sphere: SphereShape | None = None
     mesh: MeshShape | None = None
+    # Of the shape's centre, or of a mesh's origin, in the base frame: 4 x 4, or translation and quaternion,
+    # which become 4 x 4
     pose: Any = HERE
 
     def __post_init__(self) -> None:
         given = [name for name in _SHAPES if getattr(self, name) is not None]
         if len(given) != 1:
             raise InputError(
-                f"the body {self.name!r} has no single shape",
-                expected=f"one of {', '.join(_SHAPES)}",
-                got=", ".join(given) or "none",
+                f"the body {self.name!r} has no single shape", expected=f"one of {', '.join(_SHAPES)}"
             )
         pose = self.pose
         if isinstance(pose, Mapping):
@@ -102,28 +97,22 @@ class Body(Record):
 
 @validated(InputError)
 class Attached(Body):
-    """A body that moves with the arm.
+    """A body that moves with the arm."""
 
-    Args:
-        link: as :meth:`cspace.worlds.spatial.arm.SerialArm.named_frame` has it; the pose is in its frame.
-    """
-
+    # As :meth:`cspace.worlds.spatial.arm.SerialArm.named_frame` has it; the pose is in its frame
     link: _Name = TOOL
     touch_links: Annotated[tuple[_Name, ...], Field(max_length=100)] = ()
 
 
 @validated(InputError)
 class PlanningScene(Record):
-    """What is known.
-
-    Args:
-        meshes: binary STL files in base64, by the names that shapes give.
-    """
+    """What is known."""
 
     scene: Annotated[tuple[Body, ...], Field(max_length=MAX_BODIES)] = ()
     attached: Annotated[tuple[Attached, ...], Field(max_length=MAX_ATTACHED)] = ()
     allowed: Annotated[tuple[tuple[_Name, _Name], ...], Field(max_length=MAX_PAIRS)] = ()
     ignore: Annotated[tuple[Body, ...], Field(max_length=MAX_IGNORED)] = ()
+    # Binary STL files in base64, by the names that shapes give
     meshes: Annotated[dict[_Name, str], Field(max_length=MAX_MESHES)] = Field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -175,9 +164,7 @@ def read_stl(data: bytes, name: str) -> NDArray[np.float64]:
         )
     corners = np.frombuffer(data, dtype=_TRIANGLE, offset=84)["corners"].astype(np.float64)
     if not np.isfinite(corners).all() or np.abs(corners).max() > 1e6:
-        raise InputError(
-            f"the mesh {name} has corners that are none", expected="finite numbers", got="others"
-        )
+        raise InputError(f"the mesh {name} has corners that are no finite numbers")
     sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     corners = np.asarray(corners[np.linalg.norm(sides, axis=1) > 0.0])
     if not len(corners):
@@ -189,6 +176,4 @@ def _decoded(name: str, text: str) -> bytes:
     try:
         return base64.b64decode(text, validate=True)
     except (binascii.Error, ValueError) as error:
-        raise InputError(
-            f"the mesh {name} is not base64", expected="base64 of a binary STL", got=text[:50]
-        ) from error
+        raise InputError(f"the mesh {name} is not base64 of a binary STL", got=text[:50]) from error

@@ -24,17 +24,7 @@ MAX_PLACE_M = 100.0
 
 
 def check_pose(pose: Pose, what: str, error: type[CspaceError] = ScenarioError) -> None:
-    """Refuse numbers that are no pose.
-
-    Args:
-        pose: rows of a 4 x 4 matrix.
-        what: whose, in messages.
-        error: the kind of error.
-
-    Raises:
-        error: they are not 4 x 4 finite numbers, the rotation is none or mirrors, the last row is not
-            0 0 0 1, or the place is farther than 100 m.
-    """
+    """Refuse rows that are no pose: of 4 x 4 finite numbers, a rotation, and a place within 100 m."""
     matrix = _matrix(pose)
     if matrix is None:
         raise error(f"{what} has no pose", expected="4 x 4 finite numbers", got=repr(pose)[:200])
@@ -47,9 +37,7 @@ def check_pose(pose: Pose, what: str, error: type[CspaceError] = ScenarioError) 
         or np.linalg.det(turn) < 0
     ):
         raise error(
-            f"{what} has a pose that is no rotation",
-            expected="orthonormal rows and columns without a reflection",
-            got=str(turn.tolist()),
+            f"{what} has a pose that is no rotation", expected="orthonormal axes", got=str(turn.tolist())
         )
     if tuple(matrix[3]) != HERE[3]:
         raise error(f"{what} has a pose that is none", expected="a last row 0 0 0 1", got=str(pose[3]))
@@ -58,16 +46,7 @@ def check_pose(pose: Pose, what: str, error: type[CspaceError] = ScenarioError) 
 
 
 def read_pose(values: object, what: str, error: type[CspaceError] = ScenarioError) -> Pose:
-    """A pose of plain values: rows of 4 x 4 numbers, or ``translation`` in m with ``quaternion_xyzw``.
-
-    Args:
-        values: of unknown origin.
-        what: whose, in messages.
-        error: the kind of error.
-
-    Raises:
-        error: they are neither, or :func:`check_pose` refuses them.
-    """
+    """A pose of plain values: rows of 4 x 4 numbers, or ``translation`` in m with ``quaternion_xyzw``."""
     is_placed = isinstance(values, Mapping) and set(values) == {"translation", "quaternion_xyzw"}
     rows: Any = (values["translation"], values["quaternion_xyzw"]) if is_placed else values  # type: ignore[index]
     lengths = [3, 4] if is_placed else [4] * 4
@@ -84,7 +63,7 @@ def read_pose(values: object, what: str, error: type[CspaceError] = ScenarioErro
         if max(map(abs, quaternion)) > 2.0 or abs(np.linalg.norm(quaternion) - 1.0) > _QUATERNION_TOLERANCE:
             raise error(
                 f"{what} has a quaternion that is no rotation",
-                expected="x, y, z, w with a norm of 1",
+                expected="a norm of 1",
                 got=repr(quaternion)[:200],
             )
         rows = quaternion_pose(place, quaternion)
@@ -185,17 +164,10 @@ _LOCKED = 1e-9
 
 @validated(ScenarioError)
 class Frame:
-    """A frame in its parent's.
+    """A frame in its parent's."""
 
-    Args:
-        xyz_m: its origin.
-        rpy_rad: roll, pitch and yaw about the parent's fixed x, y and z axes, in this order, as in URDF.
-
-    Raises:
-        ScenarioError: a number is not finite, or the origin is further than 100 m away.
-    """
-
-    xyz_m: tuple[Offset, Offset, Offset] = (0.0, 0.0, 0.0)
+    xyz_m: tuple[Offset, Offset, Offset] = (0.0, 0.0, 0.0)  # its origin
+    # Roll, pitch and yaw about the parent's fixed x, y and z axes, in this order, as in URDF
     rpy_rad: tuple[Offset, Offset, Offset] = (0.0, 0.0, 0.0)
 
     def matrix(self) -> NDArray[np.float64]:

@@ -25,15 +25,10 @@ _RANGE_RAD, _SEARCH_RAD, _SHORTCUT_RAD, _FINAL_RAD = 2.0, 0.02, 0.005, 0.01
 
 @dataclass(frozen=True, slots=True)
 class PathLimits:
-    """How long paths are searched for.
+    """How long paths are searched for."""
 
-    Args:
-        states: uniform ones that the first try draws at most; the others draw a quarter of them.
-        tries: paths that the shortest is chosen from; fewer where one of the others fails.
-    """
-
-    states: int = 16000
-    tries: int = 6
+    states: int = 16000  # uniform ones that the first try draws at most; the others draw a quarter of them
+    tries: int = 6  # paths that the shortest is chosen from; fewer where one of the others fails
     shortcuts: int = 40
     polish: int = 200
     step_rad: float = 0.1
@@ -48,12 +43,8 @@ def find_path(
 ) -> NDArray[np.float64] | None:
     """A short free path, or None where none is found.
 
-    Args:
-        start: (d,) rad, the first row of the path, circles in [-pi, pi).
-        goal: (d,) rad, likewise the last row.
-
-    Returns:
-        (k, d) rad, every edge free at 0.01 rad; the straight path where it is free.
+    ``start``: (d,) rad, the first row of the path, circles in [-pi, pi). ``goal``: (d,) rad, likewise the
+    last row. Returns (k, d) rad, every edge free at 0.01 rad; the straight path where it is free.
     """
     if not (checker.valid(start) and checker.valid(goal)):
         return None
@@ -107,21 +98,14 @@ _TRIVIAL_KEPT = 0.3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpatialProblem:
-    """A planning problem and a path that solves it.
-
-    Args:
-        start: (d,) rad.
-        goal: (d,) rad.
-        path: (k, d) rad from start to goal, every edge free at 0.01 rad.
-        rejected: draws of start and goal before this one.
-    """
+    """A planning problem and a path that solves it."""
 
     layout: Layout
-    start: NDArray[np.float64]
-    goal: NDArray[np.float64]
+    start: NDArray[np.float64]  # (d,) rad
+    goal: NDArray[np.float64]  # (d,) rad
     kind: str
-    path: NDArray[np.float64]
-    rejected: int
+    path: NDArray[np.float64]  # (k, d) rad from start to goal, every edge free at 0.01 rad
+    rejected: int  # draws of start and goal before this one
 
 
 def draw_problem(
@@ -133,10 +117,7 @@ def draw_problem(
     family: str | None = None,
     limits: PathLimits = PathLimits(),
 ) -> SpatialProblem:
-    """A problem that :func:`find_path` solved, of what split, seed and index say.
-
-    Its scene is that of :func:`draw_layout` where that has one, else one drawn after it.
-    """
+    """A problem that :func:`find_path` solved, of what split, seed and index say."""
     # A child, for the scene is drawn from the same three values.
     (rng,) = scenario_rng(split, seed, index).spawn(1)
     kind, rejected = _any_kind(rng), 0
@@ -152,10 +133,7 @@ def draw_problem(
                 return SpatialProblem(layout, path[0], path[-1], kind, path, rejected)
             rejected += 1
     raise ScenarioError(
-        f"no problem of the kind {kind} was found",
-        expected=f"one in {MAX_DRAWS} scenes of {family or 'any family'}",
-        got="none",
-        remedy="other scenes, or another arm",
+        f"no problem of the kind {kind} was found in {MAX_DRAWS} scenes of {family or 'any family'}"
     )
 
 
@@ -173,12 +151,7 @@ class Ends:
         self.arm = checker.arm
 
     def pairs(self, count: int, state: NDArray[np.float64] | None) -> Iterator[NDArray[np.float64]]:
-        """Starts and goals (2, d) rad of any kind from so many tries.
-
-        Args:
-            count: tries; those without ends, and most of those that the straight path solves, give none.
-            state: (d,) rad, where the arm waits before it reaches in; None for about the ready pose.
-        """
+        """At most so many starts and goals (2, d) rad of any kind; the arm waits at a state (d,) if given."""
         for _ in range(count):
             pair = self.pair(_any_kind(self.rng), state)
             if pair is not None:
@@ -277,11 +250,7 @@ def draw_proposals(
     rng: np.random.Generator,
     count: int,
 ) -> Proposals:
-    """So many configurations, uniform ones first.
-
-    Args:
-        start: (d,) rad, where the arm waits; None where that is not known.
-    """
+    """So many configurations, uniform ones first, about a start (d,) rad where the arm waits."""
     space = checker.space
     counts = [int(share * count) for share in ORIGIN_SHARES]
     anywhere = space.sample_uniform(rng, count - sum(counts))

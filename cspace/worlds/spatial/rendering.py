@@ -19,15 +19,10 @@ _TINY = 1e-12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DepthView:
-    """What a camera sees.
+    """What a camera sees."""
 
-    Args:
-        depth_m: (H, W) float32 along the optical axis; 0 where nothing is within range.
-        robot: (H, W) bool, which pixels show the robot.
-    """
-
-    depth_m: NDArray[np.float32]
-    robot: NDArray[np.bool_]
+    depth_m: NDArray[np.float32]  # (H, W) float32 along the optical axis; 0 where nothing is within range
+    robot: NDArray[np.bool_]  # (H, W) bool, which pixels show the robot
 
 
 def render_depth(
@@ -36,11 +31,7 @@ def render_depth(
     spheres: ArrayLike | None = None,
     max_range_m: float = MAX_RANGE_M,
 ) -> DepthView:
-    """The exact depth picture, without noise.
-
-    Args:
-        spheres: (S, 4) of the robot: x, y, z, radius in m in the base frame; None for no robot.
-    """
+    """The exact depth picture, without noise, with a robot of spheres (S, 4) m in the base frame."""
     arrays = obstacles.arrays
     robot = np.zeros((0, 4)) if spheres is None else np.asarray(spheres, dtype=np.float64).reshape(-1, 4)
     intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
@@ -237,10 +228,7 @@ def disparity(
     drop_out: DropOut = _DROP_OUT,
     sigma_parts: float = 1.0 / 6.0,
 ) -> Depth:
-    """The hard case: a depth that is read from a disparity in whole eighths of a pixel.
-
-    ``sigma_parts`` is that of the disparity before it is rounded, in these parts.
-    """
+    """The hard case: a depth that is read from a disparity in whole eighths of a pixel."""
     del camera
     lost = drop_out.lost(rng, depth_m)
     moved = shifted(rng, depth_m, np.full(depth_m.shape, _LATERAL_PX))
@@ -262,10 +250,7 @@ def stereo(
     drop_out: DropOut = _DROP_OUT,
     smooth_px: float = 1.0,
 ) -> Depth:
-    """A stereo camera: a sigma of z^2 s / (f B).
-
-    ``smooth_px`` is the sigma of its errors in space, for neighbours err together; 0 for none.
-    """
+    """A stereo camera: a sigma of z^2 s / (f B), whose errors are smooth over ``smooth_px``."""
     del camera
     lost = drop_out.lost(rng, depth_m)
     errors = _smooth(rng.normal(size=depth_m.shape), smooth_px)
@@ -298,10 +283,7 @@ def lateral_sigma_px(angle_rad: NDArray[np.floating]) -> NDArray[np.float64]:
 
 
 def incidence_rad(depth_m: Depth, camera: DepthCamera) -> NDArray[np.float64]:
-    """Angle between each pixel's ray and the surface's normal, (H, W), from the nearer of both neighbours.
-
-    0 where there is no reading, or none beside it.
-    """
+    """Angle between each pixel's ray and the surface's normal, (H, W), from the nearer of both neighbours."""
     rays = camera.rays()
     read = np.isfinite(depth_m) & (depth_m > 0.0)
     points = rays * np.where(read, depth_m, np.nan)[..., None]
@@ -313,10 +295,7 @@ def incidence_rad(depth_m: Depth, camera: DepthCamera) -> NDArray[np.float64]:
 
 
 def beside_jumps(depth_m: Depth, jump_m: float) -> NDArray[np.bool_]:
-    """Which pixels (H, W) read something and have one of four neighbours nearer or farther by ``jump_m``.
-
-    A neighbour that reads nothing is infinitely far.
-    """
+    """Which pixels (H, W) read something and have one of four neighbours nearer or farther by ``jump_m``."""
     read = depth_m > 0.0
     far = np.where(read, depth_m, np.inf)
     found = np.zeros(depth_m.shape, dtype=np.bool_)

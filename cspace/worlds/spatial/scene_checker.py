@@ -48,11 +48,7 @@ _UNSEEN = {NO_READING: "unread", OUT_OF_VIEW: "out of view"}
 
 
 class SceneChecker:
-    """A planning scene for one arm, as checks take it; needs the compiler.
-
-    Attributes:
-        seen: (X, Y, Z, 2), what pictures show beside that; None before :meth:`complete`.
-    """
+    """A planning scene for one arm, as checks take it; needs the compiler."""
 
     def __init__(self, arm: SerialArm, known: PlanningScene) -> None:
         self.known = known
@@ -83,11 +79,7 @@ class SceneChecker:
     def free(
         self, configurations: NDArray[np.floating], check_cancelled: CheckCancelled = lambda: None
     ) -> NDArray[np.bool_]:
-        """Which of (N, d) rad touch no known body, and nothing of the arm with what is attached to it.
-
-        Joint limits, pictures and the arm's own self-collision are left to others. ``check_cancelled`` is
-        called between parts of some ms; what it raises passes through.
-        """
+        """Which of (N, d) rad touch no known body, and nothing of the arm with what is attached to it."""
         return self._in_parts(
             lambda rows: KERNELS.free_batch(rows, self._scene), configurations, check_cancelled
         )
@@ -95,11 +87,7 @@ class SceneChecker:
     def certain(
         self, configurations: NDArray[np.floating], check_cancelled: CheckCancelled = lambda: None
     ) -> NDArray[np.bool_]:
-        """Which of (N, d) rad touch no known body nor the arm itself, all that moves in volumes to ignore.
-
-        Each sphere lies in one of the volumes. Joint limits are left to others. ``check_cancelled`` as for
-        :meth:`free`.
-        """
+        """Which of (N, d) rad are free of known bodies and the arm, all that moves in volumes to ignore."""
         if not self.known.ignore:
             return np.zeros(len(configurations), dtype=np.bool_)
         arrays = arm_arrays(self.arm)
@@ -163,11 +151,8 @@ class SceneChecker:
     ) -> Contact | None:
         """What is in the way of a configuration (d,) rad: known, of the arm, seen or unseen, in this order.
 
-        Args:
-            image: (X, Y, Z, 2), what the pictures show.
-
-        Returns:
-            None where nothing touches and all of the arm is in space that was seen free.
+        ``image``: (X, Y, Z, 2), what the pictures show. None where nothing touches and all of the arm
+        is in space that was seen free.
         """
         centres = self.arm.sphere_centres_m([configuration])[0]
         return (
@@ -300,10 +285,7 @@ def bodies_of(bodies: Iterable[Body], meshes: Mapping[str, NDArray[np.float64]])
 def cover(
     body: Body, meshes: Mapping[str, NDArray[np.float64]], most: int = _MOST_SPHERES
 ) -> NDArray[np.float64]:
-    """Spheres (S, 4) in a body's own frame, at most so many, that cover it near its surface, to 3 mm.
-
-    Each is about that part of the body that is in one cell of a grid over it; cells inside are left out.
-    """
+    """Spheres (S, 4) in a body's own frame, at most so many, that cover it near its surface, to 3 mm."""
     if body.sphere is not None:
         return np.array([[0.0, 0.0, 0.0, body.sphere.radius_m]])
     own = bodies_of([replace(body, pose=HERE)], meshes)
@@ -371,10 +353,7 @@ def _least_out(
     held: NDArray[np.bool_],
     half: float,
 ) -> NDArray[np.float64]:
-    """Spheres (S, 4) about those of points (S, N, 3) that are held.
-
-    Each is about a middle (S, 3), moved inwards as it sticks out least: large spheres are flat.
-    """
+    """Spheres (S, 4) about those of points (S, N, 3) that are held, moved inwards: large spheres are flat."""
     ahead = (middle[:, None, None] + half / 4.0 * np.stack([np.eye(3), -np.eye(3)], axis=1)).reshape(-1, 3)
     slope = np.diff(points_to_bodies(ahead, own, 2.0 * half).reshape(-1, 3, 2), axis=2)[..., 0]
     inwards = slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-9)

@@ -224,25 +224,19 @@ _WAITING, _ANYWHERE, _SIGMA_RAD = 32, 256, 0.25
 
 @dataclass(frozen=True, slots=True)
 class SpatialScene:
-    """An arm among obstacles, seen by depth cameras.
-
-    Args:
-        state: (d,) rad, where the arm is while it is looked at; None where it is in no picture.
-        noise: one of :data:`cspace.worlds.spatial.sensor.NOISES`, or None for exact pictures.
-        known: that planners know beside the pictures; None without anything.
-        holding: the arm with what is attached to it there; None where nothing is.
-    """
+    """An arm among obstacles, seen by depth cameras."""
 
     world: SpatialWorld
     obstacles: Obstacles
     cameras: tuple[DepthCamera, ...]
+    # (d,) rad, where the arm is while it is looked at; None where it is in no picture
     state: tuple[float, ...] | None = None
-    noise: str | None = None
+    noise: str | None = None  # one of :data:`cspace.worlds.spatial.sensor.NOISES`, or None for exact pictures
     noise_seed: int = 0
     regions: tuple[GoalRegion, ...] = ()
     holes: float = 0.0
-    known: PlanningScene | None = None
-    holding: SerialArm | None = None
+    known: PlanningScene | None = None  # that planners know beside the pictures; None without anything
+    holding: SerialArm | None = None  # the arm with what is attached to it there; None where nothing is
 
     @property
     def arm(self) -> SerialArm:
@@ -288,10 +282,7 @@ def scenes_of(world: SpatialWorld) -> SpatialScenes:
     """The families that a world's scenes come from."""
     if world.scenes is None:
         raise ScenarioError(
-            "nobody knows where this world's scenes come from",
-            expected="families of scenes",
-            got="data of one's own, whose obstacles are not known",
-            remedy="name a data set that holds scenes",
+            "nobody knows where this world's scenes come from", remedy="name a data set that holds scenes"
         )
     return world.scenes
 

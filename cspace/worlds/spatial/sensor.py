@@ -24,14 +24,11 @@ FARTHEST = 255
 
 @validated(ScenarioError)
 class CameraViews(Record):
-    """A distribution of cameras.
-
-    Args:
-        side_deg: angle on the ground between the line from what is looked at to the robot and that to the
-            camera, to either side by chance.
-    """
+    """A distribution of cameras."""
 
     count: Span[Annotated[int, Field(ge=1, le=MAX_PICTURES)]] = (1, 3)
+    # Angle on the ground between the line from what is looked at to the robot and that to the camera, to
+    # either side by chance
     side_deg: Span[Annotated[float, Field(ge=-180.0, le=180.0)]] = (15.0, 75.0)
     up_deg: Span[Annotated[float, Field(ge=-90.0, le=90.0)]] = (10.0, 50.0)
     distance_m: Span[Annotated[float, Field(gt=0.0, lt=MAX_PLACE_M / 2.0)]] = (0.9, 1.6)
@@ -143,20 +140,15 @@ NOISES: tuple[Noise, ...] = get_args(Noise)
 
 @validated(ScenarioError)
 class DepthSensor(Record):
-    """What stands for the picture of a scene: an array (X, Y, Z, 2) of what its depth pictures say.
-
-    See :func:`cspace.worlds.spatial.visibility.observe`.
-
-    Args:
-        noise: of these, some of :data:`NOISES`, one of them a scene; none for exact pictures.
-        holes: share of the pictures of scenes in which rectangles read nothing, as black and shiny things
-            do; a head that knows none takes whatever read nothing for the sky.
-    """
+    """What stands for the picture of a scene: an array (X, Y, Z, 2) of what its depth pictures say."""
 
     grid: GridBox
     views: CameraViews = field(default_factory=CameraViews)
+    # Of these, some of :data:`NOISES`, one of them a scene; none for exact pictures
     noise: tuple[Noise, ...] = NOISES
     arm_hides: Literal[True] = True
+    # Share of the pictures of scenes in which rectangles read nothing, as black and shiny things do; a head
+    # that knows none takes whatever read nothing for the sky
     holes: Share = 0.3
 
     @property

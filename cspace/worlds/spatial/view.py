@@ -1,27 +1,39 @@
-"""What depth cameras saw of a scene, as a view file or as arrays. NumPy alone."""
+"""What depth cameras saw of a scene, as arrays, and of untrusted view files and pictures. NumPy alone."""
 
+import io
 import json
+import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from cspace.errors import ImageError, ScenarioError
+from cspace.files import read_npy
 from cspace.space import JointSpace
 from cspace.view_file import View, check_counts, pack_view, unstamped
 from cspace.world import CheckCancelled
 from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.camera import (
     FARTHEST_MM,
+    MAX_MM,
+    MAX_SCALE_M,
+    MIN_SCALE_M,
     NEAREST_MM,
+    PINHOLE,
     DepthCamera,
+    camera_pose,
+    check_size,
+    decode_depth,
     encode_depth,
     in_range,
+    read_number,
+    read_pinhole,
+    undistorted,
 )
-from cspace.worlds.spatial.camera_info import PINHOLE, camera_pose, read_pinhole, undistorted
-from cspace.worlds.spatial.depth_files import read_depth, read_number
 from cspace.worlds.spatial.planning_scene import PlanningScene, read_planning_scene
 
 State = tuple[float, ...]
@@ -31,22 +43,17 @@ States = State | tuple[State | None, ...] | None
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DepthView:
-    """Depth pictures of one scene.
+    """Depth pictures of one scene."""
 
-    Args:
-        pictures: one to four, (H, W) uint16 mm along the optical axis, 0 = no reading.
-        state: (d,) rad, where the arm was when they were taken; None where it is in no picture; or one or the
-            other for each picture.
-        on_link: numbers of the pictures whose cameras came with a pose in the frame of a link; here it is in
-            the base's.
-        known: of the scene beside the pictures; None without anything.
-    """
-
+    # One to four, (H, W) uint16 mm along the optical axis, 0 = no reading
     pictures: tuple[NDArray[np.uint16], ...]
     cameras: tuple[DepthCamera, ...]
+    # (d,) rad, where the arm was when they were taken; None where it is in no picture; or one or the other
+    # for each picture
     state: States = None
+    # Numbers of the pictures whose cameras came with a pose in the frame of a link; here it is in the base's
     on_link: tuple[int, ...] = ()
-    known: PlanningScene | None = None
+    known: PlanningScene | None = None  # of the scene beside the pictures; None without anything
 
     @property
     def states(self) -> tuple[State | None, ...]:
@@ -60,8 +67,8 @@ class DepthView:
             if picture.shape != camera.picture_shape or picture.dtype != np.uint16:
                 raise ImageError(
                     "the depth picture does not fit its camera",
-                    expected=f"uint16 of {camera.width} x {camera.height} pixels",
-                    got=f"{picture.dtype} of shape {picture.shape}",
+                    expected=f"uint16 {camera.picture_shape}",
+                    got=f"{picture.dtype} {picture.shape}",
                 )
             if not in_range(picture).any():
                 read = picture[picture > 0]
@@ -115,12 +122,7 @@ _UNIT = (
 
 
 def cameras_in_base(cameras: Sequence[object], state: States, arm: SerialArm) -> list[object]:
-    """Cameras of plain values, those on a link with the pose of their optical frame in the base.
-
-    Args:
-        cameras: one for each picture; ``link`` names a frame of the arm (:meth:`SerialArm.frame_of`) that
-            ``pose`` is in.
-    """
+    """Cameras of plain values; one whose ``link`` names a frame of the arm gets its pose in the base."""
     states = _for_each(state, len(cameras))
     return [_in_base(*one, arm) for one in zip(range(len(cameras)), cameras, states, strict=True)]
 
@@ -154,18 +156,14 @@ def _for_each(state: States, pictures: int) -> tuple[State | None, ...]:
     if len(state) != pictures:
         raise ImageError(
             "the states do not fit the pictures",
-            expected=f"one for all, or a list of {pictures}: one, or null, for each picture",
+            expected=f"one for all, or a list of {pictures}",
             got=f"{len(state)} states",
         )
     return cast("tuple[State | None, ...]", state)
 
 
 def state_of(values: object, pictures: int, space: JointSpace) -> States:
-    """Where an arm was, of plain values; None where they are.
-
-    Args:
-        values: a configuration for all pictures, or a list with one, or None, for each.
-    """
+    """Where an arm was, of plain values: a configuration for all pictures, or one or None for each."""
     if isinstance(values, list | tuple) and any(
         one is None or isinstance(one, list | tuple) for one in values
     ):
@@ -190,3 +188,98 @@ def _configuration(values: object, space: JointSpace) -> State | None:
 
 def _camera_values(camera: DepthCamera) -> dict[str, Any]:
     return {name: value for name, value in camera.to_dict().items() if name in (*PINHOLE, "pose")}
+
+
+METRES = 1.0
+_PNG, _NPY = b"\x89PNG", b"\x93NUMPY"
+_BYTE_ORDERS = {b"II*\0": "<", b"MM\0*": ">"}
+_MOST_FIELDS, _MOST_VALUES = 64, 8192
+
+
+def read_depth(
+    data: bytes, depth_scale_m: object = None, check_cancelled: CheckCancelled = lambda: None
+) -> NDArray[np.uint16]:
+    """An untrusted depth picture as (H, W) uint16, mm along the optical axis, 0 where there is no reading.
+
+    ``data``: a 16-bit grey PNG; or float32, as a TIFF or a ``.npy`` file of shape (H, W), in which NaN,
+    infinity and what is not above 0 are no reading. ``depth_scale_m``: metres per unit, of plain values; None
+    for mm in a PNG and metres in a file of floats.
+    """
+    scale_m = None if depth_scale_m is None else _read_scale(depth_scale_m)
+    if data.startswith(_PNG):
+        units = decode_depth(data, check_cancelled)
+        return units if scale_m is None else rounded_mm(units, scale_m)
+    depth = _read_npy(data) if data.startswith(_NPY) else _read_tiff(data)
+    check_cancelled()
+    return rounded_mm(depth, METRES if scale_m is None else scale_m)
+
+
+def rounded_mm(depth: NDArray[np.float32] | NDArray[np.uint16], depth_scale_m: float) -> NDArray[np.uint16]:
+    """Depths (...) in a unit of ``depth_scale_m`` as uint16 mm; 0 for NaN, infinity and what is below 0.5 mm.
+
+    What is farther than 16 bits can tell stays a reading that is out of range, so that a wrong unit shows.
+    """
+    with np.errstate(invalid="ignore", over="ignore"):
+        scaled = np.floor(depth.astype(np.float64) * (1000.0 * depth_scale_m) + 0.5)
+    read = (scaled >= 1.0) & np.isfinite(scaled)
+    return np.where(read, np.minimum(scaled, MAX_MM), 0.0).astype(np.uint16)
+
+
+def _read_scale(depth_scale_m: object) -> float:
+    scale = read_number(depth_scale_m, "depth_scale_m")
+    if not MIN_SCALE_M <= scale <= MAX_SCALE_M:
+        raise ImageError(
+            "depth_scale_m does not fit",
+            expected=f"metres per unit of the depth pictures, {MIN_SCALE_M:g} to {MAX_SCALE_M:g}",
+            got=repr(scale)[:100],
+            remedy="send 0.001 for millimetres, 0.0001 for tenths, 0.0002 for TUM RGB-D, 1 for metres",
+        )
+    return scale
+
+
+def _read_npy(data: bytes) -> NDArray[np.float32]:
+    try:
+        depth = read_npy(data, ("<f4",), 2)
+    except Exception as error:
+        # All, for there is no list of what evaluating a header raises.
+        raise _no_depth(".npy file", str(error)) from error
+    check_size(*depth.shape)
+    return depth
+
+
+def _read_tiff(data: bytes) -> NDArray[np.float32]:
+    try:
+        _check_fields(data)
+        with Image.open(io.BytesIO(data), formats=["TIFF"]) as picture:
+            check_size(picture.height, picture.width)
+            if picture.mode == "F":
+                return np.array(picture)
+            mode = picture.mode
+    except ImageError:
+        raise
+    except Exception as error:
+        # All, for there is no list of what a decoder raises for bytes from outside.
+        raise _no_depth("file", str(error)) from error
+    raise _no_depth("TIFF", f"a picture of mode {mode}")
+
+
+def _check_fields(data: bytes) -> None:
+    """Refuse what Pillow would read before it knows the size: 8 MiB can name 400 GB of values."""
+    order = _BYTE_ORDERS[data[:4]]
+    (at,) = struct.unpack_from(f"{order}I", data, 4)
+    (count,) = struct.unpack_from(f"{order}H", data, at)
+    values = [struct.unpack_from(f"{order}I", data, at + 6 + 12 * field)[0] for field in range(count)]
+    (following,) = struct.unpack_from(f"{order}I", data, at + 2 + 12 * count)
+    if count > _MOST_FIELDS or max(values, default=0) > _MOST_VALUES or following:
+        raise _no_depth(
+            "TIFF", f"{count} fields of up to {max(values, default=0)} values, or several pictures"
+        )
+
+
+def _no_depth(kind: str, got: str) -> ImageError:
+    return ImageError(
+        f"the {kind} is no depth picture",
+        expected="float32 of shape (H, W), metres along the optical axis, or mm as a 16-bit PNG",
+        got=got[:200],
+        remedy="write depth_m.astype(np.float32) by np.save, Pillow, OpenCV or tifffile",
+    )

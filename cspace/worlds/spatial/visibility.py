@@ -34,15 +34,11 @@ _POINTS = 512
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WithoutRobot:
-    """A depth picture without the arm.
+    """A depth picture without the arm."""
 
-    Args:
-        depth_mm: (H, W) uint16, the readings of other things; 0 where there is none.
-        front_m: (H, W) float32, depth at which the arm and its slack begin where a pixel is the arm's;
-            inf elsewhere. Up to there the pixel's ray was free.
-    """
-
-    depth_mm: NDArray[np.uint16]
+    depth_mm: NDArray[np.uint16]  # (H, W) uint16, the readings of other things; 0 where there is none
+    # (H, W) float32, depth at which the arm and its slack begin where a pixel is the arm's; inf elsewhere. Up
+    # to there the pixel's ray was free.
     front_m: NDArray[np.float32]
 
 
@@ -58,9 +54,8 @@ def self_filter(
     A pixel is the arm's where its ray meets a sphere with its slack and its reading is not before that. Slack
     covers what noise and calibration are off by, both along the ray and across it.
 
-    Args:
-        depth_mm: (H, W) uint16 mm, 0 = no reading.
-        spheres: (S, 4) that cover the arm as it stands: x, y, z, radius in m in the base frame.
+    ``depth_mm``: (H, W) uint16 mm, 0 = no reading. ``spheres``: (S, 4) that cover the arm as it stands: x, y,
+    z, radius in m in the base frame.
     """
     begins = arm_depth_m(
         camera, np.asarray(spheres, dtype=np.float64).reshape(-1, 4), check_cancelled, slack_m
@@ -97,11 +92,7 @@ def arm_depth_m(
     check_cancelled: CheckCancelled = lambda: None,
     slack_m: float = 0.0,
 ) -> NDArray[np.float32]:
-    """The arm as rendered: depth (H, W) m at which the first of its spheres begins, inf beside them.
-
-    Args:
-        spheres: (S, 4) m, as for :func:`self_filter`; the depth is 0 for a camera within one.
-    """
+    """The arm as rendered: depth (H, W) m at which its first sphere of (S, 4) m begins, inf beside them."""
     pose = camera.matrix
     centres = (spheres[:, :3] - pose[:3, 3]) @ pose[:3, :3]
     radii = spheres[:, 3] + slack_m
@@ -177,9 +168,8 @@ def sight(
     :data:`FREE`; 1 to :data:`MOST_BEHIND` for at most so many :data:`BEHIND_STEP_M` behind what the pixel
     shows, a surface or the arm, along its ray; :data:`NO_READING`; :data:`OUT_OF_VIEW`.
 
-    Args:
-        surface_m: (H, W) depth of surfaces, 0 = none.
-        front_m: (H, W) depth up to which the ray of a pixel without a surface was free, inf = not known.
+    ``surface_m``: (H, W) depth of surfaces, 0 = none. ``front_m``: (H, W) depth up to which the ray of a
+    pixel without a surface was free, inf = not known.
     """
     codes = np.full(int(np.prod(grid.counts)), OUT_OF_VIEW, dtype=np.uint8)
     voxels, column, row, depth = _in_view(camera, grid)
@@ -201,10 +191,7 @@ def sight(
 
 
 def _limits(surface_m: NDArray[np.float32], front_m: NDArray[np.float32], reach: int) -> NDArray[np.float32]:
-    """Up to where rays are free, (reach + 1, H, W), the nearest within so many pixels, from 0.
-
-    0 where nothing is known.
-    """
+    """Up to where rays are free, the nearest within 0 to ``reach`` pixels, (reach + 1, H, W); 0 unknown."""
     read, robot = surface_m > 0, np.isfinite(front_m)
     surfaces = np.where(read, surface_m, np.float32(np.inf))
     fronts = np.minimum(surfaces, front_m)
@@ -280,15 +267,10 @@ MAX_USED_SIDE = 160
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Known:
-    """What an array says of points.
+    """What an array says of points."""
 
-    Args:
-        distance_m: (...) float32 to the nearest surface seen, at most :data:`TRUNCATION_M`.
-        codes: (...) uint8, channel 1 of :func:`observe`.
-    """
-
-    distance_m: NDArray[np.float32]
-    codes: NDArray[np.uint8]
+    distance_m: NDArray[np.float32]  # (...) float32 to the nearest surface seen, at most :data:`TRUNCATION_M`
+    codes: NDArray[np.uint8]  # (...) uint8, channel 1 of :func:`observe`
 
     @property
     def unseen(self) -> NDArray[np.bool_]:
@@ -307,17 +289,12 @@ def observe(
 ) -> NDArray[np.uint8]:
     """What a depth picture says of the space round an arm; see :func:`fused` for several.
 
-    Args:
-        picture: (H, W) uint16 mm along the optical axis; 0, and what no depth camera can read, is no reading
-            (:func:`cspace.worlds.spatial.camera.in_range`).
-        spheres: (S, 4) that cover the arm as it stands, x, y, z, radius in m in the base frame; None where
-            it is not in the picture.
-        is_explained: surfaces at points (N, 3) m that it knows hide what is behind them and are none
-            themselves.
-
-    Returns:
-        (X, Y, Z, 2) uint8. Channel 0 is the distance from a voxel's centre to the nearest surface seen, see
-        :func:`distances_m`; channel 1 is the code of :func:`sight`.
+    ``picture``: (H, W) uint16 mm along the optical axis; 0, and what no depth camera can read, is no reading
+    (:func:`cspace.worlds.spatial.camera.in_range`). ``spheres``: (S, 4) that cover the arm as it stands, x,
+    y, z, radius in m in the base frame; None where it is not in the picture. ``is_explained``: surfaces at
+    points (N, 3) m that it knows hide what is behind them and are none themselves. Returns (X, Y, Z, 2)
+    uint8. Channel 0 is the distance from a voxel's centre to the nearest surface seen, see
+    :func:`distances_m`; channel 1 is the code of :func:`sight`.
     """
     check_cancelled = check_cancelled or (lambda: None)
     smaller, camera = reduced(np.where(in_range(picture), picture, np.uint16(0)), camera)
@@ -405,10 +382,7 @@ def lookup(observed: NDArray[np.uint8], grid: GridBox, points_m: ArrayLike) -> K
 def _cells(
     grid: GridBox, points: NDArray[np.floating]
 ) -> tuple[NDArray[np.intp], NDArray[np.bool_], NDArray[np.float32]]:
-    """The voxels that points (N, 3) are in: numbers, 0 outside of the grid; which are inside; and where.
-
-    The last is (3, N) in voxels from the lowest corner.
-    """
+    """Numbers of the voxels that points (N, 3) are in, which are inside, and where, (3, N) in voxels."""
     place = ((points - np.array(grid.low_m)) / grid.voxel_m).astype(np.float32).T
     counts = np.array(grid.counts, dtype=np.float32)[:, None]
     inside = ((place >= 0.0) & (place < counts)).all(axis=0)

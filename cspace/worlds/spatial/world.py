@@ -27,7 +27,6 @@ from cspace.world import (
     World,
 )
 from cspace.worlds.spatial.arm import SerialArm, grouped, touching_sets
-from cspace.worlds.spatial.camera import DepthCamera, looking
 from cspace.worlds.spatial.diagnostics import (
     colliding_findings,
     diagnose,
@@ -48,19 +47,15 @@ from cspace.worlds.spatial.sensor import (
     DepthSensor,
     grid_of,
 )
-from cspace.worlds.spatial.view import DepthView, read_view, write_view
+from cspace.worlds.spatial.view import DepthView, read_view
 from cspace.worlds.spatial.visibility import fused, observe
 
 _ROBOTS = Path(__file__).with_name("robots")
-_BLANK_MM = 4000
 
 
 @dataclass(frozen=True, slots=True)
 class SpatialWorld(World):
-    """A serial arm that depth cameras see.
-
-    ``boxes`` are (S, any, 15), ``cylinders`` (S, any, 14), padded with NaN.
-    """
+    """A serial arm that depth cameras see; ``boxes`` (S, any, 15), ``cylinders`` (S, any, 14), NaN behind."""
 
     kind: ClassVar[str] = "spatial"
     scene_files: ClassVar[tuple[str, ...]] = ("boxes", "cylinders")
@@ -93,12 +88,6 @@ class SpatialWorld(World):
         if image is not None and start is not None:
             found += start_findings(self.body, self.sensor.grid, image, start)
         return found
-
-    def blank_picture(self) -> bytes:
-        """One camera before which nothing stands within 4 m, and no arm."""
-        pose = looking((1.5, 0.0, 0.8), (0.0, 0.0, 0.4))
-        camera = DepthCamera.of_field(self.sensor.views.width, self.sensor.views.height, 70.0, pose)
-        return write_view(DepthView((np.full(camera.picture_shape, _BLANK_MM, np.uint16),), (camera,)))
 
     def observed(self, view: DepthView, check_cancelled: CheckCancelled | None = None) -> NDArray[np.uint8]:
         """What a view says of the space about the arm, (X, Y, Z, 2); pauses as :meth:`read_picture`."""
@@ -173,7 +162,7 @@ class SpatialWorld(World):
         if any(count % NETWORK_MULTIPLE for count in grid.counts):
             raise ScenarioError(
                 "networks cannot read arrays of this size",
-                expected=f"multiples of {NETWORK_MULTIPLE} voxels along each side of the sensor's grid",
+                expected=f"multiples of {NETWORK_MULTIPLE}",
                 got=str(grid.counts),
             )
         moving = np.flatnonzero(found.links > 0)
@@ -207,8 +196,8 @@ class SpatialWorld(World):
             ):
                 raise DatasetError(
                     f"{name}.npy does not fit",
-                    expected=f"float64 of shape ({count}, any, {values})",
-                    got=f"{array.dtype} of shape {array.shape}",
+                    expected=f"float64 ({count}, any, {values})",
+                    got=f"{array.dtype} {array.shape}",
                 )
 
     def to_dict(self) -> dict[str, Any]:
@@ -291,7 +280,5 @@ def named(text: str) -> SpatialWorld:
     try:
         values = parse_json(data)
     except ValueError as error:
-        raise ConfigError(
-            f"{path} holds no robot", expected="JSON of an arm", got=str(error)[:200]
-        ) from error
+        raise ConfigError(f"{path} holds no robot", got=str(error)[:200]) from error
     return usual(SerialArm.from_dict(values))

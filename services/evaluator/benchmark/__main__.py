@@ -9,7 +9,7 @@ from pathlib import Path
 
 from cspace.errors import ConfigError, CspaceError, ScenarioError
 from cspace.query import MAX_SAMPLES
-from cspace.simulator import PartlySeen, ProblemRequest, Split
+from cspace.simulator import ProblemRequest, Split
 from cspace.worlds import examples, named_world, partly_seen
 from services.commands import finite, report_error
 from services.evaluator.benchmark.job import REPORT, Request, executor, run_benchmark
@@ -216,7 +216,7 @@ def _problems(options: argparse.Namespace, setting: Setting) -> dict[str, int]:
 def _plan_problems(options: argparse.Namespace, setting: Setting, folder: Path | None) -> dict[str, int]:
     """How many of each family, at most as many as a set of problems has."""
     try:
-        seen: PartlySeen = partly_seen(setting.world)
+        seen = partly_seen(setting.world)
     except ScenarioError as error:
         raise ConfigError(
             f"the robot {options.robot} has no problems that are seen in part",

@@ -165,7 +165,10 @@ class Setting:
         if self.protocol is not Protocol.PLANS:
             return simulator_of(self.world).problem(unit.family, self.split, self.seed, unit.index)
         request = ProblemRequest(self.split, self.seed, self.aim, unit.folder, self.held)
-        return partly_seen(self.world).problem(request, unit.family, unit.index, max(1, unit.pictures))
+        found: Problem | None = partly_seen(self.world).problem(
+            request, unit.family, unit.index, max(1, unit.pictures)
+        )
+        return found
 
     def planner(self, variant: Variant, index: int, run: int) -> PlannerSettings:
         """The settings of one run; the seed is the same for every variant."""

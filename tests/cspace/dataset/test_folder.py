@@ -84,17 +84,22 @@ def test_a_data_set_whose_making_is_not_plain_json_is_refused_before_it_is_there
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"free": [np.zeros((2, 3))] * 3}, r"free.*\(n, 2\).*\(2, 3\)"),
-        ({"free": [np.full((2, 2), np.nan)] * 3}, "free.*finite"),
-        ({"free": [np.zeros((2, 2))] * 2}, "free_offsets"),
-        ({"paths": [(3, np.zeros((2, 2)))]}, "path_scenario"),
-        ({"images": np.zeros((3, 15, 15, 3), np.uint8)}, "images"),
-        ({"scenes": {"discs": np.ones((4, 3, 3))}}, "discs"),
-    ],
-)
+PICTURES = np.zeros((3, 16, 16, 3), np.uint8)
+WRONG = {
+    "images": ({"images": PICTURES[:, 1:]}, r"images.*16, 16, 3.*3, 15, 16, 3"),
+    "their type": ({"images": PICTURES.astype(np.float32)}, r"images.*uint8.*float32"),
+    "none": (content(images=PICTURES[:0], free=[], collision=None, paths=None, scenes=None), "n above 0"),
+    "extra_images": ({"extra_images": PICTURES[:, :, 1:]}, "extra_images"),
+    "free": ({"free": [np.zeros((2, 3))] * 3}, r"free.*\(n, 2\).*\(2, 3\)"),
+    "not finite": ({"free": [np.full((2, 2), np.nan)] * 3}, "free.*finite"),
+    "scenarios": ({"free": [np.zeros((2, 2))] * 2}, "free_offsets"),
+    "paths": ({"paths": [(3, np.zeros((2, 2)))]}, "path_scenario"),
+    "discs": ({"scenes": {"discs": np.ones((4, 3, 3))}}, "discs"),
+    "radii": ({"scenes": {"discs": np.full((3, 3, 3), -1.0)}}, "discs.*radius"),
+}
+
+
+@pytest.mark.parametrize(("change", "words"), WRONG.values(), ids=WRONG)
 def test_a_data_set_that_does_not_fit_is_not_written(tmp_path, change, words):
     with pytest.raises(DatasetError, match=words):
         write_dataset(tmp_path / "data", **content(**change))

@@ -9,7 +9,7 @@ from cspace.planning.paths import length_rad, shortcut
 from cspace.planning.search import SearchLimits, find_paths
 from cspace.simulator import Split
 from cspace.worlds import examples, seen_checkers, simulator_of
-from cspace.worlds.planar.render import render
+from cspace.worlds.planar.simulator import render
 from cspace.worlds.planar.world import Disc, Scenario
 from cspace.worlds.spatial.arm import ready_rad
 from cspace.worlds.spatial.checks import CollisionChecker

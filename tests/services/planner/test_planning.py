@@ -6,7 +6,7 @@ import pytest
 from cspace.errors import SamplerError
 from cspace.query import SampleQuery
 from cspace.worlds.planar.camera import decode_png
-from cspace.worlds.planar.render import render
+from cspace.worlds.planar.simulator import render
 from services.planner.planning import SampleRequest, plan, raised_share
 from services.planner.result import PlannerSettings
 from tests.fakes.sample_source import FakeSampleSource

@@ -10,7 +10,7 @@ from cspace.bundle.load import novelty
 from cspace.dataset import open_dataset, write_dataset
 from cspace.simulator import Split
 from cspace.worlds.planar.camera import Camera
-from cspace.worlds.planar.render import render
+from cspace.worlds.planar.simulator import render
 from cspace.worlds.planar.world import Disc
 from tests.dataset_content import content
 from tests.scenarios import random_scenarios

@@ -10,7 +10,7 @@ from mlflow import MlflowClient
 from safetensors.torch import load_file
 
 from cspace.bundle import Bundle
-from cspace.png import encode_png
+from cspace.files import encode_png
 from inference_api.app import create_app
 from inference_api.settings import ApiSettings
 from services.names import ALIAS_CHALLENGER, EXPERIMENT, MODEL_NAME

@@ -7,7 +7,7 @@ import pytest
 
 from cspace.dataset import Dataset
 from cspace.errors import DatasetError
-from cspace.png import encode_png
+from cspace.files import encode_png
 from cspace.worlds import examples, robot_digest
 from tests.bundles import picture
 from tests.fakes.registry import FakeTracking

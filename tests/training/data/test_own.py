@@ -7,7 +7,7 @@ from cspace.errors import DatasetError, StorageError
 from cspace.simulator import Split
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.worlds.planar.camera import Camera
-from cspace.worlds.planar.render import render
+from cspace.worlds.planar.simulator import render
 from cspace.worlds.planar.world import PlanarWorld
 from tests.scenarios import random_scenarios
 from training.data.own import import_folder

@@ -7,9 +7,8 @@ from cspace.dataset import open_dataset
 from cspace.errors import DatasetError, ScenarioError
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
 from cspace.worlds.planar.checks import CollisionChecker
-from cspace.worlds.planar.free_grid import FINE_CELLS, FreeGrid
-from cspace.worlds.planar.problems import NARROW_RAD
-from cspace.worlds.planar.render import render
+from cspace.worlds.planar.problems import FINE_CELLS, NARROW_RAD, FreeGrid
+from cspace.worlds.planar.simulator import render
 from cspace.worlds.planar.world import Disc, Scenario
 from training.data import generate as module
 from training.data.config import DatasetConfig, PathDatasetConfig

@@ -8,7 +8,7 @@ from cspace.simulator import Split
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.checks import CollisionChecker
-from cspace.worlds.planar.render import render
+from cspace.worlds.planar.simulator import render
 from cspace.worlds.planar.world import PlanarWorld
 from tests.scenarios import random_scenarios
 from tests.training.models.builders import run

@@ -8,7 +8,7 @@ from hypothesis.extra.numpy import array_shapes, arrays
 
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.worlds.planar.checks import CollisionChecker
-from cspace.worlds.planar.free_grid import FreeGrid, distance_to_false
+from cspace.worlds.planar.problems import FreeGrid, distance_to_false
 from cspace.worlds.planar.world import Disc, Scenario
 
 ONE_LINK = PlanarArm(link_lengths_m=(2.0,))

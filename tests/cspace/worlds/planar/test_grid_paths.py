@@ -7,8 +7,7 @@ from cspace.planning.paths import spread_points
 from cspace.simulator import Split
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.checks import CollisionChecker
-from cspace.worlds.planar.free_grid import RESOLUTION_RAD, PathFinder
-from cspace.worlds.planar.problems import Family, draw_problem
+from cspace.worlds.planar.problems import RESOLUTION_RAD, Family, PathFinder, draw_problem
 
 SPACE = TWO_LINK.space
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from cspace.errors import ImageError
-from cspace.png import encode_png
+from cspace.files import encode_png
 from cspace.worlds.planar.camera import Camera, decode_png
 from tests.cspace.png_files import SIGNATURE, chunk, file, header
 

@@ -8,8 +8,7 @@ from cspace.errors import ScenarioError
 from cspace.simulator import Split
 from cspace.worlds.planar.arm import THREE_LINK
 from cspace.worlds.planar.checks import CollisionChecker
-from cspace.worlds.planar.free_grid import FINE_CELLS, FreeGrid
-from cspace.worlds.planar.problems import NARROW_RAD, Family, draw_problem
+from cspace.worlds.planar.problems import FINE_CELLS, NARROW_RAD, Family, FreeGrid, draw_problem
 
 CELLS = 512
 STEP_RAD = 2 * np.pi / CELLS

@@ -4,7 +4,7 @@ from PIL import Image, ImageDraw
 
 from cspace.simulator import Split
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.render import render
+from cspace.worlds.planar.simulator import render
 from cspace.worlds.planar.world import Disc, Scenario
 from tests.scenarios import random_scenarios
 

@@ -12,7 +12,7 @@ from cspace.simulator import Problem
 from cspace.worlds import robot_digest
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.worlds.planar.checks import CollisionChecker, segment_gap
-from cspace.worlds.planar.free_grid import FreeGrid
+from cspace.worlds.planar.problems import FreeGrid
 from cspace.worlds.planar.world import Disc, PlanarWorld, Scenario
 from services.planner.ompl_planner import solve
 from services.planner.result import RRT_CONNECT, SAMPLED_CONNECT, PlannerSettings

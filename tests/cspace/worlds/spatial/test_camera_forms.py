@@ -10,9 +10,8 @@ from PIL import Image
 
 from cspace.errors import ImageError
 from cspace.view_file import pack_view
-from cspace.worlds.spatial.camera import DepthCamera, encode_depth, looking
-from cspace.worlds.spatial.camera_info import read_pinhole, undistorted
-from cspace.worlds.spatial.depth_files import read_depth
+from cspace.worlds.spatial.camera import DepthCamera, encode_depth, looking, read_pinhole, undistorted
+from cspace.worlds.spatial.view import read_depth
 from tests.space_bundle import WORLD
 
 RNG = np.random.default_rng(4)
@@ -245,12 +244,18 @@ REFUSED_CAMERAS = {
         {"camera_info": INFO | {"width": 128, "height": 96}},
         "height 48 and width 64.*got height 96",
     ),
-    "binning": ({"camera_info": INFO | {"binning_x": 2, "binning_y": 2}}, "larger picture"),
-    "a region of interest": ({"camera_info": INFO | {"roi": ROI | {"x_offset": 8}}}, "larger picture"),
-    "no k": ({"camera_info": {"width": 64, "height": 48}}, "no k"),
+    "binning": (
+        {"camera_info": INFO | {"binning_x": 2, "binning_y": 2}},
+        r"info: (binning_x|roi\.x_offset) does not fit",
+    ),
+    "a region of interest": (
+        {"camera_info": INFO | {"roi": ROI | {"x_offset": 8}}},
+        r"info: (binning_x|roi\.x_offset) does not fit",
+    ),
+    "no k": ({"camera_info": {"width": 64, "height": 48}}, "k is missing"),
     "an uncalibrated camera": ({"camera_info": INFO | {"k": [0.0] * 9}}, "another k"),
     "a text that is no YAML": ({"camera_info": "k: ["}, "no YAML"),
-    "a number": ({"camera_info": 7}, "of another picture"),
+    "a number": ({"camera_info": 7}, "height is missing"),
     "CameraInfo beside": (INFO, "camera_info with a ROS CameraInfo"),
     "half a camera": ({"fx": 50.0}, r"missing \['cx', 'cy', 'fy'\]"),
     "both": ({"camera_info": INFO, "fx": 50.0}, r"unknown \['fx'\]"),

@@ -121,5 +121,5 @@ def test_trees_meet_across_a_circle_s_seam():
 
 def test_what_does_not_fit_is_refused():
     checker = CollisionChecker(PANDA, Obstacles())
-    with pytest.raises(ScenarioError, match="do not fit the robot"):
+    with pytest.raises(ScenarioError, match=r"\(N, 7\)"):
         checker.valid_batch(np.zeros((3, 6)))

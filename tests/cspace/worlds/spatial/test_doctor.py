@@ -7,8 +7,7 @@ import pytest
 
 from cspace.worlds import examples
 from cspace.worlds.spatial.arm import ready_rad
-from cspace.worlds.spatial.camera import DepthCamera, looking, to_mm
-from cspace.worlds.spatial.camera_info import OPTICAL_IN_BODY
+from cspace.worlds.spatial.camera import OPTICAL_IN_BODY, DepthCamera, looking, to_mm
 from cspace.worlds.spatial.obstacles import Box, Obstacles
 from cspace.worlds.spatial.poses import make_pose, pose_of, quaternion_of, quaternion_pose, turn, turn_deg
 from cspace.worlds.spatial.rendering import render_depth, structured_light

@@ -30,7 +30,7 @@ def test_networks_can_halve_the_grid_of_an_arm_of_any_size_four_times(size):
     assert np.prod(world.sensor.grid.counts) <= MAX_VOXELS
     assert world.grid_arm(50).voxel_m == world.sensor.grid.voxel_m
     odd = replace(world.sensor.grid, counts=(72, 80, 80))
-    with pytest.raises(ScenarioError, match=r"multiples of 16 .*got \(72, 80, 80\)"):
+    with pytest.raises(ScenarioError, match=r"multiples of 16.*got \(72, 80, 80\)"):
         replace(world, sensor=replace(world.sensor, grid=odd)).grid_arm(50)
 
 

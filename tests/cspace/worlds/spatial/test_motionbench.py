@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cspace.errors import DatasetError, ScenarioError
+from cspace.errors import DatasetError
 from cspace.simulator import Split
 from cspace.worlds.spatial.benchmark import (
     BENCH_FAMILIES,
@@ -69,7 +69,3 @@ def test_test_problems_are_asked_for_with_a_folder(tmp_path: Path) -> None:
     write_problems(tmp_path, Split.TEST, problems(Split.VALIDATION))
     with pytest.raises(DatasetError, match="numbers 31 to 100 of each family; got 210 problems"):
         problems(Split.TEST, tmp_path)
-    with pytest.raises(DatasetError, match="no such split"):
-        problems(Split.TRAIN)
-    with pytest.raises(ScenarioError, match=r"families are unknown.*'kitchen'"):
-        problems(Split.VALIDATION, families=["box", "kitchen"])

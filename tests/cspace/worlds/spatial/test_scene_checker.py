@@ -199,7 +199,7 @@ def tetrahedron(count=4, value=0.0):
     [
         (b"solid part\n", "no binary STL"),
         (tetrahedron()[:-1], "no binary STL"),
-        (tetrahedron(value=np.nan), "corners that are none"),
+        (tetrahedron(value=np.nan), "corners that are no finite numbers"),
         (tetrahedron(MAX_TRIANGLES + 1), "too many triangles"),
     ],
 )

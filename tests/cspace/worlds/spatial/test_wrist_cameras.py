@@ -9,8 +9,7 @@ import pytest
 from cspace.errors import ImageError
 from cspace.view_file import pack_view
 from cspace.world import ARM_IN_PICTURE
-from cspace.worlds.spatial.camera import encode_depth, looking
-from cspace.worlds.spatial.camera_info import OPTICAL_IN_BODY, camera_pose
+from cspace.worlds.spatial.camera import OPTICAL_IN_BODY, camera_pose, encode_depth, looking
 from cspace.worlds.spatial.poses import make_pose, turned
 from cspace.worlds.spatial.view import DepthView
 from tests.cspace.worlds.spatial.test_camera_forms import placed
@@ -71,7 +70,7 @@ def test_cameras_on_links_are_where_the_states_of_their_pictures_put_them():
         ),
         ("panda_hand", STATE, "frame of panda_hand is not known: it is fixed to panda_link7"),
         ("panda_link0", STATE, "what stands still in the base, without a link"),
-        ("panda_link7", [STATE, STATE], "one, or null, for each picture; got 2 states"),
+        ("panda_link7", [STATE, STATE], "or a list of 1; got 2 states"),
     ],
 )
 def test_a_camera_on_no_link_or_without_its_state_is_refused(link, state, words):

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from cspace.errors import SamplerError, SamplerUnavailableError
-from cspace.png import encode_png
+from cspace.files import encode_png
 from cspace.worlds import default_world
 from cspace.worlds.planar.camera import decode_png
 from services.evaluator.benchmark import __main__ as command

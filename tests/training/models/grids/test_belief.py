@@ -102,6 +102,6 @@ def test_a_belief_without_a_map_or_a_space_is_no_bundle(tmp_path: Path) -> None:
         write_bundle(tmp_path / "plane", spec, tiny_graphs(spec) | {"belief": constant(0.5)})
     assert not (tmp_path / "plane").exists()
     bundle = Bundle.load(write_bundle(tmp_path / "space", SPEC, space_graphs()))
-    assert not bundle.tells_belief
+    assert bundle._graphs.belief is None
     with pytest.raises(InputError, match="make the model again"):
         bundle.belief(simulator_of(WORLD).render(scene()))
