@@ -9,6 +9,7 @@ from unittest.mock import MagicMock
 import numpy as np
 import pytest
 
+from tests.docs import ros
 from tests.docs.blocks import ROOT
 
 
@@ -17,8 +18,9 @@ def docs_scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One folder a document."""
     folder = tmp_path_factory.mktemp("docs")
     shutil.copytree(ROOT / "docs" / "images", folder / "docs" / "images")
-    # No project dependency: a camera that sees a wall.
+    # No project dependencies: a camera that sees a wall, and ROS.
     sys.modules.setdefault("pyrealsense2", _realsense())
+    ros.install()
     return folder
 
 
