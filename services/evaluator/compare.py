@@ -20,7 +20,6 @@ from cspace.files import replacing
 from cspace.worlds import robot_digest
 from services.evaluator.metrics import Task
 from services.evaluator.report import MEASURES_TABLE
-from services.evaluator.tables import aligned, markdown
 from services.names import TAG_PRESET, recorded_name, shown_name
 from services.registry import connect, tracking_uri
 from services.registry.entities import FoundRun, ModelReference
@@ -90,7 +89,11 @@ def compare_csv(compared: Sequence[Compared]) -> str:
 def write_comparison(compared: Sequence[Compared], folder: Path, *, everything: bool = False) -> None:
     """``comparison.txt``, ``.md`` and ``.csv`` in a folder."""
     table = compare_table(compared, everything=everything)
-    texts = {"txt": aligned(table) + "\n", "md": markdown(table) + "\n", "csv": compare_csv(compared)}
+    texts = {
+        "txt": table.to_string(index=False) + "\n",
+        "md": table.to_markdown(index=False, disable_numparse=True) + "\n",
+        "csv": compare_csv(compared),
+    }
     for ending, text in texts.items():
         path = folder / f"comparison.{ending}"
         with replacing(path, str(path)) as beside:
@@ -110,7 +113,7 @@ def main(arguments: Sequence[str], environment: Mapping[str, str]) -> int:
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="keep it as text, Markdown and CSV")
     options = parser.parse_args(arguments)
     found = [find(text, *connect(tracking_uri(environment))) for text in options.what]
-    print(aligned(compare_table(found, everything=options.all)))
+    print(compare_table(found, everything=options.all).to_string(index=False))
     if options.out is not None:
         write_comparison(found, options.out, everything=options.all)
     return 0
@@ -137,14 +140,15 @@ def make_card(model: ModelReference, tracking: Tracking, registry: ModelRegistry
     }
     figures = "Not evaluated yet."
     with suppress(ConfigError):
-        figures = markdown(compare_table([find(str(version), tracking, registry)]))
+        table = compare_table([find(str(version), tracking, registry)])
+        figures = table.to_markdown(index=False, disable_numparse=True)
     decisions = [
         "\n  - ".join([f"- {utc(one.created_ms)}: {'' if one.promoted else 'not '}promoted", *one.reasons])
         for one in decisions_of(version)
     ]
     parts = [
         f"# {', '.join((str(version), *version.aliases))}",
-        markdown([("", ""), *((name, text) for name, text in properties.items() if text)]),
+        "\n".join(f"- {name}: {text}" for name, text in properties.items() if text),
         "A confidence is a prediction, no guarantee. Check paths exactly before a robot moves.",
         f"## Figures\n\n{figures}",
         "## Decisions\n\n" + ("\n".join(decisions) or "None yet."),

@@ -20,7 +20,7 @@ from supervisor.xmlrpc import SupervisorTransport
 
 from cspace.errors import PortTakenError, ServiceError, ServiceStartError
 from cspace.files import holding
-from services.evaluator.tables import aligned
+from services.commands import aligned
 from services.local.settings import BIN, HOST, ROOT, Settings, make_state, shell_values
 from services.outcomes import FOLDER as OUTCOMES
 
@@ -70,7 +70,9 @@ def up(settings: Settings, names: Sequence[str], report: Report) -> None:
         for name in absent:
             if name == "viewer":
                 server.clearProcessLogs(name)  # of addresses that are gone
-            with suppress(xmlrpc.client.Fault):  # one that ends at once is told by _wait_healthy, with its log
+            with suppress(
+                xmlrpc.client.Fault
+            ):  # one that ends at once is told by _wait_healthy, with its log
                 server.startProcess(name, False)  # noqa: FBT003
             report(f"{name}: starting, log {log_file(settings, name)}")
         for name in names:
