@@ -21,7 +21,7 @@ import sys
 import tempfile
 import time
 import urllib.request
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager, suppress
@@ -43,9 +43,9 @@ from services.commands import report_error
 from services.names import OUTCOMES_EXPERIMENT, OUTCOMES_FILE, TAG_KEEP_UNTIL, TAG_STAGE, VIEW, VIEWS_FILE
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    import pandas as pd
 
-    from services.registry.tracking import Tracking
+    from services.registry.tracking import RunLog, Tracking
 
 FOLDER = "CSPACE_OUTCOMES"
 """The setting that names the folder."""
@@ -374,8 +374,7 @@ def _claim(folder: Path) -> tuple[str, list[tuple[bytes, int | None]]] | None:
 
 
 def _upload(batch: str, lines: Iterable[tuple[bytes, int | None]], tracking: "Tracking") -> Upload:
-    import pyarrow as pa  # noqa: PLC0415 - servers import this module
-    from pyarrow import parquet  # noqa: PLC0415 - as above
+    import pandas as pd  # noqa: PLC0415 - servers import this module
 
     rows, bad, kept = dict[Any, Row](), 0, dict[bytes, int]()
     for line, until_s in lines:
@@ -396,20 +395,18 @@ def _upload(batch: str, lines: Iterable[tuple[bytes, int | None]], tracking: "Tr
     ):
         counts[VIEW] = len(kept)
         run.metrics({**counts, "bad": bad}, 0)
-        table = Path(scratch) / OUTCOMES_FILE
-        parquet.write_table(pa.Table.from_pylist([row.model_dump() for row in rows.values()]), table)
-        digest = hashlib.sha256(table.read_bytes()).hexdigest()
-        run.artifact(table)
+        path = Path(scratch) / OUTCOMES_FILE
+        table = pd.DataFrame([row.model_dump() for row in rows.values()], columns=[*Row.model_fields])
+        table.convert_dtypes().to_parquet(path, index=False)
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        run.artifact(path)
         if kept:
             # Before the file, so that none is there that nobody would delete.
             run.tags({TAG_KEEP_UNTIL: str(min(kept.values()))})
             views = Path(scratch) / VIEWS_FILE
             views.write_bytes(b"".join(line + b"\n" for line in kept))
             run.artifact(views)
-        shown = reliability([row for row in rows.values() if row.kind == "plan"])
-        if shown is not None:
-            run.figure(shown[0], "reliability")
-            run.table(shown[1], "reliability")
+        log_reliability(run, table)
         run.dataset("outcomes", digest, f"runs:/{run.run_id}/{OUTCOMES_FILE}", "outcomes")
     return Upload(run.run_id, digest, +counts, bad)
 
@@ -438,35 +435,32 @@ def run_files(tracking: "Tracking", name: str) -> Iterator[tuple[str, Path]]:
                 yield run.run_id, path
 
 
-def reliability(rows: Sequence[Row]) -> "tuple[Figure, dict[str, list[Any]]] | None":
+def log_reliability(run: "RunLog", reports: "pd.DataFrame") -> None:
     """A figure and a table of stated confidence against what happened, per model and site.
 
     The figure shows the share of free plans over the confidence, in bins of equal number.
     """
-    from matplotlib.figure import Figure  # noqa: PLC0415 - servers import this module
+    import pandas as pd  # noqa: PLC0415 - servers import this module
+    from matplotlib.figure import Figure  # noqa: PLC0415 - as above
 
-    groups: dict[tuple[str, str], list[tuple[float, bool]]] = defaultdict(list)
-    for row in rows:
-        if row.confidence is not None and row.collided is not None:
-            groups[row.model, row.site or ""].append((row.confidence, not row.collided))
-    if not groups:
-        return None
-    figure = Figure((5.5, 4.0), layout="constrained")
+    plans = reports[reports["kind"] == "plan"].dropna(subset=["confidence", "collided"])
+    if plans.empty:
+        return
+    plans = plans.assign(site=plans["site"].fillna(""), free=~plans["collided"].astype(bool))
+    figure, rows = Figure((5.5, 4.0), layout="constrained"), []
     axes = figure.subplots()
     axes.plot((0, 1), (0, 1), color="0.7", linewidth=1)
-    columns: dict[str, list[Any]] = defaultdict(list)
-    for (model, site), plans in sorted(groups.items()):
-        stated, free = np.array(plans, dtype=np.float64).T
-        bins = np.array_split(np.argsort(stated), max(1, min(10, len(plans) // 10)))
-        label = f"{model} {site}, {len(plans)} plans"
+    for (model, site), own in plans.groupby(["model", "site"]):
+        stated, free = own["confidence"].to_numpy(dtype=np.float64), own["free"].to_numpy()
+        bins = np.array_split(np.argsort(stated), max(1, min(10, len(own) // 10)))
+        label = f"{model} {site}, {len(own)} plans"
         axes.plot([stated[one].mean() for one in bins], [free[one].mean() for one in bins], "o-", label=label)
-        cells = {"model": model, "site": site, "plans": len(plans), "confidence": float(stated.mean())}
-        cells |= {"free": float(free.mean()), "calibration_error": calibration_error(stated, free > 0.0)}
-        for name, value in cells.items():
-            columns[name].append(value)
+        rows.append((model, site, len(own), stated.mean(), free.mean(), calibration_error(stated, free)))
     axes.set(xlabel="stated confidence", ylabel="share that was free", xlim=(0, 1), ylim=(0, 1))
     axes.legend(fontsize="small")
-    return figure, dict(columns)
+    run.figure(figure, "reliability")
+    columns = ["model", "site", "plans", "confidence", "free", "calibration_error"]
+    run.table(dict(pd.DataFrame(rows, columns=columns).to_dict("list")), "reliability")
 
 
 def forget(tracking: "Tracking") -> int:
