@@ -26,7 +26,6 @@ COMMANDS: Mapping[str, Callable[[Sequence[str], Mapping[str, str]], int]] = {
     "planning": planning_benchmark,
     "compare": compare.main,
     "recalibrate": recalibrate.main,
-    "card": compare.print_card,
 }
 
 

@@ -248,8 +248,7 @@ def main(arguments: Sequence[str], environment: Mapping[str, str]) -> int:
     parser.add_argument("--model", default=f"{MODEL_NAME}@champion", help="name, name@alias or name/version")
     parser.add_argument("--site", help="outcomes of this place alone")
     share = "of the plans that one client may make up (default %(default)s); 1 trusts a single client"
-    most = {"type": SHARE, "default": MOST_PER_CLIENT, "metavar": "SHARE", "help": share}
-    parser.add_argument("--most-per-client", **most)
+    parser.add_argument("--most-per-client", type=SHARE, default=MOST_PER_CLIENT, metavar="SHARE", help=share)
     options = parser.parse_args(arguments)
     try:
         model = ModelReference.parse(options.model)

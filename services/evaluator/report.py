@@ -107,9 +107,8 @@ def comparison_note(evaluation: Evaluation, verdict: Verdict) -> str:
         parts += [f"### Beside {one.rival}", comparison_table(one).to_markdown(index=False, floatfmt=".4f")]
     if verdict.bar.comparisons:
         parts.append(COMPARISON_NOTE)
-    card = f"Model card: `python -m services.evaluator card {title}`."
     scenes = scenes_text(evaluation.setting)
-    return "\n\n".join([*parts, f"{scenes[0].upper()}{scenes[1:]}.", card]) + "\n"
+    return "\n\n".join([*parts, f"{scenes[0].upper()}{scenes[1:]}."]) + "\n"
 
 
 def shown_of(evaluation: Evaluation, note: str) -> Shown:

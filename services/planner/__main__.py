@@ -74,7 +74,7 @@ def sample_request(
     request = SampleRequest(query, options.model, with_ends=options.path_model)
     if scene is None and options.robot in WORLDS:
         return request
-    return request.of_robot(world, scene and scene.name)
+    return request.of_robot(world, None if scene is None else scene.name)
 
 
 def make_parser() -> argparse.ArgumentParser:

@@ -97,8 +97,8 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _add_plan_options(plans: argparse._ArgumentGroup) -> None:
-    seen = {"choices": range(1, 5), "default": PICTURES, "help": "by which each is seen (default: 1 2 3)"}
-    plans.add_argument("--pictures", type=int, nargs="+", metavar="N", **seen)
+    seen, four = "by which each is seen, at most 4 (default: 1 2 3)", within(1, 4, int)
+    plans.add_argument("--pictures", type=four, nargs="+", metavar="N", default=PICTURES, help=seen)
     plans.add_argument("--aim", choices=AIMS, default=AIMS[0], help="what cameras look at (default: goal)")
     held = "of problems with a table alone: the robot holds what its goal grasps; planners know both"
     plans.add_argument("--held", action="store_true", help=held)

@@ -10,7 +10,7 @@ from cspace.bundle import Bundle
 from cspace.errors import EvaluationError, ModelNotFoundError
 from cspace.worlds.planar.arm import THREE_LINK
 from services.evaluator import __main__ as command
-from services.evaluator import compare, job
+from services.evaluator import job
 from services.evaluator.evaluation import MAX_HEADLINE, MAX_METRICS, Budget
 from services.evaluator.job import Request, evaluate_version
 from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, MODEL_NAME
@@ -166,8 +166,7 @@ def test_a_path_model_is_not_judged_without_problems(stores, tmp_path):
 @pytest.fixture
 def commanded(stores, monkeypatch):
     """The command finds these stores where MLflow would be, and asks for little."""
-    for module in (command, compare):
-        monkeypatch.setattr(module, "connect", lambda uri: stores)
+    monkeypatch.setattr(command, "connect", lambda uri: stores)
     monkeypatch.setattr(command, "make_request", lambda options, _: request(options.model, promote=False))
     return stores
 
@@ -206,17 +205,3 @@ def test_an_unknown_model_ends_with_2_and_a_silent_registry_with_1(commanded, ca
     commanded[1].away = True
     assert command.main([], SERVER) == 1
     assert capsys.readouterr().err.count("error: ") == 2
-
-
-def test_a_card_has_lineage_figures_with_intervals_and_decisions(stores, capsys, monkeypatch):
-    monkeypatch.setattr(compare, "connect", lambda uri: stores)
-    assert command.main(["card", f"{MODEL_NAME}/1"], SERVER) == 0
-    assert "Not evaluated yet." in capsys.readouterr().out
-    outcome = evaluated(stores)
-    assert command.main(["card", f"{MODEL_NAME}/1"], SERVER) == 0
-    card = capsys.readouterr().out
-    assert card.startswith(f"# {MODEL_NAME}/1, challenger\n")
-    assert "- robot: two-link, 2 joints, digest " in card
-    precision = outcome.evaluation.estimate("precision", "sampler", "uniform")
-    assert f"{precision.estimate:.4f} [{precision.low:.4f}, {precision.high:.4f}]" in card
-    assert "not promoted" in card.partition("## Decisions")[2]
