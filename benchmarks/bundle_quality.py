@@ -19,10 +19,10 @@ from benchmarks.command import arguments, spread
 from benchmarks.machine import machine
 from cspace.bundle import Bundle
 from cspace.simulator import Split
+from services.commands import aligned
 from services.evaluator.evaluation import Row, estimates_of, measure_samples, reconstruct
 from services.evaluator.metrics import Task
 from services.evaluator.scenes import SAMPLES, Scene, Stage, bundle_sampler
-from services.evaluator.tables import markdown
 
 TIMED = (300, 1000)
 FILTERED = "uniform, kept by the head"
@@ -67,13 +67,13 @@ def main() -> int:
             measures = ("precision", "coverage", "edr", "precision_p10", "precision_minimum")
             rows.append([name, *(f"{found[name, measure]:.3f}" for measure in measures)])
     print(f"{options.bundle}, {options.scenarios} {options.split} scenarios, {SAMPLES} samples each")
-    print(f"{machine()}\n\n{markdown(rows)}")
+    print(f"{machine()}\n\n{aligned(rows)}")
     head = {measure: value for (_, measure), value in estimates_of(measured, options.seed, Task.HEAD).items()}
     if head:
         names = ["accuracy", "within 0.1 m of contact", "calibration error", "accepted"]
         cells = [f"{head['accuracy']:.4f}", f"{head['near_accuracy']:.3f}"]
         cells += [f"{head['calibration_error']:.4f}", f"{head['acceptance']:.3f}"]
-        print(f"\n{markdown([names, cells])}")
+        print(f"\n{aligned([names, cells])}")
     print(f"\n{_times(options.bundle)}")
     return 0
 

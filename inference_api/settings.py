@@ -11,7 +11,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, ValidationError
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from cspace.errors import ConfigError
-from services.registry.entities import PRETRAINED, SHIPPED, is_model_name, is_shipped
+from services.registry.entities import PRETRAINED, SHIPPED, is_model_name
 
 TRACES_ENDPOINTS = ("OTEL_EXPORTER_OTLP_ENDPOINT", "OTEL_EXPORTER_OTLP_TRACES_ENDPOINT")
 HOSTS, WORKBENCH = "CSPACE_API_HOSTS", "CSPACE_API_WORKBENCH"
@@ -58,7 +58,7 @@ def _network(text: str) -> str:
 
 
 def _served_name(text: str) -> str:
-    if not is_model_name(text) or is_shipped(text):
+    if not is_model_name(text) or text in SHIPPED:
         raise ValueError("the name of a registered model, other than a shipped one's")
     return text
 

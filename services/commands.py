@@ -4,9 +4,11 @@ import argparse
 import json
 import math
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+from tabulate import tabulate
 
 from cspace.errors import ConfigError, CspaceError, StorageError
 from cspace.files import replacing
@@ -29,15 +31,21 @@ def confirmed(question: str) -> bool:
     return input(f"{question} [y/N] ").strip().lower() in {"y", "yes"}
 
 
-def finite(text: str) -> float:
-    """The type of an option that is a finite number; ``float`` would take ``inf`` and ``nan``."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"expected a finite number, got {text[:80]!r}")
-    return value
+def within(low: float, high: float = math.inf, kind: Callable[[str], float] = float) -> Callable[[str], Any]:
+    """The type of an option that is a finite number of ``low`` to ``high``."""
+
+    def number(text: str) -> float:
+        value = kind(text)
+        if not low <= value <= high or value == math.inf:
+            limits = f"{low:g} to {high:g}" if math.isfinite(high) else f"at least {low:g}"
+            raise argparse.ArgumentTypeError(f"expected {limits}, got {text[:80]}")
+        return value
+
+    return number
+
+
+COUNT, ANY_SEED = within(1, kind=int), within(0, 2**63 - 1, int)
+POSITIVE, SHARE, finite = within(sys.float_info.min), within(0.0, 1.0), within(-sys.float_info.max)
 
 
 def report_result(result: Mapping[str, Any], rows: Mapping[str, str], folder: Path | None) -> None:
@@ -63,6 +71,11 @@ def _kept(text: str, path: Path) -> str:
     except StorageError as error:
         return f"not kept: {error}"
     return str(path)
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> str:
+    """Rows of cells as columns for a terminal."""
+    return tabulate(rows, tablefmt="plain", disable_numparse=True)
 
 
 def numbers(values: Mapping[str, float], unit: str = "") -> str:

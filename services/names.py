@@ -125,15 +125,11 @@ def recorded_name(config: Mapping[str, Any]) -> str | None:
 
 
 def may_name(model: str, world: World, given: str | None) -> bool:
-    """Whether a model's name is one of this robot's or of none in particular.
-
-    Earlier releases gave the default robot's names to all.
-    """
-    try:
-        own = {model_name(world, given, path=path) for path in (False, True)}
-    except ConfigError:
-        own = set()
-    return model in {MODEL_NAME, PATH_MODEL_NAME, *own} or not model.endswith(_SUFFIX)
+    """Whether a model's name is one of this robot's or of none in particular."""
+    with suppress(ConfigError):
+        if model in {model_name(world, given), model_name(world, given, path=True)}:
+            return True
+    return not model.endswith(_SUFFIX)
 
 
 def _robot_of(model: str) -> str | None:

@@ -1,17 +1,14 @@
-"""Outcomes of answers, as users report them: receipts, a bounded folder of files, and their upload to MLflow.
+"""Outcomes of answers, as users report them: receipts, a bounded database, and their upload to MLflow.
 
 The answer of a plan carries a receipt of what the server stated. A report counts only with it, as what the
-receipt says. A server writes reports to disk before it confirms them (:class:`Spool`), and
-``python -m services.outcomes`` uploads them in batches, each of which becomes a run. A batch is moved into a
-folder of its own first, so that an interrupted upload goes on with the same batch and run.
-
-Plans that were asked to be kept with their pictures are files of their own, named by when they expire.
+receipt says. A server commits reports to SQLite before it confirms them (:class:`Spool`), and
+``python -m services.outcomes`` uploads them in batches, each of which becomes a run. The rows of a batch are
+marked first, so that an interrupted upload goes on with the same batch and run.
 """
 
 import argparse
 import base64
 import binascii
-import fcntl
 import hashlib
 import hmac
 import json
@@ -19,52 +16,65 @@ import logging
 import os
 import re
 import secrets
-import shutil
+import sqlite3
 import sys
 import tempfile
 import time
 import urllib.request
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from email.utils import parsedate_to_datetime
 from pathlib import Path
-from threading import Event, Lock
+from queue import SimpleQueue
+from threading import Event
 from typing import TYPE_CHECKING, Any, Literal, get_args
-from urllib.parse import quote
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cspace.errors import ConfigError, CspaceError, RegistryUnavailableError, StorageBusyError, StorageError
-from cspace.files import discard, holding
+from cspace.files import holding
 from cspace.planning.cost import calibration_error
 from services.commands import report_error
 from services.names import OUTCOMES_EXPERIMENT, OUTCOMES_FILE, TAG_KEEP_UNTIL, TAG_STAGE, VIEW, VIEWS_FILE
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    import pandas as pd
 
-    from services.registry.tracking import Tracking
+    from services.registry.tracking import RunLog, Tracking
 
 FOLDER = "CSPACE_OUTCOMES"
 """The setting that names the folder."""
-# Written; refused because too many wait for the disk, because the disk refuses, because the share is full.
+# Written; refused because the disk does not get ready, because it refuses, because the share is full.
 Result = Literal["kept", "busy", "storage", "space"]
 RESULTS: tuple[Result, ...] = get_args(Result)
 
 STAGE = "outcomes"
-MAX_FILE_BYTES, MAX_BATCH_BYTES = 4 * 2**20, 32 * 2**20
+MAX_BATCH_BYTES = 32 * 2**20
 CLIENT_SHARE = 0.25
-"""Of the folder that one client may fill."""
-CLOCK_S = 86_400.0
-# Requests that may wait for the disk, and for how long; what a small file takes of a disk; between two looks.
-_MOST_WAITING, _WAIT_S, _BLOCK_BYTES, _LOOK_S = 32, 5.0, 4096, 1.0
-_KEY_FILE, _LOCK, _UPLOAD_LOCK, _BATCH, _ID = "receipts.key", ".lock", ".upload.lock", "uploading", "id"
-_VIEW_NAME = re.compile(r"view-\d+-(\d+)\.json")
+"""Of the size that one client may fill."""
+CLOCK_S, WAIT_S, _MOST_WAITING = 86_400.0, 5.0, 32
+DATABASE, _KEY_FILE, _UPLOAD_LOCK = "outcomes.db", "receipts.key", ".upload.lock"
+# Numbers that grow, for a clock may be set back; the triggers keep the size of what each client fills.
+_SCHEMA = """
+CREATE TABLE IF NOT EXISTS outcomes
+  (number INTEGER PRIMARY KEY AUTOINCREMENT, client TEXT, keep_until_s INTEGER, batch TEXT, row BLOB);
+CREATE TABLE IF NOT EXISTS used (client TEXT PRIMARY KEY, bytes INTEGER);
+CREATE TRIGGER IF NOT EXISTS added AFTER INSERT ON outcomes BEGIN
+  INSERT INTO used VALUES (new.client, LENGTH(new.row))
+  ON CONFLICT (client) DO UPDATE SET bytes = bytes + excluded.bytes; END;
+CREATE TRIGGER IF NOT EXISTS deleted AFTER DELETE ON outcomes BEGIN
+  UPDATE used SET bytes = bytes - LENGTH(old.row) WHERE client = old.client; END;
+"""
+_CLAIM = """
+UPDATE outcomes SET batch = ? WHERE number IN (
+  SELECT number FROM (SELECT number, SUM(LENGTH(row)) OVER (ORDER BY number) AS total FROM outcomes)
+  WHERE total <= ? OR number = (SELECT MIN(number) FROM outcomes))
+"""
 _LOG = logging.getLogger(__name__)
 
 
@@ -163,55 +173,72 @@ def matched(
 
 @dataclass(eq=False)
 class _Write:
-    """Lines of one client that wait to be written."""
+    """Outcomes of one client that wait to be written."""
 
     client: str
-    lines: bytes
-    count: int
-    expires_s: int | None
+    lines: list[tuple[str, int | None, bytes]]
     result: Result | None = None
     done: Event = field(default_factory=Event)
 
 
 class Spool:
-    """Keeps outcomes in a folder of ``max_bytes`` at most; processes may share it, and threads may share one.
+    """Keeps outcomes in a folder, ``max_bytes`` of them at most; processes and threads may share it.
 
     ``count`` is called with a result and the number of outcomes.
     """
 
     def __init__(self, folder: Path, max_bytes: int, count: Callable[[Result, int], None]) -> None:
         self._folder, self._max_bytes, self._count = folder, max_bytes, count
-        self._waiting: list[_Write] = []
+        self._waiting: SimpleQueue[_Write] = SimpleQueue()
         # One thread writes, and takes all that waits at once.
-        self._lock, self._disk = Lock(), ThreadPoolExecutor(1, "outcomes")
-        self._open: dict[str, Path] = {}
-        self._used: Counter[str] = Counter()
-        self._looked_s = float("-inf")
+        self._disk = ThreadPoolExecutor(1, "outcomes")
 
     def add(self, rows: Sequence[Mapping[str, Any]]) -> bool:
         """Write outcomes of one client, all or none; returns whether they are on disk.
 
-        What comes while the disk is busy is written together, with one ``fsync``.
+        What comes while the disk is busy is written together. Who waits for a disk that hangs gives up.
         """
         if not rows:
             return True
-        lines = b"".join(json.dumps(row).encode() + b"\n" for row in rows)
-        until = [int(row["keep_until_s"]) for row in rows if row["kind"] == VIEW]
-        write = _Write(_folder_name(rows[0].get("client")), lines, len(rows), min(until, default=None))
-        with self._lock:
-            if len(self._waiting) < _MOST_WAITING:
-                self._waiting.append(write)
-            else:
-                write.result = "busy"
-        if write.result is None:
+        client = rows[0].get("client") or ""
+        write = _Write(client, [(client, one.get("keep_until_s"), json.dumps(one).encode()) for one in rows])
+        if self._waiting.qsize() < _MOST_WAITING:
+            self._waiting.put(write)
             self._disk.submit(self._drain)
-            write.done.wait(_WAIT_S)
-        with self._lock:
-            if write in self._waiting:
-                self._waiting.remove(write)
+            write.done.wait(WAIT_S)
         result = write.result or "busy"
         self._count(result, len(rows))
         return result == "kept"
+
+    def _drain(self) -> None:
+        batch = [self._waiting.get() for _ in range(self._waiting.qsize())]
+        if batch:
+            self._write(batch)
+        for write in batch:
+            write.done.set()
+
+    def _write(self, batch: Sequence[_Write]) -> None:
+        kept = []
+        try:
+            with _database(self._folder) as database:
+                used = Counter[str](dict(database.execute("SELECT client, bytes FROM used")))
+                for write in batch:
+                    size = sum(len(line) for _, _, line in write.lines)
+                    share = used[write.client] + size <= CLIENT_SHARE * self._max_bytes
+                    if share and used.total() + size <= self._max_bytes:
+                        insert = "INSERT INTO outcomes (client, keep_until_s, row) VALUES (?, ?, ?)"
+                        database.executemany(insert, write.lines)
+                        used[write.client] += size
+                        kept.append(write)
+                    else:
+                        write.result = "space"
+            for write in kept:
+                write.result = "kept"
+        except (OSError, sqlite3.Error) as error:
+            busy = getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_BUSY
+            _LOG.warning("outcomes are refused: %s", getattr(error, "strerror", None) or error)
+            for write in batch:
+                write.result = write.result or ("busy" if busy else "storage")
 
     def delete_expired(self, registry_uri: str) -> int:
         """Delete kept plans whose time is over, if the clock agrees with the registry's."""
@@ -224,83 +251,23 @@ class Spool:
             return 0
         return delete_expired(self._folder)
 
-    def _drain(self) -> None:
-        with self._lock:
-            batch, self._waiting = self._waiting, []
-        self._write(batch)
-        for write in batch:
-            write.done.set()
 
-    def _write(self, batch: Sequence[_Write]) -> None:
-        joined: dict[tuple[str, int | None], list[_Write]] = defaultdict(list)
-        for write in batch:
-            joined[write.client, write.expires_s].append(write)
-        if not joined:
-            return
+@contextmanager
+def _database(folder: Path) -> Iterator[sqlite3.Connection]:
+    """A transaction in a folder's database, both for their owner alone; it is on disk when the block ends."""
+    path = _private(folder) / DATABASE
+    if not path.exists():
+        os.close(os.open(path, os.O_RDWR | os.O_CREAT, 0o600))
+    with closing(sqlite3.connect(path, WAIT_S, isolation_level=None)) as database:
+        # What is deleted is gone from the file.
+        database.executescript(f"PRAGMA auto_vacuum = FULL; PRAGMA secure_delete = ON; {_SCHEMA}")
+        database.execute("BEGIN IMMEDIATE")
         try:
-            with _locked(_private(self._folder)):
-                for (client, expires_s), writes in joined.items():
-                    fitting = [write for write in writes if self._fits(write)]
-                    self._append(client, b"".join(write.lines for write in fitting), expires_s)
-                    for write in fitting:
-                        write.result = "kept"
-        except OSError as error:
-            _LOG.warning("outcomes are refused: %s", error.strerror or type(error).__name__)
-            for write in batch:
-                write.result = write.result or "storage"
-
-    def _fits(self, write: _Write) -> bool:
-        if time.monotonic() - self._looked_s >= _LOOK_S:
-            self._used = Counter()
-            for path in self._folder.glob("*/*.json*"):
-                # An upload may take it away at any time.
-                with suppress(FileNotFoundError):
-                    self._used[path.parent.name] += path.stat().st_size + _BLOCK_BYTES
-            self._looked_s = time.monotonic()
-        size = len(write.lines) + _BLOCK_BYTES
-        if (
-            self._used.total() + size > self._max_bytes
-            or self._used[write.client] + size > CLIENT_SHARE * self._max_bytes
-        ):
-            write.result = "space"
-            return False
-        self._used[write.client] += size
-        return True
-
-    def _append(self, client: str, lines: bytes, expires_s: int | None) -> None:
-        """Append to this process's file of a client, or write a file that expires, and wait for the disk."""
-        if not lines:
-            return
-        path, flags = self._open.get(client), os.O_WRONLY | os.O_APPEND
-        if path is None or not path.exists() or path.stat().st_size > MAX_FILE_BYTES or expires_s:
-            place = _private(self._folder / client)
-            # A number that grows, for a clock may be set back.
-            numbers = [int(re.findall(r"\d+", one.name)[0]) for one in place.iterdir()]
-            number = max(numbers, default=0) + 1
-            path = place / (f"view-{number}-{expires_s}.json" if expires_s else f"{number:012d}.jsonl")
-            flags |= os.O_CREAT | os.O_EXCL
-            if not expires_s:
-                self._open[client] = path
-        handle = os.open(path, flags, 0o600)
-        try:
-            before = os.fstat(handle).st_size
-            try:
-                written = os.write(handle, lines)
-                if written < len(lines):
-                    os.write(handle, lines[written:])
-                os.fsync(handle)
-            except OSError:
-                os.ftruncate(handle, before)
-                raise
-        finally:
-            os.close(handle)
-        if flags & os.O_CREAT:
-            _sync_folder(path.parent)
-
-
-def files_of(folder: Path) -> list[Path]:
-    """The files of outcomes, the oldest of each client first."""
-    return sorted(folder.glob("client-*/*.jsonl"))
+            yield database
+        except BaseException:
+            database.execute("ROLLBACK")
+            raise
+        database.execute("COMMIT")
 
 
 def view_row(
@@ -334,13 +301,8 @@ def clock_agrees(registry_uri: str) -> bool:
 
 def delete_expired(folder: Path) -> int:
     """Delete kept plans whose time is over; returns how many."""
-    count = 0
-    for path in folder.glob("*/*view-*.json"):
-        named = _VIEW_NAME.search(path.name)
-        if named and int(named[1]) <= time.time():
-            path.unlink(missing_ok=True)
-            count += 1
-    return count
+    with _database(folder) as database:
+        return database.execute("DELETE FROM outcomes WHERE keep_until_s <= ?", (time.time(),)).rowcount
 
 
 class Row(BaseModel):
@@ -383,83 +345,68 @@ class Upload:
 
 
 def upload(folder: Path, tracking: "Tracking") -> Iterator[Upload]:
-    """Upload the files of a folder in batches, and delete each batch after it was uploaded."""
+    """Upload the outcomes of a folder in batches, and delete each batch after it was uploaded."""
     busy = StorageBusyError("another process uploads these outcomes", remedy="wait until it is done")
     try:
         with holding(folder / _UPLOAD_LOCK, busy):
-            while files := _claim(folder):
-                yield _upload(folder / _BATCH, files, tracking)
-                # By a rename, for a part of the batch must not be uploaded again.
-                done = folder / f".{_BATCH}.tmp"
-                discard(done)
-                (folder / _BATCH).rename(done)
-                discard(done)
-    except OSError as error:
+            while claimed := _claim(folder):
+                yield _upload(*claimed, tracking)
+                with _database(folder) as database:
+                    database.execute("DELETE FROM outcomes WHERE batch = ?", claimed[:1])
+    except (OSError, sqlite3.Error) as error:
         raise StorageError(
-            "the outcomes cannot be moved or copied",
+            "the outcomes cannot be read or deleted",
             expected="room and rights in their folder and for temporary files",
-            got=error.strerror or type(error).__name__,
+            got=getattr(error, "strerror", None) or str(error),
         ) from error
 
 
-def _claim(folder: Path) -> list[Path]:
-    """The files of the next batch in the batch's folder; those of an interrupted one if there are any."""
-    batch = _private(folder / _BATCH)
-    if claimed := sorted(batch.glob("*.json*")):
-        return claimed
-    (batch / _ID).write_text(secrets.token_hex(16), encoding="ascii")
-    size = 0
-    with _locked(folder):
-        for path in [*files_of(folder), *sorted(folder.glob("client-*/view-*.json"))]:
-            size += path.stat().st_size
-            if claimed and size > MAX_BATCH_BYTES:
-                break
-            claimed.append(path.rename(batch / f"{path.parent.name}-{path.name}"))
-    return claimed
+def _claim(folder: Path) -> tuple[str, list[tuple[bytes, int | None]]] | None:
+    """The next batch, or an interrupted one: its name, and each line with when it expires."""
+    with _database(folder) as database:
+        marked = database.execute("SELECT batch FROM outcomes WHERE batch IS NOT NULL LIMIT 1").fetchone()
+        batch = marked[0] if marked else secrets.token_hex(16)
+        if not marked:
+            database.execute(_CLAIM, (batch, MAX_BATCH_BYTES))
+        query = "SELECT row, keep_until_s FROM outcomes WHERE batch = ? ORDER BY number"
+        lines = database.execute(query, (batch,)).fetchall()
+    return (batch, lines) if lines else None
 
 
-def _upload(batch: Path, files: Sequence[Path], tracking: "Tracking") -> Upload:
-    import pyarrow as pa  # noqa: PLC0415 - servers import this module
-    from pyarrow import parquet  # noqa: PLC0415 - as above
+def _upload(batch: str, lines: Iterable[tuple[bytes, int | None]], tracking: "Tracking") -> Upload:
+    import pandas as pd  # noqa: PLC0415 - servers import this module
 
-    rows, bad, kept = dict[Any, Row](), 0, list[Path]()
-    for path in files:
-        if _VIEW_NAME.search(path.name):
-            kept.append(path)
+    rows, bad, kept = dict[Any, Row](), 0, dict[bytes, int]()
+    for line, until_s in lines:
+        if until_s is not None:
+            kept[line] = until_s
             continue
-        for line in path.read_bytes().splitlines():
-            try:
-                row = Row.model_validate_json(line)
-                rows[row.key] = row
-            except ValidationError:
-                bad += 1
+        try:
+            row = Row.model_validate_json(line)
+            rows[row.key] = row
+        except ValidationError:
+            bad += 1
     counts = Counter[str](row.kind for row in rows.values())
-    key = f"outcomes/{(batch / _ID).read_text(encoding='ascii')}"
     with (
         tempfile.TemporaryDirectory(prefix="cspace-outcomes-") as scratch,
-        tracking.start(OUTCOMES_EXPERIMENT, "outcomes, {id}", tags={TAG_STAGE: STAGE}, key=key) as run,
+        tracking.start(
+            OUTCOMES_EXPERIMENT, "outcomes, {id}", tags={TAG_STAGE: STAGE}, key=f"outcomes/{batch}"
+        ) as run,
     ):
         counts[VIEW] = len(kept)
         run.metrics({**counts, "bad": bad}, 0)
-        table = Path(scratch) / OUTCOMES_FILE
-        parquet.write_table(pa.Table.from_pylist([row.model_dump() for row in rows.values()]), table)
-        digest = hashlib.sha256(table.read_bytes()).hexdigest()
-        run.artifact(table)
+        path = Path(scratch) / OUTCOMES_FILE
+        table = pd.DataFrame([row.model_dump() for row in rows.values()], columns=[*Row.model_fields])
+        table.convert_dtypes().to_parquet(path, index=False)
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        run.artifact(path)
         if kept:
             # Before the file, so that none is there that nobody would delete.
-            until = min(int(_VIEW_NAME.search(path.name)[1]) for path in kept)  # type: ignore[index]
-            run.tags({TAG_KEEP_UNTIL: str(until)})
+            run.tags({TAG_KEEP_UNTIL: str(min(kept.values()))})
             views = Path(scratch) / VIEWS_FILE
-            with views.open("wb") as file:
-                for path in kept:
-                    # A server may delete it in this moment.
-                    with suppress(FileNotFoundError), path.open("rb") as one:
-                        shutil.copyfileobj(one, file)
+            views.write_bytes(b"".join(line + b"\n" for line in kept))
             run.artifact(views)
-        shown = reliability([row for row in rows.values() if row.kind == "plan"])
-        if shown is not None:
-            run.figure(shown[0], "reliability")
-            run.table(shown[1], "reliability")
+        log_reliability(run, table)
         run.dataset("outcomes", digest, f"runs:/{run.run_id}/{OUTCOMES_FILE}", "outcomes")
     return Upload(run.run_id, digest, +counts, bad)
 
@@ -488,35 +435,32 @@ def run_files(tracking: "Tracking", name: str) -> Iterator[tuple[str, Path]]:
                 yield run.run_id, path
 
 
-def reliability(rows: Sequence[Row]) -> "tuple[Figure, dict[str, list[Any]]] | None":
+def log_reliability(run: "RunLog", reports: "pd.DataFrame") -> None:
     """A figure and a table of stated confidence against what happened, per model and site.
 
     The figure shows the share of free plans over the confidence, in bins of equal number.
     """
-    from matplotlib.figure import Figure  # noqa: PLC0415 - servers import this module
+    import pandas as pd  # noqa: PLC0415 - servers import this module
+    from matplotlib.figure import Figure  # noqa: PLC0415 - as above
 
-    groups: dict[tuple[str, str], list[tuple[float, bool]]] = defaultdict(list)
-    for row in rows:
-        if row.confidence is not None and row.collided is not None:
-            groups[row.model, row.site or ""].append((row.confidence, not row.collided))
-    if not groups:
-        return None
-    figure = Figure((5.5, 4.0), layout="constrained")
+    plans = reports[reports["kind"] == "plan"].dropna(subset=["confidence", "collided"])
+    if plans.empty:
+        return
+    plans = plans.assign(site=plans["site"].fillna(""), free=~plans["collided"].astype(bool))
+    figure, rows = Figure((5.5, 4.0), layout="constrained"), []
     axes = figure.subplots()
     axes.plot((0, 1), (0, 1), color="0.7", linewidth=1)
-    columns: dict[str, list[Any]] = defaultdict(list)
-    for (model, site), plans in sorted(groups.items()):
-        stated, free = np.array(plans, dtype=np.float64).T
-        bins = np.array_split(np.argsort(stated), max(1, min(10, len(plans) // 10)))
-        label = f"{model} {site}, {len(plans)} plans"
+    for (model, site), own in plans.groupby(["model", "site"]):
+        stated, free = own["confidence"].to_numpy(dtype=np.float64), own["free"].to_numpy()
+        bins = np.array_split(np.argsort(stated), max(1, min(10, len(own) // 10)))
+        label = f"{model} {site}, {len(own)} plans"
         axes.plot([stated[one].mean() for one in bins], [free[one].mean() for one in bins], "o-", label=label)
-        cells = {"model": model, "site": site, "plans": len(plans), "confidence": float(stated.mean())}
-        cells |= {"free": float(free.mean()), "calibration_error": calibration_error(stated, free > 0.0)}
-        for name, value in cells.items():
-            columns[name].append(value)
+        rows.append((model, site, len(own), stated.mean(), free.mean(), calibration_error(stated, free)))
     axes.set(xlabel="stated confidence", ylabel="share that was free", xlim=(0, 1), ylim=(0, 1))
     axes.legend(fontsize="small")
-    return figure, dict(columns)
+    run.figure(figure, "reliability")
+    columns = ["model", "site", "plans", "confidence", "free", "calibration_error"]
+    run.table(dict(pd.DataFrame(rows, columns=columns).to_dict("list")), "reliability")
 
 
 def forget(tracking: "Tracking") -> int:
@@ -531,35 +475,12 @@ def forget(tracking: "Tracking") -> int:
     return count
 
 
-def _folder_name(client: str | None) -> str:
-    return f"client-{quote(client or '', safe='')}"
-
-
 def _private(folder: Path) -> Path:
     """A folder that is there, for its owner alone."""
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     with suppress(PermissionError):
         folder.chmod(0o700)
     return folder
-
-
-def _sync_folder(folder: Path) -> None:
-    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
-@contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """Between writers and uploads: no file is taken away while it is written."""
-    handle = os.open(folder / _LOCK, os.O_WRONLY | os.O_CREAT, 0o600)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(handle)
 
 
 def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] = os.environ) -> int:

@@ -7,24 +7,25 @@ import argparse
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 from cspace.errors import ConfigError, CspaceError, InputError, ModelNotFoundError
-from services.commands import report_error, report_result
+from services.commands import ANY_SEED, COUNT, report_error, report_result
 from services.evaluator import compare, recalibrate
 from services.evaluator.benchmark.__main__ import main as planning_benchmark
 from services.evaluator.evaluation import BUDGETS, run_metrics
-from services.evaluator.job import Outcome, evaluate_version, executor, make_request
+from services.evaluator.job import Outcome, Request, evaluate_version, executor
 from services.evaluator.report import REPORT_FOLDER, scenes_text, terminal_table
 from services.registry import connect, tracking_uri
+from services.registry.entities import ModelReference
 
 SHIPPED_FOLDER = Path(__file__).parents[2] / "inference_api" / "pretrained"
 COMMANDS: Mapping[str, Callable[[Sequence[str], Mapping[str, str]], int]] = {
     "planning": planning_benchmark,
     "compare": compare.main,
     "recalibrate": recalibrate.main,
-    "card": compare.print_card,
 }
 
 
@@ -34,64 +35,57 @@ def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] 
     try:
         if given and given[0] in COMMANDS:
             return COMMANDS[given[0]](given[1:], environment)
-        return _evaluate(_parser().parse_args(given), environment)
+        request = make_request(_parser().parse_args(given), environment)
+        show = partial(print, flush=True)
+        outcome = evaluate_version(request, *connect(tracking_uri(environment)), executor(environment), show)
     except CspaceError as error:
         return report_error(error, ConfigError, InputError, ModelNotFoundError)
-
-
-def _evaluate(options: argparse.Namespace, environment: Mapping[str, str]) -> int:
-    shipped = Path(environment.get("CSPACE_PRETRAINED_MODEL") or SHIPPED_FOLDER)
-    request = make_request(
-        options.model,
-        budget=options.budget,
-        scenarios=options.scenarios,
-        seed=options.seed,
-        promote=not options.no_promote,
-        data=options.data,
-        shipped=None if options.without_shipped else shipped,
-    )
-    tracking, registry = connect(tracking_uri(environment))
-    outcome = evaluate_version(request, tracking, registry, executor(environment), partial(print, flush=True))
-    _print(outcome)
-    data = Path(environment.get("CSPACE_DATA_DIR", ""))
-    folder = data / "jobs" / outcome.run_id if data.is_absolute() else None
-    report_result(_result(outcome), _rows(outcome), folder)
+    _report(outcome, environment)
     return 0
 
 
-def _result(outcome: Outcome) -> dict[str, object]:
-    version, verdict = outcome.version, outcome.verdict
-    return {
+def make_request(options: argparse.Namespace, environment: Mapping[str, str]) -> Request:
+    """What the options ask for."""
+    budget = BUDGETS[options.budget]
+    return Request(
+        ModelReference.parse_version(options.model, "the model reference is unknown"),
+        budget if options.scenarios is None else replace(budget, scenarios=options.scenarios),
+        options.seed,
+        promote=not options.no_promote,
+        data=options.data,
+        shipped=None
+        if options.without_shipped
+        else Path(environment.get("CSPACE_PRETRAINED_MODEL") or SHIPPED_FOLDER),
+    )
+
+
+def _report(outcome: Outcome, environment: Mapping[str, str]) -> None:
+    version, verdict, scenes = outcome.version, outcome.verdict, scenes_text(outcome.evaluation.setting)
+    moved = "promoted" if verdict.promoted else "not promoted"
+    print(f"\n{scenes}\n\n{terminal_table(outcome.evaluation, verdict.bar.comparisons)}\n")
+    print(f"{moved}{'' if outcome.recorded else ' (evaluated only, nothing recorded)'}:")
+    print("\n".join(f"  {reason}" for reason in verdict.reasons))
+    promoted = verdict.promoted and outcome.recorded
+    result = {
         "run_id": outcome.run_id,
         "model": version.name,
         "version": version.number,
         "digest": version.digest,
-        "promoted": verdict.promoted and outcome.recorded,
+        "promoted": promoted,
         "recorded": outcome.recorded,
-        "judged_on": scenes_text(outcome.evaluation.setting),
+        "judged_on": scenes,
         "reasons": list(verdict.reasons),
         "metrics": run_metrics(outcome.evaluation),
         "figures": list(outcome.figures),
     }
-
-
-def _rows(outcome: Outcome) -> dict[str, str]:
-    version, promoted = outcome.version, outcome.verdict.promoted and outcome.recorded
-    return {
+    rows = {
         "model": f"{version}, digest {version.digest[:12]}",
         "promoted": "yes, it is the champion" if promoted else "no",
         "run": outcome.run_id,
         "report": f"{REPORT_FOLDER}/evaluation.md among the run's artifacts",
     }
-
-
-def _print(outcome: Outcome) -> None:
-    print(f"\n{scenes_text(outcome.evaluation.setting)}")
-    print(f"\n{terminal_table(outcome.evaluation, outcome.verdict.bar.comparisons)}\n")
-    moved = "promoted" if outcome.verdict.promoted else "not promoted"
-    print(f"{moved}{'' if outcome.recorded else ' (evaluated only, nothing recorded)'}:")
-    for reason in outcome.verdict.reasons:
-        print(f"  {reason}")
+    data = Path(environment.get("CSPACE_DATA_DIR", ""))
+    report_result(result, rows, data / "jobs" / outcome.run_id if data.is_absolute() else None)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -101,22 +95,16 @@ def _parser() -> argparse.ArgumentParser:
         epilog=f"Other commands: {', '.join(COMMANDS)}, each with --help. "
         "Exit codes: 0 evaluated (promoted or not), 1 evaluation failed, 2 wrong request.",
     )
-    parser.add_argument("--model", default="cspace-sampler@challenger", help="name@alias or name/version")
-    parser.add_argument("--budget", choices=sorted(BUDGETS), default="quick", help="how much is evaluated")
-    parser.add_argument("--scenarios", type=int, help="per split, instead of the budget's")
-    parser.add_argument("--seed", type=int, default=0, help="of scenarios, samples and problems")
-    parser.add_argument(
-        "--data",
-        type=Path,
-        metavar="FOLDER",
-        help="a data set: evaluate on its scenes, not on the version's own",
-    )
-    parser.add_argument("--no-promote", action="store_true", help="record no decision, move no alias")
-    parser.add_argument(
-        "--without-shipped",
-        action="store_true",
-        help="let a version become the champion that may be worse than the shipped model",
-    )
+    add = parser.add_argument
+    add("--model", default="cspace-sampler@challenger", help="name@alias or name/version")
+    add("--budget", choices=sorted(BUDGETS), default="quick", help="how much is evaluated")
+    add("--scenarios", type=COUNT, help="per split, instead of the budget's")
+    add("--seed", type=ANY_SEED, default=0, help="of scenarios, samples and problems")
+    data = "a data set: evaluate on its scenes, not on the version's own"
+    add("--data", type=Path, metavar="FOLDER", help=data)
+    add("--no-promote", action="store_true", help="record no decision, move no alias")
+    worse = "let a version become the champion that may be worse than the shipped model"
+    add("--without-shipped", action="store_true", help=worse)
     return parser
 
 

@@ -1,4 +1,4 @@
-"""Versions or runs side by side (``compare``), and the model card of one (``card``).
+"""Versions or runs side by side.
 
 Each is shown by its last evaluation, whose table of estimates is read.
 """
@@ -8,24 +8,18 @@ import json
 import re
 import tempfile
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
 
-from cspace.bundle.verification import load_verified
 from cspace.errors import ConfigError
 from cspace.files import replacing
-from cspace.worlds import robot_digest
 from services.evaluator.metrics import Task
 from services.evaluator.report import MEASURES_TABLE
-from services.evaluator.tables import aligned, markdown
-from services.names import TAG_PRESET, recorded_name, shown_name
 from services.registry import connect, tracking_uri
 from services.registry.entities import FoundRun, ModelReference
 from services.registry.models import ModelRegistry
-from services.registry.promotion import decisions_of, utc
 from services.registry.tracking import Tracking
 
 _RUN_ID = re.compile(r"[0-9a-f]{32}")
@@ -90,7 +84,11 @@ def compare_csv(compared: Sequence[Compared]) -> str:
 def write_comparison(compared: Sequence[Compared], folder: Path, *, everything: bool = False) -> None:
     """``comparison.txt``, ``.md`` and ``.csv`` in a folder."""
     table = compare_table(compared, everything=everything)
-    texts = {"txt": aligned(table) + "\n", "md": markdown(table) + "\n", "csv": compare_csv(compared)}
+    texts = {
+        "txt": table.to_string(index=False) + "\n",
+        "md": table.to_markdown(index=False, disable_numparse=True) + "\n",
+        "csv": compare_csv(compared),
+    }
     for ending, text in texts.items():
         path = folder / f"comparison.{ending}"
         with replacing(path, str(path)) as beside:
@@ -110,56 +108,7 @@ def main(arguments: Sequence[str], environment: Mapping[str, str]) -> int:
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="keep it as text, Markdown and CSV")
     options = parser.parse_args(arguments)
     found = [find(text, *connect(tracking_uri(environment))) for text in options.what]
-    print(aligned(compare_table(found, everything=options.all)))
+    print(compare_table(found, everything=options.all).to_string(index=False))
     if options.out is not None:
         write_comparison(found, options.out, everything=options.all)
-    return 0
-
-
-def make_card(model: ModelReference, tracking: Tracking, registry: ModelRegistry) -> str:
-    """The card of a registered version, in Markdown: lineage, figures of its last evaluation, decisions."""
-    version = registry.look_up(model)
-    with tempfile.TemporaryDirectory(prefix="cspace-card-") as folder:
-        spec = load_verified(registry.download(version, Path(folder) / "bundle"), version.digest).spec
-    made, robot = spec.provenance, shown_name(spec.world, recorded_name(spec.provenance.config))
-    least = spec.plan_confidence if spec.plan_calibration is not None else spec.confidence_threshold
-    properties = {
-        "task": f"collision-free configurations ({spec.kind})",
-        "robot": f"{robot}, {spec.dim} joints, digest {robot_digest(spec.world)[:12]}",
-        "scenes": f"{spec.world.kind} world",
-        "lowest confidence": "none" if least is None else f"{least:g}",
-        "preset": version.tags.get(TAG_PRESET, ""),
-        "data": f"SHA-256 {made.data_digest}" if made.data_digest else "",
-        "code": f"commit {made.git_commit}" if made.git_commit else "",
-        "command": f"`{made.command}`" if made.command else "",
-        "run": version.run_id,
-        "bundle": f"SHA-256 {version.digest}",
-    }
-    figures = "Not evaluated yet."
-    with suppress(ConfigError):
-        figures = markdown(compare_table([find(str(version), tracking, registry)]))
-    decisions = [
-        "\n  - ".join([f"- {utc(one.created_ms)}: {'' if one.promoted else 'not '}promoted", *one.reasons])
-        for one in decisions_of(version)
-    ]
-    parts = [
-        f"# {', '.join((str(version), *version.aliases))}",
-        markdown([("", ""), *((name, text) for name, text in properties.items() if text)]),
-        "A confidence is a prediction, no guarantee. Check paths exactly before a robot moves.",
-        f"## Figures\n\n{figures}",
-        "## Decisions\n\n" + ("\n".join(decisions) or "None yet."),
-    ]
-    return "\n\n".join(parts) + "\n"
-
-
-def print_card(arguments: Sequence[str], environment: Mapping[str, str]) -> int:
-    """Print a card."""
-    parser = argparse.ArgumentParser(
-        prog="python -m services.evaluator card",
-        description="Print the model card of a version, in Markdown.",
-        epilog="Exit codes: 0 printed, 1 the registry or the bundle failed, 2 wrong request.",
-    )
-    parser.add_argument("model", help="name, name@alias or name/version")
-    options = parser.parse_args(arguments)
-    print(make_card(ModelReference.parse(options.model), *connect(tracking_uri(environment))), end="")
     return 0

@@ -31,7 +31,6 @@ UNIFORM_SHARE = 0.3
 HEAD_SAMPLES = 2000
 # The stream of the confident samples, apart from those of the other measurements.
 CONFIDENT_STREAM = 20
-MAX_SEED = 2**63 - 1
 
 Solver = Callable[[Problem, PlannerSettings, NDArray[np.float32] | None, float], PlanResult]
 

@@ -25,8 +25,6 @@ from cspace.world import World
 from cspace.worlds import robot_digest, simulator_of
 from services.evaluator.cluster import on_cluster, spread
 from services.evaluator.evaluation import (
-    BUDGETS,
-    MAX_SEED,
     Budget,
     Evaluation,
     Setting,
@@ -89,19 +87,6 @@ class Request:
     shipped: Path | None = None
 
 
-def make_request(
-    model: str, *, budget: str = "quick", scenarios: int | None = None, **others: Any
-) -> Request:
-    """A request from the command line; ``scenarios`` per split replace those of the budget."""
-    if scenarios is not None and scenarios < 1:
-        raise ConfigError("there are too few scenarios", expected="at least 1", got=str(scenarios))
-    chosen = BUDGETS[budget] if scenarios is None else replace(BUDGETS[budget], scenarios=scenarios)
-    request = Request(ModelReference.parse_version(model, "the model reference is unknown"), chosen, **others)
-    if not 0 <= request.seed <= MAX_SEED:
-        raise ConfigError("the seed is out of range", expected=f"0 to {MAX_SEED}", got=str(request.seed))
-    return request
-
-
 @dataclass(frozen=True)
 class Outcome:
     """A finished evaluation with its run and the names of the pictures there.
@@ -119,8 +104,7 @@ class Outcome:
 
 def run_here(work: Sequence[Unit], setting: Setting, packed: PackedBundle) -> Iterator[UnitResult]:
     """Results in the order of the work."""
-    for unit in work:
-        yield _run(unit, (setting, packed))
+    return (_run(unit, (setting, packed)) for unit in work)
 
 
 def run_on_ray(work: Sequence[Unit], setting: Setting, packed: PackedBundle) -> Iterator[UnitResult]:
@@ -157,38 +141,95 @@ class Rival:
     version: int | None = None
 
 
+class _Rivals:
+    """Those of a candidate's robot and kind, no bundle twice, and notes on who is left out."""
+
+    def __init__(self, candidate: Bundle) -> None:
+        self.found: list[Rival] = []
+        self.notes: list[str] = []
+        self._candidate, self._seen = candidate, {candidate.digest}
+
+    def add(self, title: str, bundle: Bundle, number: int | None = None) -> bool:
+        """Whether it is of the candidate's robot and kind."""
+        if (bundle.spec.kind, bundle.robot) != (self._candidate.spec.kind, self._candidate.robot):
+            return False
+        if bundle.digest == self._candidate.digest:
+            self.notes.append(f"{title}, is this very bundle")
+        elif bundle.digest not in self._seen:
+            self._seen.add(bundle.digest)
+            self.found.append(Rival(title, bundle.spec.world, PackedBundle.pack(bundle), number))
+        return True
+
+
 def find_rivals(
     registry: ModelRegistry, version: ModelVersion, bundle: Bundle, shipped: Path | None, folder: Path
 ) -> tuple[tuple[Rival, ...], Bar]:
-    """The rivals of a candidate's robot and kind to be measured, and the bar that lacks their comparisons.
+    """The rivals of a candidate to be measured, and the bar that lacks their comparisons.
 
-    ``folder`` is for downloads; without ``shipped``, the folder of the shipped model, that one is left out.
+    They are the present champion, the best before it and, if its folder ``shipped`` is given, the shipped
+    model. ``folder`` is for downloads.
     """
-    found, name = _Found(bundle, registry, folder), version.name
-    earlier = {
-        decision.version: Champion(decision.version, decision.metrics)
-        for decision in champions(registry, name)
-        if decision.version != version.number and decision.robot == robot_digest(bundle.spec.world)
-    }
-    for one in reversed(registry.versions(name)):
-        is_left = TAG_ROLLED_BACK in one.tags and ALIAS_CHAMPION not in one.aliases
-        if is_left and earlier.pop(one.number, None) is not None:
-            day = one.tags[TAG_ROLLED_BACK][:10]
-            found.notes.append(f"not compared with version {one.number}, which was rolled back on {day}")
-    against = None
+    name, rivals, against = version.name, _Rivals(bundle), None
+    earlier = _earlier_champions(registry, version, bundle, rivals.notes)
+
+    def fetch(number: int, words: str) -> bool:
+        """Whether a version can be measured again."""
+        title = f"version {number}, {words}"
+        try:
+            found = registry.download(registry.version(name, number), folder / str(number))
+            return rivals.add(title, load_verified(found), number)
+        except RegistryUnavailableError:
+            raise
+        except (RegistryError, BundleError) as error:
+            rivals.notes.append(f"{title}, can not be measured again ({error.what}): recorded metrics count")
+            return False
+
     with suppress(ModelNotFoundError):
-        present = registry.by_alias(name, ALIAS_CHAMPION)
-        if present.number != version.number:
-            measured = found.fetch(name, present.number, "the present champion")
-            against = present.number if measured or present.number in earlier else None
+        present = registry.by_alias(name, ALIAS_CHAMPION).number
+        if present != version.number:
+            measured = fetch(present, "the present champion")
+            against = present if measured or present in earlier else None
             if measured:
-                earlier.pop(present.number, None)
+                earlier.pop(present, None)
     for champion in _best_first(earlier.values(), bundle):
-        if champion.version != against and found.fetch(name, champion.version, "the best before it"):
+        if champion.version != against and fetch(champion.version, "the best before it"):
             del earlier[champion.version]
             break
-    found.add_shipped(shipped)
-    return tuple(found.rivals), Bar((), tuple(earlier.values()), tuple(found.notes), against)
+    if shipped is None:
+        rivals.notes.append("not compared with the shipped model, as requested")
+    elif not any(rivals.add("the shipped model", Bundle.load(one)) for one in _shipped(shipped)):
+        rivals.notes.append("no model of this robot and kind is shipped")
+    return tuple(rivals.found), Bar((), tuple(earlier.values()), tuple(rivals.notes), against)
+
+
+def _earlier_champions(
+    registry: ModelRegistry, version: ModelVersion, bundle: Bundle, notes: list[str]
+) -> dict[int, Champion]:
+    """All champions of the robot by number, but those that were rolled back."""
+    earlier = {
+        decision.version: Champion(decision.version, decision.metrics)
+        for decision in champions(registry, version.name)
+        if decision.version != version.number and decision.robot == bundle.robot
+    }
+    for one in reversed(registry.versions(version.name)):
+        left = TAG_ROLLED_BACK in one.tags and ALIAS_CHAMPION not in one.aliases
+        if left and earlier.pop(one.number, None) is not None:
+            day = one.tags[TAG_ROLLED_BACK][:10]
+            notes.append(f"not compared with version {one.number}, which was rolled back on {day}")
+    return earlier
+
+
+def _shipped(folder: Path) -> list[Path]:
+    """The shipped models; those of other robots lie beside the first."""
+    if not folder.is_dir():
+        raise ConfigError(
+            "the shipped model is not here",
+            expected="its bundle",
+            got=str(folder),
+            remedy="set CSPACE_PRETRAINED_MODEL, or do without the comparison: --without-shipped",
+        )
+    beside = (folder.with_name(name) for name in SHIPPED.values())
+    return list(dict.fromkeys([folder, *(one for one in beside if one.is_dir())]))
 
 
 def _best_first(champions: Iterable[Champion], bundle: Bundle) -> list[Champion]:
@@ -202,58 +243,6 @@ def _best_first(champions: Iterable[Champion], bundle: Bundle) -> list[Champion]
         return len(there), sum(signs[name] * value / margins[name] for name, value in there.items())
 
     return sorted(champions, key=rank, reverse=True)
-
-
-class _Found:
-    """Rivals of a candidate, no bundle twice."""
-
-    def __init__(self, candidate: Bundle, registry: ModelRegistry, folder: Path) -> None:
-        self.rivals: list[Rival] = []
-        self.notes: list[str] = []
-        self._candidate, self._registry, self._folder = candidate, registry, folder
-        self._seen = {candidate.digest}
-
-    def fetch(self, name: str, number: int, words: str) -> bool:
-        """Whether a version is a rival now, or has the bundle of the candidate or of another rival."""
-        try:
-            version = self._registry.version(name, number)
-            bundle = load_verified(self._registry.download(version, self._folder / str(number)))
-        except RegistryUnavailableError:
-            raise
-        except (RegistryError, BundleError) as error:
-            why = f"can not be measured again ({error.what}): recorded metrics count"
-            self.notes.append(f"version {number}, {words}, {why}")
-            return False
-        return self._add(f"version {number}, {words}", bundle, number)
-
-    def add_shipped(self, folder: Path | None) -> None:
-        """The shipped model where it is of this robot and kind."""
-        if folder is None:
-            self.notes.append("not compared with the shipped model, as requested")
-            return
-        if not folder.is_dir():
-            raise ConfigError(
-                "the shipped model is not here",
-                expected="its bundle",
-                got=str(folder),
-                remedy="set CSPACE_PRETRAINED_MODEL, or do without the comparison: --without-shipped",
-            )
-        # Those of other robots lie beside it.
-        beside = (folder.with_name(name) for name in SHIPPED.values())
-        folders = dict.fromkeys([folder, *(one for one in beside if one.is_dir())])
-        if not any(self._add("the shipped model", Bundle.load(one)) for one in folders):
-            self.notes.append("no model of this robot and kind is shipped")
-
-    def _add(self, name: str, bundle: Bundle, number: int | None = None) -> bool:
-        spec, ours = bundle.spec, self._candidate.spec
-        if spec.kind != ours.kind or robot_digest(spec.world) != robot_digest(ours.world):
-            return False
-        if bundle.digest == self._candidate.digest:
-            self.notes.append(f"{name}, is this very bundle")
-        elif bundle.digest not in self._seen:
-            self._seen.add(bundle.digest)
-            self.rivals.append(Rival(name, spec.world, PackedBundle.pack(bundle), number))
-        return True
 
 
 def evaluate_version(

@@ -12,13 +12,13 @@ import argparse
 import hashlib
 import sys
 import tempfile
-from collections import Counter, defaultdict
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
@@ -30,10 +30,10 @@ from cspace.bundle.verification import load_verified
 from cspace.errors import ConfigError, CspaceError, EvaluationError, InputError, ModelNotFoundError
 from cspace.planning.calibration import fit_calibration
 from cspace.planning.cost import confidence_of_cost
-from services.commands import report_error
+from services.commands import SHARE, report_error
 from services.evaluator.statistics import Interval, log_losses, mean_interval
 from services.names import ALIAS_CHALLENGER, EXPERIMENT, MODEL_NAME, OUTCOMES_FILE, TAG_MODEL, TAG_STAGE
-from services.outcomes import Row, reliability, uploaded
+from services.outcomes import Row, log_reliability, uploaded
 from services.registry import connect, tracking_uri
 from services.registry.entities import ID, ModelReference, ModelVersion
 from services.registry.models import ModelRegistry
@@ -51,28 +51,18 @@ _PRESENT = (0.0, 1.0)
 _GRID = np.linspace(np.log(_LEAST), np.log(30.0), 60)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Plans:
-    """Checked plans of one version, and the digest of each uploaded batch by its run."""
+class Plans(NamedTuple):
+    """Checked plans of one version, a row each, and the digest of each uploaded batch by its run."""
 
-    rows: list[Row]
+    table: pd.DataFrame
     batches: Mapping[str, str]
 
     @property
-    def cost(self) -> NDArray[np.float64]:
-        """(n,) D of each."""
-        stated = np.array([row.confidence for row in self.rows], dtype=np.float64)
-        return np.asarray(-np.log(np.clip(stated, _LEAST, 1.0 - _LEAST)))
-
-    @property
-    def free(self) -> NDArray[np.bool_]:
-        """(n,) whether each was free."""
-        return np.array([not row.collided for row in self.rows])
-
-    @property
-    def client(self) -> NDArray[np.int_]:
-        """(n,) number of the client of each."""
-        return np.unique([row.client or "" for row in self.rows], return_inverse=True)[1]
+    def columns(self) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.int_]]:
+        """(n,) D of each, whether it was free, and the number of its client."""
+        stated = self.table["confidence"].to_numpy(dtype=np.float64).clip(_LEAST, 1.0 - _LEAST)
+        free = ~self.table["collided"].to_numpy(dtype=bool)
+        return -np.log(stated), free, pd.factorize(self.table["client"], sort=True)[0]
 
 
 class Predicted(NamedTuple):
@@ -103,12 +93,12 @@ def recalibrate(
     """Fit to a version's outcomes, of a site or of all, and register, once for the same outcomes."""
     version = registry.look_up(model)
     plans = plans_of(str(version), site, most_per_client, tracking)
-    parameters = careful_fit(plans.cost, plans.free, plans.client)
+    parameters = careful_fit(*plans.columns)
     if parameters is None:
         raise EvaluationError(
             f"the outcomes agree with what {version} states",
             expected="a 95 % interval of the calibration without the present one",
-            got=f"{len(plans.rows)} plans, of which {np.mean(plans.free):.1%} were free",
+            got=f"{len(plans.table)} plans, of which {np.mean(plans.columns[1]):.1%} were free",
             remedy="nothing is to be done, or send more outcomes",
         )
     predicted = _predicted(plans)
@@ -121,12 +111,9 @@ def recalibrate(
         with tracking.start(
             EXPERIMENT, f"recalibrated, {ID}", version.run_id, tags, f"recalibrate/{key}"
         ) as run:
-            run.params({**note, "plans": len(plans.rows), "offset": parameters[0], "slope": parameters[1]})
+            run.params({**note, "plans": len(plans.table), "offset": parameters[0], "slope": parameters[1]})
             run.metrics({"log_loss": predicted.loss, "log_loss_before": predicted.before}, 0)
-            shown = reliability(plans.rows)
-            if shown is not None:
-                run.figure(shown[0], "reliability")
-                run.table(shown[1], "reliability")
+            log_reliability(run, plans.table)
             for run_id, digest in plans.batches.items():
                 run.dataset("outcomes", digest, f"runs:/{run_id}/{OUTCOMES_FILE}", "calibration")
         kept = {
@@ -135,7 +122,7 @@ def recalibrate(
         registered = registry.register(
             version.name, made.folder, run.run_id, made.digest, kept, alias=ALIAS_CHALLENGER
         )
-    return Recalibrated(registered, len(plans.rows), parameters, predicted)
+    return Recalibrated(registered, len(plans.table), parameters, predicted)
 
 
 def predicted_reports(bundle: Bundle, champion: Bundle, tracking: Tracking) -> Predicted | None:
@@ -151,40 +138,39 @@ def predicted_reports(bundle: Bundle, champion: Bundle, tracking: Tracking) -> P
 
 def plans_of(model: str, site: str | None, most_per_client: float, tracking: Tracking) -> Plans:
     """The plans of ``name/version`` in all uploaded batches that count."""
-    known: dict[tuple[str | None, str], tuple[Row, str]] = {}
-    digests = {}
+    batches, digests = [], {}
+    for run_id, digests[run_id], rows in uploaded(tracking):
+        batches.append(pd.DataFrame([row.model_dump() for row in rows], columns=[*Row.model_fields]))
+        batches[-1]["run_id"] = run_id
+    table = pd.concat([pd.DataFrame(columns=[*Row.model_fields, "run_id"]), *batches])
+    is_checked = (table["kind"] == "plan") & table["confidence"].notna() & table["collided"].notna()
+    is_known = is_checked & (table["problem"] != "") & (table["model"] == model)
+    known = table[is_known & (table["site"] == site if site else True)].fillna({"client": ""})
     # From the oldest on, so that what was reported last holds.
-    for run_id, digest, batch in uploaded(tracking):
-        digests[run_id] = digest
-        for row in batch:
-            is_known = row.kind == "plan" and row.confidence is not None and row.collided is not None
-            if is_known and row.problem and row.model == model and site in (None, row.site):
-                known[row.client, row.problem] = row, run_id
-    clients = defaultdict(list)
-    for row, run_id in known.values():
-        clients[row.client].append((row, run_id))
-    most = _cap([len(of_one) for of_one in clients.values()], most_per_client)
-    used = [one for of_one in clients.values() for one in of_one[len(of_one) - min(most, len(of_one)) :]]
-    problems, ends = {row.problem for row, _ in used}, Counter(row.collided for row, _ in used)
-    if len(problems) < LEAST_PROBLEMS or min(ends[True], ends[False]) < LEAST_OF_EACH:
+    known = known.drop_duplicates(["client", "problem"], keep="last")
+    clients = known.groupby("client")
+    used = clients.tail(_cap(clients.size().tolist(), most_per_client)).sort_values(["client", "problem"])
+    problems, collided = used["problem"].nunique(), int(used["collided"].sum())
+    if problems < LEAST_PROBLEMS or min(collided, len(used) - collided) < LEAST_OF_EACH:
         raise EvaluationError(
             f"too few outcomes of plans of {model}",
             expected=f"{LEAST_PROBLEMS} different problems, {LEAST_OF_EACH} plans that collide and "
             f"{LEAST_OF_EACH} that do not, at most {most_per_client:.0%} of one client",
             got=f"{len(known)} plans of {len(clients)} clients, of which {len(used)} may count: "
-            f"{len(problems)} problems, {ends[True]} plans that collide",
+            f"{problems} problems, {collided} plans that collide",
             remedy="send and upload more outcomes; --most-per-client 1 trusts one client alone",
         )
-    runs = {run_id for _, run_id in used}
-    return Plans([row for row, _ in used], {one: digest for one, digest in digests.items() if one in runs})
+    return Plans(used, {one: digests[one] for one in used["run_id"].unique()})
 
 
-def _cap(counts: Collection[int], share: float) -> int:
+def _cap(counts: Sequence[int], share: float) -> int:
     """How many plans of each client may count so that none has more than its share of all that do."""
-    for most in range(max(counts, default=0), 0, -1):
-        if most <= share * sum(min(count, most) for count in counts) + 1e-9:
-            return most
-    return 0
+    fitting = (
+        most
+        for most in range(max(counts, default=0), 0, -1)
+        if most <= share * sum(min(count, most) for count in counts) + 1e-9
+    )
+    return next(fitting, 0)
 
 
 def careful_fit(
@@ -225,7 +211,7 @@ def careful_fit(
 
 def _predicted(plans: Plans) -> Predicted:
     """The log loss of each fifth by a fit to the others, beside that of what was stated."""
-    cost, free, client = plans.cost, plans.free, plans.client
+    cost, free, client = plans.columns
     fold, predicted = np.arange(len(cost)) % FOLDS, np.empty(len(cost))
     for number in range(FOLDS):
         others = fold != number
@@ -261,13 +247,8 @@ def main(arguments: Sequence[str], environment: Mapping[str, str]) -> int:
     )
     parser.add_argument("--model", default=f"{MODEL_NAME}@champion", help="name, name@alias or name/version")
     parser.add_argument("--site", help="outcomes of this place alone")
-    parser.add_argument(
-        "--most-per-client",
-        type=float,
-        default=MOST_PER_CLIENT,
-        metavar="SHARE",
-        help="of the plans that one client may make up (default %(default)s); 1 trusts a single client",
-    )
+    share = "of the plans that one client may make up (default %(default)s); 1 trusts a single client"
+    parser.add_argument("--most-per-client", type=SHARE, default=MOST_PER_CLIENT, metavar="SHARE", help=share)
     options = parser.parse_args(arguments)
     try:
         model = ModelReference.parse(options.model)

@@ -36,7 +36,6 @@ from services.evaluator.metrics import Task
 from services.evaluator.metrics.coverage import covered
 from services.evaluator.metrics.head import reliability_diagram
 from services.evaluator.scenes import Scene, Stage, unfiltered
-from services.evaluator.tables import aligned, markdown
 from services.names import NOTE as DESCRIPTION
 from services.planner.ompl_planner import solve
 from services.planner.plotting import plot_plan
@@ -105,12 +104,11 @@ def comparison_note(evaluation: Evaluation, verdict: Verdict) -> str:
     title, decided = evaluation.model, "promoted" if verdict.promoted else "not promoted"
     parts = [f"## {title}: {decided}", "\n".join(f"- {reason}" for reason in verdict.reasons)]
     for one in verdict.bar.comparisons:
-        parts += [f"### Beside {one.rival}", markdown(comparison_table(one))]
+        parts += [f"### Beside {one.rival}", comparison_table(one).to_markdown(index=False, floatfmt=".4f")]
     if verdict.bar.comparisons:
         parts.append(COMPARISON_NOTE)
-    card = f"Model card: `python -m services.evaluator card {title}`."
     scenes = scenes_text(evaluation.setting)
-    return "\n\n".join([*parts, f"{scenes[0].upper()}{scenes[1:]}.", card]) + "\n"
+    return "\n\n".join([*parts, f"{scenes[0].upper()}{scenes[1:]}."]) + "\n"
 
 
 def shown_of(evaluation: Evaluation, note: str) -> Shown:
@@ -144,7 +142,8 @@ def to_markdown(evaluation: Evaluation, verdict: Verdict) -> str:
     setting, budget = evaluation.setting, evaluation.setting.budget
     parts = [comparison_note(evaluation, verdict).rstrip()]
     for split, task, table in _tables(evaluation, everything=True):
-        parts += [f"## {task.capitalize()}, {split}", markdown(table)]
+        text = table.to_markdown(index=False, disable_numparse=True)
+        parts += [f"## {task.capitalize()}, {split}", text]
     scenes = f"{budget.scenarios} scenarios a split, {budget.samples} samples each"
     if setting.paths:
         scenes = f"{budget.validation_problems} validation and {budget.test_problems} test problems a family"
@@ -160,7 +159,9 @@ def terminal_table(evaluation: Evaluation, comparisons: Sequence[Comparison] = (
     """The main estimates as aligned text."""
     tables = [(f"{task}, {split}", table) for split, task, table in _tables(evaluation, everything=False)]
     tables += [(f"beside {one.rival}, validation", comparison_table(one)) for one in comparisons]
-    return "\n\n".join(f"{name}\n{aligned(table)}" for name, table in tables)
+    return "\n\n".join(
+        f"{name}\n{table.to_string(index=False, float_format='%.4f')}" for name, table in tables
+    )
 
 
 def log_evaluation(

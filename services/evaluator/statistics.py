@@ -5,6 +5,7 @@ Resampling uses the generator that is passed in.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Literal
 from zlib import crc32
 
 import numpy as np
@@ -55,9 +56,17 @@ def summary_rng(seed: int, *use: str) -> np.random.Generator:
 
 
 def bootstrap_interval(
-    table: ArrayLike, statistic: Statistic, rng: np.random.Generator, *, resamples: int = RESAMPLES
+    table: ArrayLike,
+    statistic: Statistic,
+    rng: np.random.Generator,
+    *,
+    resamples: int = RESAMPLES,
+    method: Literal["linear", "inverted_cdf"] = "linear",
 ) -> Interval:
-    """Percentile bootstrap over the rows of an (n,) or (n, k) table, one row per scenario (Efron 1979)."""
+    """Percentile bootstrap over the rows of an (n, ...) table, one row per scenario (Efron 1979).
+
+    ``method`` is that of the quantiles; ``inverted_cdf`` is for statistics that may be infinite.
+    """
     rows = np.asarray(table, dtype=np.float64)
     rows = rows[:, None] if rows.ndim == 1 else rows
     if not len(rows):
@@ -65,17 +74,18 @@ def bootstrap_interval(
     estimate = float(statistic(rows))
     if len(rows) == 1:
         return Interval(estimate, estimate, estimate, 1)
-    limits = bootstrap(
-        (np.arange(len(rows)),),
-        lambda picks, axis: statistic(rows[picks.astype(np.intp)]),  # noqa: ARG005 - scipy's form
-        n_resamples=resamples,
-        batch=_BATCH,
-        vectorized=True,
-        confidence_level=CONFIDENCE,
-        method="percentile",
-        rng=rng,
-    ).confidence_interval
-    return Interval(estimate, float(limits.low), float(limits.high), len(rows))
+    with np.errstate(invalid="ignore"):
+        drawn = bootstrap(
+            (np.arange(len(rows)),),
+            lambda picks, axis: statistic(rows[picks.astype(np.intp)]),  # noqa: ARG005 - scipy's form
+            n_resamples=resamples,
+            batch=_BATCH,
+            vectorized=True,
+            method="percentile",
+            rng=rng,
+        ).bootstrap_distribution
+    low, high = np.quantile(drawn, [0.5 - CONFIDENCE / 2.0, 0.5 + CONFIDENCE / 2.0], method=method)
+    return Interval(estimate, float(low), float(high), len(rows))
 
 
 def log_losses(confidence: NDArray[np.floating], free: NDArray[np.bool_], least: float) -> Floats:

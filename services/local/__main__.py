@@ -10,8 +10,7 @@ from functools import partial
 from pathlib import Path
 
 from cspace.errors import ConfigError, CspaceError, PortTakenError, ServiceError
-from services.commands import confirmed
-from services.evaluator.tables import aligned
+from services.commands import aligned, confirmed
 from services.local.quickstart import (
     TOURS,
     addresses,

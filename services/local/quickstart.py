@@ -17,8 +17,7 @@ from pydantic import BaseModel, ValidationError
 from cspace.errors import ConfigError, JobError, PlanningError, ScenarioError, ServiceStartError
 from cspace.world import World
 from cspace.worlds import named_world, robot_digest
-from services.commands import PREFIX
-from services.evaluator.tables import aligned
+from services.commands import PREFIX, aligned
 from services.local.settings import BIN, Settings, make_state, shell_values
 from services.local.stack import POLL_S, SERVICES, Report, up
 from services.names import MLFLOW_TRAINING, MODEL_NAME, label, model_name

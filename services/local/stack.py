@@ -20,7 +20,7 @@ from supervisor.xmlrpc import SupervisorTransport
 
 from cspace.errors import PortTakenError, ServiceError, ServiceStartError
 from cspace.files import holding
-from services.evaluator.tables import aligned
+from services.commands import aligned
 from services.local.settings import BIN, HOST, ROOT, Settings, make_state, shell_values
 from services.outcomes import FOLDER as OUTCOMES
 

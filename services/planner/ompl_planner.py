@@ -32,7 +32,6 @@ from cspace_client.ompl import (
 )
 from services.planner.result import (
     CHECK_FACTOR,
-    LEARNED_PLANNERS,
     RRT_CONNECT,
     RRT_STAR,
     SAMPLED_CONNECT,
@@ -71,7 +70,7 @@ def solve(
     OMPL holds the interpreter's lock while it searches and keeps its random seed in the process: one solve at
     a time in a process, no threads.
     """
-    learned = _fitting(problem, settings, samples)
+    learned = _fitting(problem, samples)
     checker = checker_of(problem.scenario)
     for end, reason in ((problem.start, Reason.START_COLLIDES), (problem.goal, Reason.GOAL_COLLIDES)):
         if not checker.valid(end):
@@ -90,23 +89,13 @@ def solve(
     return after(result, _once(problem, finer, learned, uniform_share, keep_tree))
 
 
-def _fitting(
-    problem: Problem, settings: PlannerSettings, samples: ArrayLike | None
-) -> NDArray[np.float64] | None:
-    dim = problem.space.dim
+def _fitting(problem: Problem, samples: ArrayLike | None) -> NDArray[np.float64] | None:
     if samples is None or np.size(samples) == 0:
         return None
-    if settings.planner not in LEARNED_PLANNERS:
-        raise PlanningError(
-            f"{settings.planner} takes no learned samples", expected=" or ".join(LEARNED_PLANNERS)
-        )
     rows = np.asarray(samples, dtype=np.float64)
-    if rows.ndim != 2 or rows.shape[1] != dim or not np.all(np.isfinite(rows)):
-        raise PlanningError(
-            "the samples do not fit the robot",
-            expected=f"finite values of shape (n, {dim})",
-            got=f"shape {rows.shape}, {np.sum(~np.isfinite(rows))} not finite",
-        )
+    if rows.shape[1:] != (problem.space.dim,) or not np.all(np.isfinite(rows)):
+        expected, got = f"finite values of shape (n, {problem.space.dim})", f"shape {rows.shape}"
+        raise PlanningError("the samples do not fit the robot", expected=expected, got=got)
     return rows
 
 

@@ -9,7 +9,6 @@ from matplotlib import rc_context
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap, to_hex, to_rgb
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
@@ -80,19 +79,22 @@ def plot_configurations(
     )
     if result.tree is not None and len(result.tree.edges):
         ends = result.tree.vertices[result.tree.edges]
-        _plot_lines(axes, wrapped_segments(space, ends[:, 0], ends[:, 1], joints), TREE, 0.9, 1)
+        _plot_lines(
+            axes, wrapped_segments(space, ends[:, 0], ends[:, 1], joints), TREE, 0.9, 1, "search tree"
+        )
     if samples is not None and len(samples):
-        axes.scatter(*samples[:, plane].T, s=7, color=LEARNED, linewidths=0, alpha=0.75, zorder=2)
+        look: dict[str, Any] = {"color": LEARNED, "linewidths": 0, "alpha": 0.75, "label": "learned samples"}
+        axes.scatter(*samples[:, plane].T, s=7, zorder=2, **look)
     if len(result.path) > 1:
         lines = wrapped_segments(space, result.path[:-1], result.path[1:], joints)
         _plot_lines(axes, lines, "white", 4.2, 3)
-        _plot_lines(axes, lines, PATH, 2.4, 4)
-    for configuration, colour, marker in (
-        (problem.start, START, "o"),
-        (problem.goal, GOAL, "D"),
+        _plot_lines(axes, lines, PATH, 2.4, 4, "path")
+    for end, name, colour, marker in (
+        (problem.start, "start", START, "o"),
+        (problem.goal, "goal", GOAL, "D"),
     ):
-        at = space.wrap(configuration)[plane]
-        axes.plot(*at, marker, markersize=8, color=colour, markeredgecolor="white", zorder=5)
+        look = {"color": colour, "markeredgecolor": "white", "label": name}
+        axes.plot(*space.wrap(end)[plane], marker, markersize=8, zorder=5, **look)
     _label(axes, space, joints)
 
 
@@ -116,11 +118,11 @@ def collision_share(problem: Problem, joints: tuple[int, int], cells: int) -> ND
     return (total / len(hidden)).reshape(cells, cells)
 
 
-def _plot_lines(axes: Any, lines: NDArray[np.float64], colour: str, width: float, order: int) -> None:
-    axes.add_collection(
-        LineCollection(list(lines), colors=colour, linewidths=width, capstyle="round", zorder=order),
-        autolim=False,
-    )
+def _plot_lines(
+    axes: Any, lines: NDArray[np.float64], colour: str, width: float, order: int, label: str = ""
+) -> None:
+    look: dict[str, Any] = {"colors": colour, "linewidths": width, "label": label}
+    axes.add_collection(LineCollection(list(lines), capstyle="round", zorder=order, **look), autolim=False)
 
 
 def _label(axes: Any, space: JointSpace, joints: tuple[int, int]) -> None:
@@ -156,20 +158,12 @@ def plot_workspace(axes: Any, problem: Problem, path: NDArray[np.float64]) -> No
     axes.set_title("workspace")
 
 
-FORMATS = ("png", "pdf", "svg")
+FORMATS = (".png", ".pdf", ".svg")
 _STYLE: dict[Any, Any] = {
-    "font.size": 10,
-    "axes.titlesize": 10,
-    "axes.titlecolor": MUTED,
-    "axes.labelcolor": INK,
-    "axes.edgecolor": "#b8bcc4",
-    "axes.linewidth": 0.8,
-    "text.color": INK,
-    "xtick.color": MUTED,
+    "font.size": 10, "axes.titlesize": 10, "axes.titlecolor": MUTED, "axes.labelcolor": INK,
+    "axes.edgecolor": "#b8bcc4", "axes.linewidth": 0.8, "text.color": INK, "xtick.color": MUTED,
     "ytick.color": MUTED,
-    "xtick.major.size": 3,
-    "ytick.major.size": 3,
-}
+}  # fmt: skip
 
 
 def plot_plan(
@@ -188,8 +182,16 @@ def plot_plan(
         for axes, joints in zip(panels[1:], planes, strict=True):
             plot_configurations(axes, problem, result, samples, joints)
         figure.suptitle(outcome_title(problem, result) if title is None else title, fontsize=12)
-        handles = _legend_handles(dim, result, samples)
-        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
+        drawn = [axes.get_legend_handles_labels() for axes in panels]
+        handles = {name: handle for found in drawn for handle, name in zip(*found, strict=True)}
+        handles["obstacles" if dim != 2 else "obstacles, collision region"] = Patch(facecolor=OBSTACLE)
+        figure.legend(
+            list(handles.values()),
+            list(handles),
+            loc="outside lower center",
+            ncols=len(handles),
+            frameon=False,
+        )
     return figure
 
 
@@ -203,42 +205,16 @@ def outcome_title(problem: Problem, result: PlanResult) -> str:
 
 def save_figure(figure: Figure, path: Path) -> None:
     """Write a figure in the format of the file name's suffix."""
-    check_figure_path(path)
     try:
         figure.savefig(path)
     except OSError as error:
-        raise StorageError(
-            f"the figure {path} can not be written", got=str(error), remedy="name another file"
-        ) from error
+        what, remedy = f"the figure {path} can not be written", "name another file"
+        raise StorageError(what, got=str(error), remedy=remedy) from error
 
 
 def check_figure_path(path: Path) -> None:
     """Raises ConfigError where the suffix names no format or the folder does not exist."""
-    if path.suffix.lower().removeprefix(".") not in FORMATS:
-        raise ConfigError(
-            "the figure's format is unknown",
-            expected=" or ".join(f".{suffix}" for suffix in FORMATS),
-            got=path.name,
-        )
+    if path.suffix not in FORMATS:
+        raise ConfigError("the figure's format is unknown", expected=" or ".join(FORMATS), got=path.name)
     if not path.absolute().parent.is_dir():
         raise ConfigError("the figure's folder does not exist", got=str(path.absolute().parent))
-
-
-def _legend_handles(dim: int, result: PlanResult, samples: NDArray[np.float32] | None) -> list[Any]:
-    region = "obstacles, collision region" if dim == 2 else "obstacles, share in collision"
-    handles: list[Any] = [
-        _dot("start", START, "o"),
-        _dot("goal", GOAL, "D"),
-        Patch(facecolor=OBSTACLE, label=region if dim > 1 else "obstacles"),
-    ]
-    if samples is not None and len(samples):
-        handles.append(_dot("learned samples", LEARNED, ".", 6))
-    if result.tree is not None:
-        handles.append(Line2D([], [], color=TREE, linewidth=1.0, label="search tree"))
-    if len(result.path) > 1:
-        handles.append(Line2D([], [], color=PATH, linewidth=2.4, label="path"))
-    return handles
-
-
-def _dot(label: str, colour: str, marker: str, size: float = 7) -> Line2D:
-    return Line2D([], [], linestyle="", marker=marker, markersize=size, color=colour, label=label)

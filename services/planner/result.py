@@ -7,9 +7,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.errors import ConfigError
 from cspace.planning.paths import length_rad
-from cspace.query import MAX_SEED
 from cspace.simulator import Problem
 from cspace.worlds import checker_of
 
@@ -39,19 +37,6 @@ class PlannerSettings:
     max_iterations: int = 5000
     seed: int = 1
     stop_at_first: bool = True
-
-    def __post_init__(self) -> None:
-        positive = ("range_rad", "resolution_rad", "time_limit_s")
-        rules = {
-            "planner": (self.planner in PLANNERS, " or ".join(PLANNERS)),
-            **{name: (0.0 < getattr(self, name) < math.inf, "above 0 and finite") for name in positive},
-            "goal_bias": (0.0 <= self.goal_bias <= 1.0, "0 to 1"),
-            "max_iterations": (self.max_iterations >= 1, "at least 1"),
-            "seed": (0 <= self.seed <= MAX_SEED, "unsigned 64 bit"),
-        }
-        for name, (holds, expected) in rules.items():
-            if not holds:
-                raise ConfigError(f"{name} is out of range", expected=expected, got=repr(getattr(self, name)))
 
 
 GOAL_TOLERANCE_RAD = 1e-6

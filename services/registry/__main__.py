@@ -63,11 +63,11 @@ def _parser() -> argparse.ArgumentParser:
     add("delete", _delete, "delete a version that no alias names").add_argument(
         "--yes", action="store_true", help="do not ask"
     )
-    add("export", _export, "write a version's bundle and record").add_argument("folder", type=Path)
+    add("export", _export, "write a version's bundle").add_argument("folder", type=Path)
     add("sign", _sign, "sign a version's bundle, for servers that want it").add_argument(
         "--key", type=Path, required=True, help="PEM file of an elliptic curve's private key"
     )
-    imported = add("import", _import, "register an exported folder or a bundle as the challenger", "")
+    imported = add("import", _import, "register a bundle as the challenger", "")
     imported.add_argument("folder", type=Path)
     imported.add_argument("name", help="of the model, which is created when it is new")
     return parser
@@ -82,11 +82,8 @@ def _list(registry: ModelRegistry, options: argparse.Namespace) -> None:
         return
     for version in registry.versions(options.name):
         decisions = decisions_of(version)
-        figures = (
-            ", ".join(f"{key} {value:.3f}" for key, value in decisions[-1].metrics.items())
-            if decisions
-            else ""
-        )
+        metrics = decisions[-1].metrics if decisions else {}
+        figures = ", ".join(f"{key} {value:.3f}" for key, value in metrics.items())
         print(f"{version!s:<30} {utc(version.created_ms)}  {', '.join(version.aliases):<22} {figures}")
 
 
@@ -133,7 +130,7 @@ def _delete(registry: ModelRegistry, options: argparse.Namespace) -> None:
 
 def _export(registry: ModelRegistry, options: argparse.Namespace) -> None:
     version = _version(registry, options)
-    print(f"{version} is in {promotion.export_version(registry, version, options.folder)}")
+    print(f"{version} is in {registry.download(version, options.folder)}")
 
 
 def _sign(registry: ModelRegistry, options: argparse.Namespace) -> None:

@@ -26,11 +26,6 @@ _REFERENCE = re.compile(
 )
 
 
-def is_shipped(name: str) -> bool:
-    """Whether a name is one of the models that come with the server."""
-    return name in SHIPPED
-
-
 def is_model_name(text: str) -> bool:
     """Whether a text can be a model's name, and so a folder's of the cache."""
     return re.fullmatch(_NAME, text, re.ASCII) is not None

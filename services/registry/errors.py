@@ -63,28 +63,23 @@ def mapped(action: str, *, lookup: bool = False) -> Iterator[None]:
     from google.protobuf.json_format import ParseError  # type: ignore[import-untyped]  # noqa: PLC0415
     from mlflow.exceptions import MlflowException  # noqa: PLC0415
 
+    # An address that is no MLflow server's answers what is no JSON, or other JSON.
+    strange = (json.JSONDecodeError, ParseError, KeyError, ImportError)
     try:
         yield
-    except (MlflowException, OSError) as error:
+    except (MlflowException, OSError, *strange) as error:
         raise _translated(action, error, lookup) from error
-    except (json.JSONDecodeError, ParseError, KeyError, ImportError) as error:
-        raise RegistryError(
-            f"{action}: the answer is not MLflow's",
-            expected="an http address of an MLflow server; others need the whole of mlflow",
-            got=_truncate(_line(str(error))),
-            remedy="check MLFLOW_TRACKING_URI",
-        ) from error
 
 
 def _translated(action: str, error: Exception, lookup: bool) -> RegistryError | StorageError:
     from requests.exceptions import RequestException  # noqa: PLC0415
 
-    words, chain = _truncate(_line(str(error)) or type(error).__name__), list(causes(error))
+    words, chain = _truncate(_line(str(error)) or type(error).__name__), list(_causes(error))
     code = getattr(error, "error_code", None)
     # The exceptions of requests are OSErrors, and MLflow wraps them and those of the disk alike.
     sent = next((one for one in chain if isinstance(one, RequestException)), None)
     disk = _DISK.search(" ".join(map(str, chain)))
-    if disk is not None or (code is None and sent is None):
+    if disk is not None or (isinstance(error, OSError) and sent is None):
         return StorageError(
             f"{action}: a file of this machine cannot be read or written",
             expected="a folder with room and rights",
@@ -98,7 +93,11 @@ def _translated(action: str, error: Exception, lookup: bool) -> RegistryError | 
         return ModelNotFoundError(
             f"{action}: there is none", got=words, remedy="register one, or look at the registry's list"
         )
-    return RegistryError(f"{action}: MLflow refuses", got=words if code is None else f"{code}: {words}")
+    return RegistryError(
+        f"{action}: MLflow refuses, or does not answer at this address",
+        got=words if code is None else f"{code}: {words}",
+        remedy="check MLFLOW_TRACKING_URI",
+    )
 
 
 def unavailable(action: str, got: str) -> RegistryUnavailableError:
@@ -111,11 +110,8 @@ def unavailable(action: str, got: str) -> RegistryUnavailableError:
     )
 
 
-def causes(error: BaseException | None) -> Iterator[BaseException]:
-    """An error and what led to it."""
-    for _ in range(20):
-        if error is None:
-            return
+def _causes(error: BaseException | None) -> Iterator[BaseException]:
+    while error is not None:
         yield error
         error = error.__cause__ or error.__context__
 
@@ -170,13 +166,10 @@ def retry(action: str, call: Callable[[], Answer], wait_s: float) -> Answer:
         except RegistryUnavailableError as error:
             waited = time.monotonic() - began
             if waited >= wait_s:
-                raise RegistryUnavailableError(
-                    f"{action}: the tracking server stayed away for {waited:.0f} s",
-                    expected=error.expected,
-                    got=error.got,
-                    remedy="nothing is lost: start it, then submit the job again by name or resume its run",
-                ) from error
-            if time.monotonic() - said >= LINE_EVERY_S:
-                said = time.monotonic()
-                _LOG.info("%s: the tracking server is away, waiting up to %.0f s", action, wait_s - waited)
-            time.sleep(LOOK_EVERY_S)
+                what = f"{action}: the tracking server stayed away for {waited:.0f} s"
+                remedy = "nothing is lost: start it, then submit the job again by name or resume its run"
+                raise RegistryUnavailableError(what, got=error.got, remedy=remedy) from error
+        if time.monotonic() - said >= LINE_EVERY_S:
+            said = time.monotonic()
+            _LOG.info("%s: the tracking server is away, waiting up to %.0f s", action, wait_s - waited)
+        time.sleep(LOOK_EVERY_S)

@@ -5,7 +5,6 @@ JSON. It is append-only: the last part keeps two evaluations of one moment apart
 by hand is a decision as the evaluator's are, with the words ``by hand`` among its reasons.
 """
 
-import json
 import secrets
 import tempfile
 import time
@@ -15,20 +14,17 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from pydantic import BaseModel, ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from cspace.bundle.files import read_files
 from cspace.bundle.spec import BundleSpec
 from cspace.bundle.verification import load_verified
 from cspace.errors import BundleIntegrityError, ConfigError, ModelNotFoundError, RegistryError
-from cspace.files import read_bounded, replacing, write_json
-from cspace.strict_json import refused
 from cspace.worlds import robot_digest
 from services.names import (
     ALIAS_CHALLENGER,
     ALIAS_CHAMPION,
     EXPERIMENT,
-    TAG_DIGEST,
     TAG_ROBOT,
     TAG_ROLLED_BACK,
     TAG_SIGNATURE,
@@ -61,23 +57,8 @@ class Decision:
     created_ms: int
     robot: str | None = None
 
-    def to_json(self) -> str:
-        """The form in which the log keeps it."""
-        return json.dumps({**vars(self), "metrics": dict(self.metrics)}, sort_keys=True)
 
-    @classmethod
-    def from_json(cls, text: str) -> "Decision":
-        """Read an entry of the log; raises RegistryError where somebody else wrote it."""
-        try:
-            values = json.loads(text)
-            return cls(**{**values, "reasons": tuple(values["reasons"])})
-        except (ValueError, TypeError, KeyError, RecursionError) as error:
-            raise RegistryError(
-                "an entry of the decision log is not readable",
-                expected="the JSON of a decision",
-                got=text[:100],
-                remedy="remove the tag in the registry's page of the version",
-            ) from error
+_DECISION = TypeAdapter(Decision)
 
 
 def record_decision(registry: ModelRegistry, decision: Decision) -> None:
@@ -89,7 +70,7 @@ def record_decision(registry: ModelRegistry, decision: Decision) -> None:
     recorded again by a second run of the evaluation.
     """
     key = f"{PREFIX}{decision.created_ms:013d}.{secrets.token_hex(4)}"
-    registry.set_tags(decision.name, decision.version, {key: decision.to_json()})
+    registry.set_tags(decision.name, decision.version, {key: _DECISION.dump_json(decision).decode()})
     if decision.promoted:
         registry.remove_tag(decision.name, decision.version, TAG_ROLLED_BACK)
         registry.set_alias(decision.name, ALIAS_CHAMPION, decision.version)
@@ -97,7 +78,16 @@ def record_decision(registry: ModelRegistry, decision: Decision) -> None:
 
 def decisions_of(version: ModelVersion) -> tuple[Decision, ...]:
     """The log of one version, oldest first."""
-    found = (Decision.from_json(text) for key, text in version.tags.items() if key.startswith(PREFIX))
+    texts = [text for key, text in version.tags.items() if key.startswith(PREFIX)]
+    try:
+        found = [_DECISION.validate_json(text) for text in texts]
+    except ValidationError as error:
+        raise RegistryError(
+            f"an entry in the decision log of {version} is not readable",
+            expected="the JSON of a decision",
+            got=f"{error.errors()[0]['input']}"[:100],
+            remedy="remove the tag in the registry's page of the version",
+        ) from error
     return tuple(sorted(found, key=lambda decision: decision.created_ms))
 
 
@@ -118,10 +108,6 @@ def champions(registry: ModelRegistry, name: str) -> tuple[Decision, ...]:
 def utc(moment_ms: int) -> str:
     """A moment as people read it."""
     return datetime.fromtimestamp(moment_ms / 1000, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
-
-
-BUNDLE_FOLDER, RECORD = "bundle", "version.json"
-_MAX_RECORD_BYTES = 2**20
 
 
 def promote(registry: ModelRegistry, version: ModelVersion, reason: str) -> Decision:
@@ -168,22 +154,10 @@ def delete(registry: ModelRegistry, version: ModelVersion) -> None:
     registry.delete(version.name, version.number)
 
 
-def export_version(registry: ModelRegistry, version: ModelVersion, folder: Path) -> Path:
-    """Write a version's bundle, tags and decisions into a new folder, whole or not at all."""
-    if folder.exists():
-        raise ConfigError("the export's folder exists", expected="a new folder", got=str(folder))
-    with replacing(folder, "the export") as beside:
-        beside.mkdir(parents=True)
-        registry.download(version, beside / BUNDLE_FOLDER)
-        record = {key: value for key, value in vars(version).items() if key != "aliases"}
-        write_json(beside / RECORD, {**record, "tags": dict(version.tags)}, indent=2)
-    return folder
-
-
 def sign(registry: ModelRegistry, version: ModelVersion, private_key: Path) -> None:
     """Sign a version with its bundle as it is in the registry."""
     with tempfile.TemporaryDirectory(prefix="cspace-sign-") as temporary:
-        folder = registry.download(version, Path(temporary) / BUNDLE_FOLDER)
+        folder = registry.download(version, Path(temporary) / "bundle")
         digest = read_files(folder).digest
         if digest != version.digest:
             raise BundleIntegrityError(
@@ -195,15 +169,13 @@ def sign(registry: ModelRegistry, version: ModelVersion, private_key: Path) -> N
 
 
 def import_version(registry: ModelRegistry, tracking: Tracking, folder: Path, name: str) -> ModelVersion:
-    """Register what :func:`export_version` wrote, or a bundle alone, as the challenger; once, if repeated."""
-    bundle = folder / BUNDLE_FOLDER if (folder / BUNDLE_FOLDER).is_dir() else folder
-    verified = load_verified(bundle)
-    digest = verified.digest
-    _require_name(registry, name, verified.spec)
-    tags = _tags(folder / RECORD)
-    key = f"import/{name}/{digest}"
-    with tracking.start(EXPERIMENT, f"import {digest[:8]}", tags={"imported": "true"}, key=key) as run:
-        return registry.register(name, bundle, run.run_id, digest, tags, alias=ALIAS_CHALLENGER)
+    """Register a bundle as the challenger; once, if repeated."""
+    bundle = load_verified(folder)
+    _require_name(registry, name, bundle.spec)
+    key = f"import/{name}/{bundle.digest}"
+    title = f"import {bundle.digest[:8]}"
+    with tracking.start(EXPERIMENT, title, tags={"imported": "true"}, key=key) as run:
+        return registry.register(name, folder, run.run_id, bundle.digest, {}, alias=ALIAS_CHALLENGER)
 
 
 def _require_name(registry: ModelRegistry, name: str, spec: BundleSpec) -> None:
@@ -223,26 +195,10 @@ def _require_name(registry: ModelRegistry, name: str, spec: BundleSpec) -> None:
     )
 
 
-class _Record(BaseModel):
-    tags: dict[str, str]
-
-
-def _tags(record: Path) -> Mapping[str, str]:
-    """Of the exported version, without decisions and signature, which are about it elsewhere."""
-    if not record.exists():
-        return {}
-    try:
-        tags = _Record.model_validate_json(read_bounded(record, _MAX_RECORD_BYTES, ConfigError)).tags
-    except ValidationError as error:
-        raise refused(error, ConfigError, str(record), "import what `export` wrote") from error
-    left_out = (TAG_DIGEST, TAG_ROLLED_BACK, TAG_SIGNATURE)
-    return {key: value for key, value in tags.items() if not key.startswith(PREFIX) and key not in left_out}
-
-
 def _by_hand(registry: ModelRegistry, version: ModelVersion, reason: str) -> Decision:
     """The decision that makes a version the champion, after its bundle was read and replayed."""
     with tempfile.TemporaryDirectory(prefix="cspace-promote-") as folder:
-        bundle = registry.download(version, Path(folder) / BUNDLE_FOLDER)
+        bundle = registry.download(version, Path(folder) / "bundle")
         world = load_verified(bundle, version.digest).spec.world
     decisions, champion = decisions_of(version), None
     with suppress(ModelNotFoundError):

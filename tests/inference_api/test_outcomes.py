@@ -1,12 +1,11 @@
 """``POST /outcomes``: what counts, what is refused, and that a disk that refuses harms nothing else."""
 
 import base64
-import errno
 import json
-import os
+import sqlite3
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, closing
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ import pytest
 
 from cspace.worlds import robot_digest
 from inference_api.auth import digest_of
-from services.outcomes import files_of
+from services.outcomes import DATABASE
 from tests.inference_api.answers import assert_answers, assert_problem
 from tests.inference_api.client import ApiClient
 from tests.inference_api.conftest import api_over
@@ -36,9 +35,10 @@ def keeping(tmp_path: Path, bundles: dict[str, Path], registry: CountingRegistry
 
 
 def rows_in(place: Path) -> list[dict[str, Any]]:
-    return [
-        json.loads(line) for path in files_of(place / "outcomes") for line in path.read_text().splitlines()
-    ]
+    if not (place / "outcomes" / DATABASE).exists():
+        return []
+    with closing(sqlite3.connect(place / "outcomes" / DATABASE)) as database:
+        return [json.loads(line) for (line,) in database.execute("SELECT row FROM outcomes ORDER BY number")]
 
 
 def planned(api: ApiClient, **more: Any) -> dict[str, Any]:
@@ -112,13 +112,13 @@ def test_what_is_no_outcome_is_refused_by_name_and_nothing_of_its_batch_is_kept(
 def test_a_full_disk_refuses_outcomes_and_nothing_else(
     keeping: Keeping, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(*_: object) -> int:
-        raise OSError(errno.ENOSPC, "No space left on device")
+    def full(*_: object, **__: object) -> None:
+        raise sqlite3.OperationalError("database or disk is full")
 
     with keeping() as api:
         assert send(api, SAMPLES).json() == {"kept": 1}
         with monkeypatch.context() as patch:
-            patch.setattr(os, "write", full)
+            patch.setattr(sqlite3, "connect", full)
             assert send(api, {**SAMPLES, "request_id": "lost"}).json() == {"kept": 0}
         assert_answers(api)
         assert send(api, {**SAMPLES, "request_id": "later"}).json() == {"kept": 1}
@@ -139,8 +139,7 @@ def test_pictures_are_kept_only_of_plans_that_say_so_and_where_the_server_may(
         assert answer.json()["kept"] is True
         refused = ask(api, model=None, keep=True, min_confidence=1.0).json()
         assert (refused["status"], refused["kept"]) == ("refused", False)
-    [path] = (tmp_path / "outcomes").rglob("view-*.json")
-    row = json.loads(path.read_text())
+    [row] = rows_in(tmp_path)
     assert row["request_id"] == answer.headers["X-Request-ID"]
     assert (row["kind"], row["model"], row["robot"]) == ("view", f"{MODEL}/1", robot_digest(WORLD))
     assert base64.b64decode(row["image"]) == PNG

@@ -2,8 +2,10 @@
 
 import base64
 import os
+import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 
 import httpx
 import pytest
@@ -77,4 +79,5 @@ def test_the_command_needs_a_folder_and_leaves_it_while_the_registry_is_away(tmp
     command = [sys.executable, "-m", "services.outcomes"]
     done = subprocess.run(command, env=os.environ | environment, capture_output=True, check=False)
     assert done.returncode == 1
-    assert len(outcomes.files_of(tmp_path / "none")) == 1
+    with closing(sqlite3.connect(tmp_path / "none" / outcomes.DATABASE)) as database:
+        assert database.execute("SELECT COUNT(*) FROM outcomes").fetchone() == (1,)

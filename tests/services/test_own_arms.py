@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 from cspace.errors import ConfigError, JobError, PlanningError, ScenarioError
-from cspace.worlds import robot_digest
+from cspace.worlds import named_world, robot_digest
 from cspace.worlds.spatial.world import shipped, usual
 from services.local.quickstart import import_arm, serve_untrained, tour_of_arm
 from services.local.settings import Settings
 from services.names import label
-from services.planner.__main__ import parse_command
+from services.planner.__main__ import main, make_parser, sample_request
 from services.scene_files import read_scene_file, read_scene_text
 from tests.training.robots.descriptions import TWO_LINKS
 from training.config import TrainConfig
@@ -57,11 +57,9 @@ def test_a_job_refuses_a_robots_file_that_it_cannot_find(robot: str, says: str) 
 
 
 def test_the_planner_takes_a_robots_file_and_asks_for_its_own_model(file: Path) -> None:
-    command = parse_command(["--robot", str(file), "--family", "table"])
-    assert robot_digest(command.world) == DIGEST
-    assert (command.request.model, command.request.or_uniform) == ("bench-arm-5-sampler", True)
-    with pytest.raises(ScenarioError, match="the robot is unknown"):
-        parse_command(["--robot", "pandora"])
+    request = sample_request(make_parser().parse_args(["--robot", str(file)]), named_world(str(file)))
+    assert (request.model, request.or_uniform) == ("bench-arm-5-sampler", True)
+    assert main(["--robot", "pandora"]) == 2
 
 
 def test_a_scene_file_names_a_robots_file_beside_it(file: Path) -> None:

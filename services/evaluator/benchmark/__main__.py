@@ -11,7 +11,7 @@ from cspace.errors import ConfigError, CspaceError, ScenarioError
 from cspace.query import MAX_SAMPLES
 from cspace.simulator import ProblemRequest, Split
 from cspace.worlds import examples, named_world, partly_seen
-from services.commands import finite, report_error
+from services.commands import ANY_SEED, COUNT, POSITIVE, report_error, within
 from services.evaluator.benchmark.job import REPORT, Request, executor, run_benchmark
 from services.evaluator.benchmark.sources import bundled, parse_named, served
 from services.evaluator.benchmark.variants import (
@@ -29,21 +29,22 @@ from services.evaluator.benchmark.variants import (
     pick,
     table,
 )
-from services.registry import tracking_uri
-from services.registry.tracking import Tracking
+from services.registry import connect, tracking_uri
 
 WORLDS = examples()
+ABOVE_0 = within(sys.float_info.min, 1.0)
 SPLITS = (Split.VALIDATION, Split.TEST)
 # Problems of each family where nothing else is asked for.
 PROBLEMS, UNSOLVABLE, PAPER_PROBLEMS, PLAN_PROBLEMS = 300, 30, 10, 30
-MAX_SEED = 2**63 - 1
 
 
 def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] = os.environ) -> int:
     """Parse, run, print; returns the exit code."""
     options = parser().parse_args(arguments)
     try:
-        tracking = None if options.no_mlflow else _tracking(environment)
+        tracking = None
+        if not options.no_mlflow:
+            tracking, _ = connect(tracking_uri(environment, remedy="set it, or give --no-mlflow"))
         request = make_request(options)
         show = partial(print, flush=True)
         results = run_benchmark(request, executor(environment, options.processes), show, tracking)
@@ -51,14 +52,6 @@ def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] 
         return report_error(error, ConfigError)
     print(f"{results.note()}\n{options.out / REPORT}", flush=True)
     return 0
-
-
-def _tracking(environment: Mapping[str, str]) -> Tracking:
-    uri = tracking_uri(environment, remedy="set it, or give --no-mlflow")
-    # MLflow takes seconds to import.
-    from services.registry.tracking import Tracking  # noqa: PLC0415
-
-    return Tracking(uri)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -72,68 +65,45 @@ def parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--out", type=Path, required=True, help="folder of runs, report and figures")
     parser.add_argument("--protocol", type=Protocol, choices=list(Protocol), default=Protocol.FAMILIES)
-    models = parser.add_argument_group("models, each option any number of times")
-    models.add_argument("--api", help="of the models, for example http://127.0.0.1:8000")
-    models.add_argument(
-        "--model", action="append", default=[], metavar="[NAME=]REFERENCE", help="as path-sampler@champion"
-    )
-    models.add_argument(
-        "--bundle", action="append", default=[], metavar="NAME=FOLDER", help="in the planner's process"
-    )
-    what = parser.add_argument_group("what is run")
+    models = parser.add_argument_group("models, each option any number of times").add_argument
+    models("--api", help="of the models, for example http://127.0.0.1:8000")
+    reference, folder = "[NAME=]REFERENCE", "NAME=FOLDER"
+    models("--model", action="append", default=[], metavar=reference, help="as path-sampler@champion")
+    models("--bundle", action="append", default=[], metavar=folder, help="in the planner's process")
+    what = parser.add_argument_group("what is run").add_argument
     robots = f"{', '.join(WORLDS)}, or a robot's file (default: %(default)s)"
-    what.add_argument("--robot", default=next(iter(WORLDS)), help=robots)
-    what.add_argument("--family", action="append", help="default: all")
-    what.add_argument("--split", type=Split, choices=SPLITS, default=Split.VALIDATION)
-    what.add_argument(
-        "--problems", type=_count,
-        help="of each family (default: 300, without a path 30; of the paper's protocol 10, of plans 30)",
-    )  # fmt: skip
-    what.add_argument(
-        "--runs", type=_count, help="of each problem (default: 1, of the paper's protocol 100, of plans 3)"
-    )
-    what.add_argument("--seed", type=int, default=0, help="of problems, planners and samplers")
-    what.add_argument(
-        "--variants", nargs="+", help=f"names, or groups: {', '.join(Group)} (default: all of the protocol)"
-    )
-    what.add_argument(
-        "--samples", type=_count, default=SAMPLES, help="learned ones for a run (default: %(default)s)"
-    )
-    what.add_argument(
-        "--shares", type=finite, nargs="+", default=SHARES, metavar="SHARE",
-        help="of learned samples, above 0 to 1; one variant for each (default: 0.7 1)",
-    )  # fmt: skip
-    what.add_argument("--iterations", type=_count, help="after which a search ends (default: 20000)")
-    what.add_argument(
-        "--time-limit", type=finite, metavar="S", help="default: 10, of the paper's protocol 1, of plans 20"
-    )
-    plans = parser.add_argument_group("protocol plans: paths through scenes that depth pictures show in part")
-    plans.add_argument(
-        "--pictures", type=int, nargs="+", metavar="N", choices=range(1, 5), default=PICTURES,
-        help="by which each is seen (default: 1 2 3)",
-    )  # fmt: skip
-    plans.add_argument("--aim", choices=AIMS, default=AIMS[0], help="what cameras look at (default: goal)")
-    plans.add_argument(
-        "--held", action="store_true",
-        help="of problems with a table alone: the robot holds what its goal grasps; planners know both",
-    )  # fmt: skip
-    plans.add_argument(
-        "--problems-folder", type=Path,
-        help="of test problems that python -m training.motionbench fetch wrote",
-    )  # fmt: skip
-    how = parser.add_argument_group("how")
-    how.add_argument(
-        "--processes", type=_count, default=os.cpu_count() or 1,
-        help="on this machine; one gives the truest times (default: one a core)",
-    )  # fmt: skip
-    how.add_argument("--no-mlflow", action="store_true", help="log no run")
+    what("--robot", default=next(iter(WORLDS)), help=robots)
+    what("--family", action="append", help="default: all")
+    what("--split", type=Split, choices=SPLITS, default=Split.VALIDATION)
+    each = "of each family (default: 300, without a path 30; of the paper's protocol 10, of plans 30)"
+    what("--problems", type=COUNT, help=each)
+    what("--runs", type=COUNT, help="of each problem (default: 1, of the paper's protocol 100, of plans 3)")
+    what("--seed", type=ANY_SEED, default=0, help="of problems, planners and samplers")
+    groups = f"names, or groups: {', '.join(Group)} (default: all of the protocol)"
+    what("--variants", nargs="+", help=groups)
+    drawn, count = "learned ones for a run (default: %(default)s)", within(1, MAX_SAMPLES, int)
+    what("--samples", type=count, default=SAMPLES, help=drawn)
+    shares = "of learned samples, above 0 to 1; one variant for each (default: 0.7 1)"
+    what("--shares", type=ABOVE_0, nargs="+", default=SHARES, metavar="SHARE", help=shares)
+    what("--iterations", type=COUNT, help="after which a search ends (default: 20000)")
+    limit = "default: 10, of the paper's protocol 1, of plans 20"
+    what("--time-limit", type=POSITIVE, metavar="S", help=limit)
+    _add_plan_options(parser.add_argument_group("protocol plans: scenes that depth pictures show in part"))
+    how = parser.add_argument_group("how").add_argument
+    times = "on this machine; one gives the truest times (default: one a core)"
+    how("--processes", type=COUNT, default=os.cpu_count() or 1, help=times)
+    how("--no-mlflow", action="store_true", help="log no run")
     return parser
 
 
-def _count(text: str) -> int:
-    if (value := int(text)) < 1:
-        raise argparse.ArgumentTypeError(f"{value} is below 1")
-    return value
+def _add_plan_options(plans: argparse._ArgumentGroup) -> None:
+    seen, four = "by which each is seen, at most 4 (default: 1 2 3)", within(1, 4, int)
+    plans.add_argument("--pictures", type=four, nargs="+", metavar="N", default=PICTURES, help=seen)
+    plans.add_argument("--aim", choices=AIMS, default=AIMS[0], help="what cameras look at (default: goal)")
+    held = "of problems with a table alone: the robot holds what its goal grasps; planners know both"
+    plans.add_argument("--held", action="store_true", help=held)
+    fetched = "of test problems that python -m training.motionbench fetch wrote"
+    plans.add_argument("--problems-folder", type=Path, help=fetched)
 
 
 def _variants(options: argparse.Namespace) -> tuple[Variant, ...]:
@@ -148,23 +118,23 @@ def _variants(options: argparse.Namespace) -> tuple[Variant, ...]:
 
 def make_request(options: argparse.Namespace) -> Request:
     """What the options ask for; models are asked once, bundles loaded."""
-    for name, holds, expected in (
-        ("seed", 0 <= options.seed <= MAX_SEED, f"0 to {MAX_SEED}"),
-        ("samples", options.samples <= MAX_SAMPLES, f"1 to {MAX_SAMPLES}"),
-        ("shares", all(0.0 < one <= 1.0 for one in options.shares), "above 0 to 1"),
-        ("time-limit", options.time_limit is None or options.time_limit > 0.0, "above 0"),
-    ):
-        if not holds:
-            raise ConfigError(
-                f"--{name} is out of range", expected=expected, got=str(vars(options)[name.replace("-", "_")])
-            )
     if options.model and not options.api:
         raise ConfigError("models are behind an API", remedy="name it with --api")
-    variants, setting = _variants(options), _setting(options)
-    plans = setting.protocol is Protocol.PLANS
+    limits, world = LIMITS[options.protocol], named_world(options.robot)
+    setting = Setting(
+        options.protocol,
+        options.split,
+        options.seed,
+        options.iterations or int(limits["max_iterations"]),
+        options.time_limit or limits["time_limit_s"],
+        aim=options.aim,
+        world=world,
+        held=options.held,
+    )
+    variants, plans = _variants(options), setting.protocol is Protocol.PLANS
     folder = None if options.problems_folder is None else options.problems_folder.resolve()
     problems = _plan_problems(options, setting, folder) if plans else _problems(options, setting)
-    used, world = {one.sampler for one in variants}, setting.world
+    used = {one.sampler for one in variants}
     models, bundles = (map(parse_named, given) for given in (options.model, options.bundle))
     specs = [
         *(served(name, model, options.api, world, plans=plans) for name, model in models if name in used),
@@ -173,20 +143,6 @@ def make_request(options: argparse.Namespace) -> Request:
     pictures = tuple(dict.fromkeys(options.pictures)) if plans else (0,)
     repeats = options.runs or RUNS[setting.protocol]
     return Request(options.out, setting, problems, repeats, variants, tuple(specs), pictures, folder)
-
-
-def _setting(options: argparse.Namespace) -> Setting:
-    limits = LIMITS[options.protocol]
-    return Setting(
-        options.protocol,
-        options.split,
-        options.seed,
-        options.iterations or int(limits["max_iterations"]),
-        options.time_limit or limits["time_limit_s"],
-        aim=options.aim,
-        world=named_world(options.robot),
-        held=options.held,
-    )
 
 
 def _wanted(options: argparse.Namespace, usual: Sequence[str], known: Sequence[str]) -> list[str]:
@@ -203,9 +159,8 @@ def _wanted(options: argparse.Namespace, usual: Sequence[str], known: Sequence[s
 def _problems(options: argparse.Namespace, setting: Setting) -> dict[str, int]:
     """How many of each family."""
     families = setting.families
-    if setting.protocol is Protocol.PAPER:
-        usual = dict.fromkeys(families.solvable, PAPER_PROBLEMS)
-    else:
+    usual = dict.fromkeys(families.solvable, PAPER_PROBLEMS)
+    if setting.protocol is Protocol.FAMILIES:
         # A problem without a path takes every variant to its limit, about a minute in all.
         usual = dict.fromkeys((families.decisive, *families.solvable), PROBLEMS)
         usual |= dict.fromkeys(families.unsolvable, UNSOLVABLE)

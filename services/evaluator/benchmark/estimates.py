@@ -4,67 +4,30 @@ Intervals are exact (Clopper-Pearson) for shares and by bootstrap over problems 
 the median over its runs counts; one without success ranks behind all others.
 """
 
-import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from functools import partial
 from itertools import product
-from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.stats import binomtest
 
 from cspace.errors import EvaluationError
 from cspace.planning.cost import calibration_error
 from services.evaluator.benchmark.variants import UNIFORM_CONNECT, Group, Variant
+from services.evaluator.statistics import Floats, Interval, bootstrap_interval, clopper_pearson, point
 
-Floats = NDArray[np.float64]
-RESAMPLES = 2000
 WITHIN = 1000
 DEEP_M = 0.01
 QUANTILES = {"median": 0.5, "p90": 0.9}
+Measures = Iterator[tuple[str, Interval]]
+# One of the values, never between two: halfway to infinity is no number.
+bootstrap = partial(bootstrap_interval, resamples=2000, method="inverted_cdf")
 
 
-@dataclass(frozen=True, slots=True)
-class Estimate:
-    """A value with its limits; nan where there are none."""
-
-    value: float
-    low: float = math.nan
-    high: float = math.nan
-
-    def __str__(self) -> str:
-        value, low, high = (
-            f"{one:.0f}" if one >= 1e3 else f"{one:.3g}" for one in (self.value, self.low, self.high)
-        )
-        return value if math.isnan(self.low) else f"{value} [{low}, {high}]"
-
-
-Measures = Iterator[tuple[str, Estimate]]
-
-
-def share(flags: Any) -> Estimate:
+def share(flags: pd.Series | NDArray[np.bool_]) -> Interval:
     """A share with its exact limits."""
-    flags = np.asarray(flags, dtype=bool)
-    limits = binomtest(int(flags.sum()), flags.size).proportion_ci(method="exact")
-    return Estimate(float(flags.mean()), float(limits.low), float(limits.high))
-
-
-def bootstrap(
-    statistic: Callable[..., Floats], columns: Sequence[Floats], rng: np.random.Generator
-) -> Estimate:
-    """Percentile bootstrap over problems, the first axis of each column.
-
-    The statistic takes columns with a further axis in front and reduces the second.
-    """
-    count = len(columns[0])
-    picks = rng.integers(0, count, (RESAMPLES, count))
-    value = statistic(*(column[None] for column in columns))[0]
-    # One of the values, never between two: halfway to infinity is no number.
-    sampled = statistic(*(column[picks] for column in columns))
-    low, high = np.quantile(sampled, [0.025, 0.975], method="inverted_cdf")
-    return Estimate(float(value), float(low), float(high))
+    return clopper_pearson(int(np.sum(flags)), np.size(flags))
 
 
 class Paired:
@@ -111,7 +74,7 @@ class Paired:
 def quantiles(name: str, values: Floats) -> Measures:
     """Median and 90th percentile of (P,) values, infinite where they fall among the failures."""
     for what, quantile in QUANTILES.items():
-        yield f"{name}_{what}", Estimate(float(np.quantile(values, quantile, method="higher")))
+        yield f"{name}_{what}", point(float(np.quantile(values, quantile, method="higher")), len(values))
 
 
 def ratios(name: str, values: Floats, base: Floats, rng: np.random.Generator) -> Measures:
@@ -119,13 +82,14 @@ def ratios(name: str, values: Floats, base: Floats, rng: np.random.Generator) ->
     both = np.concatenate([values, base])
     largest = both[np.isfinite(both)].max(initial=1.0)
     # A direct connection takes no iteration to speak of; one unit keeps the ratio finite.
-    columns = [np.clip(one, 1.0, largest) for one in (values, base)]
+    table = np.clip(np.stack([values, base], axis=1), 1.0, largest)
     for what, quantile in QUANTILES.items():
 
-        def ratio(mine: Floats, other: Floats, quantile: float = quantile) -> Floats:
-            return np.asarray(np.quantile(mine, quantile, axis=1) / np.quantile(other, quantile, axis=1))
+        def ratio(rows: Floats, quantile: float = quantile) -> Floats:
+            mine, other = np.moveaxis(np.quantile(rows, quantile, axis=-2), -1, 0)
+            return np.asarray(mine / other)
 
-        yield f"{name}_{what}", bootstrap(ratio, columns, rng)
+        yield f"{name}_{what}", bootstrap(table, ratio, rng)
 
 
 def break_even_us(spent: Floats) -> Floats:
@@ -163,11 +127,14 @@ def exact(paired: Paired, variant: Variant) -> Measures:
     for column in ("request", "solve", "total"):
         values_ms = 1e3 * paired.values(name, f"{column}_s")
         yield from quantiles(f"{column}_ms", values_ms)
-        yield f"{column}_ms_mean", Estimate(float(values_ms.mean()))
+        yield f"{column}_ms_mean", point(float(values_ms.mean()), len(values_ms))
     if solved.any():
-        yield "length_rad_mean", Estimate(float(paired.values(name, "length_rad")[solved].mean()))
+        yield (
+            "length_rad_mean",
+            point(float(paired.values(name, "length_rad")[solved].mean()), paired.problems),
+        )
     if variant.group is Group.PATHS and variant.name != UNIFORM_CONNECT:
-        yield "as_is", Estimate(float(paired.values(name, "as_is").mean()))
+        yield "as_is", point(float(paired.values(name, "as_is").mean()), paired.problems)
 
 
 def against(paired: Paired, variant: Variant, uniform: Sequence[str], rng: np.random.Generator) -> Measures:
@@ -181,16 +148,20 @@ def against(paired: Paired, variant: Variant, uniform: Sequence[str], rng: np.ra
     columns = {"iterations": "iterations", "edge_checks": "edge_checks", "states": "state_checks"}
     for what, column in columns.items():
         yield from ratios(f"{what}_ratio", paired.typical(name, column), paired.typical(base, column), rng)
-    lengths = [paired.typical(one, "length_rad") for one in (name, base)]
-    both = np.isfinite(lengths).all(axis=0)
-    if both.any():
-        pairs = [one[both] for one in lengths]
-        yield "length_ratio", bootstrap(lambda a, b: a.sum(axis=1) / b.sum(axis=1), pairs, rng)
+    lengths = np.stack([paired.typical(one, "length_rad") for one in (name, base)], axis=1)
+    lengths = lengths[np.isfinite(lengths).all(axis=1)]
+    if len(lengths):
+        yield "length_ratio", bootstrap(lengths, _ratio_of_sums, rng)
     for checks, (what, others) in product(("edge", "state"), (("base", [base]), ("best", uniform))):
         if others:
             spent = np.stack([_spent(paired, one, checks) for one in (name, *others)], axis=1)
-            found = bootstrap(lambda rows: break_even_us(rows.sum(axis=1)), [spent], rng)
+            found = bootstrap(spent, lambda rows: break_even_us(rows.sum(axis=-3)), rng)
             yield f"break_even_{checks}_{what}_from_us", found
+
+
+def _ratio_of_sums(rows: Floats) -> Floats:
+    mine, other = np.moveaxis(rows.sum(axis=-2), -1, 0)
+    return np.asarray(mine / other)
 
 
 def safety(paired: Paired, variant: Variant, rng: np.random.Generator) -> Measures:
@@ -208,15 +179,15 @@ def safety(paired: Paired, variant: Variant, rng: np.random.Generator) -> Measur
         base = paired.of(variant.base)
         both = own["solved"].to_numpy() & base["solved"].to_numpy()
         if both.any():
-            hits = [(one["clearance_m"] <= 0.0).to_numpy()[both].astype(float) for one in (own, base)]
-            yield "more", bootstrap(lambda a, b: (a - b).mean(axis=1), hits, rng)
+            mine, others = ((one["clearance_m"] <= 0.0).to_numpy()[both].astype(float) for one in (own, base))
+            yield "more", bootstrap(mine - others, lambda rows: rows[..., 0].mean(axis=-1), rng)
     for column in ("search", "score", "request"):
         yield from quantiles(f"{column}_ms", 1e3 * paired.values(variant.name, f"{column}_s"))
     curve = confidence_curve(own)
     if len(curve):
         yield "surer_half_collide", share(curve["collides"][: max(1, len(curve) // 2)])
         error = calibration_error(curve["confidence"].to_numpy(), ~curve["collides"].to_numpy())
-        yield "calibration_error", Estimate(error)
+        yield "calibration_error", point(error, len(curve))
 
 
 def confidence_curve(runs: pd.DataFrame) -> pd.DataFrame:

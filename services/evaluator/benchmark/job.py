@@ -4,15 +4,12 @@ import json
 import math
 import multiprocessing
 import os
-import platform
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
-from datetime import UTC, datetime
 from functools import cache, lru_cache
-from importlib.metadata import version
 from itertools import product
 from pathlib import Path
 from threading import Thread
@@ -90,24 +87,20 @@ class Worker:
         if setting.protocol is Protocol.PLANS:
             sources = partly_seen(setting.world).sources
             source = next((name for name, families in sources.items() if unit.family in families), "")
-        return dict.fromkeys(COLUMNS) | {
+        case = {
             "protocol": setting.protocol.value,
             "source": source,
             "family": unit.family,
             "problem": unit.index,
+        }
+        case |= {
             "pictures": unit.pictures,
             "run": run,
             "seed": setting.planner(variant, unit.index, run).seed,
-            "variant": variant.name,
-            "group": variant.group.value,
-            "planner": variant.planner,
-            "sampler": variant.sampler,
-            "learned_share": variant.share,
-            "samples": variant.samples,
-            "request_s": 0.0,
-            "search_s": 0.0,
-            "score_s": 0.0,
         }
+        of = {"variant": variant.name, "group": variant.group.value, "learned_share": variant.share}
+        of |= {name: getattr(variant, name) for name in ("planner", "sampler", "samples")}
+        return dict.fromkeys(COLUMNS) | case | of | {"request_s": 0.0, "search_s": 0.0, "score_s": 0.0}
 
 
 class _Case:
@@ -346,15 +339,6 @@ class RunStore:
                         remedy="name another folder with --out",
                     )
             new[part] = before | new[part]
-        # Times depend on the machine; each command that runs here adds its own.
-        packages = {name: version(name) for name in ("ompl", "numpy", "numba", "onnxruntime")}
-        session = {
-            "started": datetime.now(UTC).isoformat(timespec="seconds"),
-            "machine": platform.platform(),
-            "cores": os.cpu_count(),
-            "packages": packages,
-        }
-        new["sessions"] = [*old.get("sessions", []), session]
 
     def rows(self) -> list[Row]:
         """All runs in the order in which they came."""
@@ -391,13 +375,13 @@ def processes(count: int) -> Execute:
     def run(work: Sequence[Unit], setting: Setting, specs: Sequence[SourceSpec]) -> Iterator[list[Row]]:
         for name in _ONE_THREAD:
             os.environ.setdefault(name, "1")
-        pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), end_with_parent)
-        try:
-            shared = (setting, tuple(specs))
-            for done in as_completed([pool.submit(run_unit, unit, shared) for unit in work]):
-                yield done.result()
-        finally:
-            pool.shutdown(cancel_futures=True)
+        shared = (setting, tuple(specs))
+        with ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), end_with_parent) as pool:
+            try:
+                for done in as_completed([pool.submit(run_unit, unit, shared) for unit in work]):
+                    yield done.result()
+            finally:
+                pool.shutdown(cancel_futures=True)
 
     return run
 

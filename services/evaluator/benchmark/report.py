@@ -17,7 +17,6 @@ from cspace.simulator import Taken as Unseen
 from cspace.worlds import partly_seen
 from services.evaluator.benchmark.estimates import (
     WITHIN,
-    Estimate,
     Paired,
     against,
     confidence_curve,
@@ -25,6 +24,7 @@ from services.evaluator.benchmark.estimates import (
     safety,
 )
 from services.evaluator.benchmark.variants import NO_PROBLEM, Group, Protocol, Setting, Variant
+from services.evaluator.statistics import Interval
 from services.planner.plotting import INK
 
 HARD = "the hard ones"
@@ -100,78 +100,73 @@ class Results:
         return found
 
     @cached_property
-    def estimates(self) -> dict[str, dict[str, dict[str, Estimate]]]:
-        """Estimates by group, variant and measure."""
-        found: dict[str, dict[str, dict[str, Estimate]]] = {}
-        unsolvable = self.setting.families.unsolvable
-        for number, (group, runs) in enumerate(self.groups.items()):
-            rng = np.random.default_rng([self.setting.seed, number])
-            for kinds in (_FIRST, (Group.PLANS,), (Group.PATHS,)):
-                own = runs[runs["group"].isin(kinds)]
-                if own.empty:
-                    continue
-                paired = Paired(own)
-                present = [one for one in self.variants if one.name in paired]
-                uniform = [one.name for one in present if one.group is Group.UNIFORM]
-                for one in present:
-                    if one.group is Group.PLANS:
-                        measures = dict(safety(paired, one, rng))
-                    else:
-                        measures = dict(exact(paired, one))
-                        if group not in unsolvable:
-                            measures |= dict(against(paired, one, uniform, rng))
-                    found.setdefault(group, {})[one.name] = measures
-        if not found:
-            raise EvaluationError("no problem was run by all variants", expected="one or more", got="none")
-        return found
-
-    @cached_property
     def summary(self) -> pd.DataFrame:
         """The estimates as one long table."""
         rows = [
-            (group, variant, measure, one.value, one.low, one.high)
-            for group, variants in self.estimates.items()
-            for variant, measures in variants.items()
-            for measure, one in measures.items()
+            (group, variant, measure, interval, interval.estimate, interval.low, interval.high)
+            for number, (group, runs) in enumerate(self.groups.items())
+            for variant, measure, interval in self._estimates(group, runs, [self.setting.seed, number])
         ]
-        return pd.DataFrame(rows, columns=["family", "variant", "measure", "value", "low", "high"])
+        if not rows:
+            raise EvaluationError("no problem was run by all variants", expected="one or more", got="none")
+        columns = ["family", "variant", "measure", "interval", "value", "low", "high"]
+        return pd.DataFrame(rows, columns=columns)
+
+    def _estimates(
+        self, group: str, runs: pd.DataFrame, seed: list[int]
+    ) -> Iterator[tuple[str, str, Interval]]:
+        """Variant, measure and estimate of a group of problems."""
+        rng = np.random.default_rng(seed)
+        for kinds in (_FIRST, (Group.PLANS,), (Group.PATHS,)):
+            own = runs[runs["group"].isin(kinds)]
+            if own.empty:
+                continue
+            paired = Paired(own)
+            present = [one for one in self.variants if one.name in paired]
+            uniform = [one.name for one in present if one.group is Group.UNIFORM]
+            for one in present:
+                if one.group is Group.PLANS:
+                    measures = list(safety(paired, one, rng))
+                else:
+                    measures = list(exact(paired, one))
+                    if group not in self.setting.families.unsolvable:
+                        measures += against(paired, one, uniform, rng)
+                yield from ((one.name, *measure) for measure in measures)
 
     def metrics(self) -> dict[str, float]:
         """Finite values for the tracking run, as in ``narrow/RRT_path_70/iterations_ratio_median``."""
         found = self.summary[self.summary["measure"].isin(METRICS) & np.isfinite(self.summary["value"])]
-        return {
-            f"{metric_name(row.family)}/{metric_name(row.variant)}/{row.measure}": float(row.value)
-            for row in found.itertuples()
-        }
+        names = found["family"].map(metric_name) + "/" + found["variant"].map(metric_name)
+        return dict(zip(names + "/" + found["measure"], found["value"], strict=True))
 
     def columns(self) -> dict[str, list[Any]]:
         """The summary for the tracking run: finite numbers, metric names."""
-        found = self.summary[np.isfinite(self.summary["value"])]
-        limits = found[["low", "high"]]
-        limits = limits.astype(object).where(np.isfinite(limits), None)
-        return dict(found.assign(variant=found["variant"].map(metric_name), **limits).to_dict("list"))
+        found = self.summary.drop(columns="interval")
+        found = found[np.isfinite(found["value"])].replace([np.inf, -np.inf], np.nan)
+        found["variant"] = found["variant"].map(metric_name)
+        return {
+            str(name): one.tolist() for name, one in found.astype(object).where(found.notna(), None).items()
+        }
 
     @cached_property
     def tables(self) -> dict[str, pd.DataFrame]:
         """The report's tables by heading."""
-        found = {}
-        for group, variants in self.estimates.items():
+        found, kinds = {}, {one.name: one.group for one in self.variants}
+        for group, own in self.summary.groupby("family", sort=False):
             for heading, (groups, measures) in TABLES.items():
-                own = [one for one in self.variants if one.name in variants and one.group in groups]
-                table = pd.DataFrame({one.name: variants[one.name] for one in own}).T
-                table = table.reindex(columns=[name for name in measures if name in table])
-                if table.size:
-                    found[f"{heading}: {group}"] = table.rename_axis("variant").reset_index()
+                mine = own[own["variant"].map(kinds).isin(groups) & own["measure"].isin(measures)]
+                if len(mine):
+                    texts = mine.assign(text=[f"{one:.4g}" for one in mine["interval"]])
+                    table = texts.pivot(index="variant", columns="measure", values="text")
+                    rows, columns = mine["variant"].unique(), [name for name in measures if name in table]
+                    found[f"{heading}: {group}"] = table.loc[rows, columns].fillna("").reset_index()
         return found
 
     def note(self) -> str:
         """The main tables, for a terminal and the run's page."""
-        main = {
-            name: one
-            for name, one in self.tables.items()
-            if name.startswith(("Break-even", "Work", "Plans without"))
-        }
-        return "\n\n".join(_sections(main)) + "\n"
+        main = ("Break-even", "Work", "Plans without")
+        shown = {name: one for name, one in self.tables.items() if name.startswith(main)}
+        return "\n\n".join(_sections(shown)) + "\n"
 
     def markdown(self, figures: Sequence[str]) -> str:
         """The whole report; figures are paths relative to it."""
@@ -195,8 +190,7 @@ class Results:
 
 def _sections(tables: Mapping[str, pd.DataFrame]) -> Iterator[str]:
     for heading, table in tables.items():
-        shown = table.astype(object).where(table.notna(), "").map(str)
-        yield f"## {heading}\n\n{shown.to_markdown(index=False, disable_numparse=True)}"
+        yield f"## {heading}\n\n{table.to_markdown(index=False, disable_numparse=True)}"
 
 
 # Told apart by most eyes, and in print by their lightness (after Okabe and Ito).

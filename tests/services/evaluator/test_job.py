@@ -10,10 +10,11 @@ from cspace.bundle import Bundle
 from cspace.errors import EvaluationError, ModelNotFoundError
 from cspace.worlds.planar.arm import THREE_LINK
 from services.evaluator import __main__ as command
-from services.evaluator import compare, job
+from services.evaluator import job
 from services.evaluator.evaluation import MAX_HEADLINE, MAX_METRICS, Budget
-from services.evaluator.job import evaluate_version, make_request
+from services.evaluator.job import Request, evaluate_version
 from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, MODEL_NAME
+from services.registry.entities import ModelReference
 from services.registry.promotion import decisions
 from tests.bundles import write_tiny_bundle
 from tests.fakes.registry import FakeRegistry, FakeTracking
@@ -32,7 +33,7 @@ TINY = Budget(
 
 
 def request(model=f"{MODEL_NAME}@{ALIAS_CHALLENGER}", *, promote=True):
-    return replace(make_request(model, promote=promote), budget=TINY)
+    return Request(ModelReference.parse(model), TINY, promote=promote)
 
 
 @pytest.fixture(scope="module")
@@ -165,9 +166,8 @@ def test_a_path_model_is_not_judged_without_problems(stores, tmp_path):
 @pytest.fixture
 def commanded(stores, monkeypatch):
     """The command finds these stores where MLflow would be, and asks for little."""
-    for module in (command, compare):
-        monkeypatch.setattr(module, "connect", lambda uri: stores)
-    monkeypatch.setattr(command, "make_request", lambda model, **given: request(model, promote=False))
+    monkeypatch.setattr(command, "connect", lambda uri: stores)
+    monkeypatch.setattr(command, "make_request", lambda options, _: request(options.model, promote=False))
     return stores
 
 
@@ -188,10 +188,13 @@ def test_the_command_prints_the_tables_a_block_and_a_result_line(commanded, caps
     assert block[-1] == f"  as JSON   {kept}"
 
 
-@pytest.mark.parametrize(
-    ("arguments", "environment"),
-    [(["--model", "nothing"], SERVER), (["--scenarios", "0"], SERVER), (["--seed", "-1"], SERVER), ([], {})],
-)
+@pytest.mark.parametrize("option", ["--scenarios", "--seed"])
+def test_a_number_out_of_range_ends_with_2(option):
+    with pytest.raises(SystemExit, match="2"):
+        command.main([option, "-1"], SERVER)
+
+
+@pytest.mark.parametrize(("arguments", "environment"), [(["--model", "nothing"], SERVER), ([], {})])
 def test_a_wrong_request_ends_with_2(arguments, environment, capsys):
     assert command.main(arguments, environment) == 2
     assert "error: " in capsys.readouterr().err
@@ -202,17 +205,3 @@ def test_an_unknown_model_ends_with_2_and_a_silent_registry_with_1(commanded, ca
     commanded[1].away = True
     assert command.main([], SERVER) == 1
     assert capsys.readouterr().err.count("error: ") == 2
-
-
-def test_a_card_has_lineage_figures_with_intervals_and_decisions(stores, capsys, monkeypatch):
-    monkeypatch.setattr(compare, "connect", lambda uri: stores)
-    assert command.main(["card", f"{MODEL_NAME}/1"], SERVER) == 0
-    assert "Not evaluated yet." in capsys.readouterr().out
-    outcome = evaluated(stores)
-    assert command.main(["card", f"{MODEL_NAME}/1"], SERVER) == 0
-    card = capsys.readouterr().out
-    assert card.startswith(f"# {MODEL_NAME}/1, challenger\n")
-    assert "| robot | two-link, 2 joints, digest " in card
-    precision = outcome.evaluation.estimate("precision", "sampler", "uniform")
-    assert f"{precision.estimate:.4f} [{precision.low:.4f}, {precision.high:.4f}]" in card
-    assert "not promoted" in card.partition("## Decisions")[2]

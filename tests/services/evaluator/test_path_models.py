@@ -16,8 +16,9 @@ from services.evaluator.evaluation import (
     Budget,
     learned_samples,
 )
-from services.evaluator.job import evaluate_version, make_request
+from services.evaluator.job import Request, evaluate_version
 from services.evaluator.scenes import bundle_sampler
+from services.registry.entities import ModelReference
 from services.registry.promotion import decisions
 from tests.fakes.registry import FakeRegistry, FakeTracking
 from tests.fakes.uniform_sampler import UniformSampler
@@ -47,7 +48,7 @@ def evaluated(tmp_path: Path, bundle: Bundle, lines: list[str]):
     registry = FakeRegistry(tmp_path / "registry", tracking.runs)
     run_id = tracking.start(MODEL, "made").run_id
     registry.register(MODEL, bundle.folder, run_id, bundle.digest, {}, alias="challenger")
-    request = replace(make_request(f"{MODEL}@challenger"), budget=FEW)
+    request = Request(ModelReference(MODEL, "challenger"), FEW)
     outcome = evaluate_version(request, tracking, registry, progress=lines.append)
     return outcome, tracking.runs[outcome.run_id], registry
 

@@ -67,18 +67,7 @@ def test_a_problem_without_a_path_returns_1(capsys):
     assert "the iteration limit was reached" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ["--plot", "plan.gif"],
-        ["--api", "nonsense"],
-        ["--range", "0"],
-        ["--max-iterations", "0"],
-        ["--timeout", "0"],
-        ["--planner-seed", str(2**64)],
-    ],
-    ids=" ".join,
-)
+@pytest.mark.parametrize("arguments", [["--plot", "plan.gif"], ["--api", "nonsense"]], ids=" ".join)
 def test_a_wrong_value_returns_2_and_is_named(arguments, capsys):
     assert command.main([*DEAD, *UNIFORM, *arguments]) == 2
     assert capsys.readouterr().err.startswith("error: ")
@@ -87,7 +76,14 @@ def test_a_wrong_value_returns_2_and_is_named(arguments, capsys):
 @pytest.mark.parametrize(
     "arguments",
     [
-        *(["--family", "wide"], ["--planner", "RRTConnect"], ["--uniform-share", "2"], ["--timeout", "inf"]),
+        ["--family", "wide"],
+        ["--planner", "RRTConnect"],
+        ["--uniform-share", "2"],
+        ["--timeout", "inf"],
+        ["--range", "0"],
+        ["--max-iterations", "0"],
+        ["--planner-seed", str(2**64)],
+        ["--constraints", '{"wide": 1}'],
     ],
     ids=" ".join,
 )

@@ -1,6 +1,5 @@
 """What people do with versions by hand, on the registry in memory, and the command where no server is."""
 
-import json
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -21,7 +20,6 @@ from services.registry.promotion import (
     decisions,
     decisions_of,
     delete,
-    export_version,
     import_version,
     promote,
     record_decision,
@@ -126,33 +124,13 @@ def test_what_an_alias_names_is_not_deleted(registry: FakeRegistry) -> None:
     assert version(registry, 3)
 
 
-def test_an_exported_version_is_imported_once_and_answers_the_same(
-    registry: FakeRegistry, tmp_path: Path
-) -> None:
-    promote(registry, version(registry, 2), "better")
-    folder = export_version(registry, version(registry, 2), tmp_path / "out")
+def test_an_exported_bundle_is_imported_once(registry: FakeRegistry, tmp_path: Path) -> None:
+    folder = registry.download(version(registry, 2), tmp_path / "out")
     elsewhere, tracking = FakeRegistry(tmp_path / "elsewhere"), FakeTracking()
     for _ in range(2):
         came = import_version(elsewhere, tracking, folder, "mine")
     assert elsewhere.versions("mine") == (came,)
     assert (came.digest, came.aliases) == (version(registry, 2).digest, (ALIAS_CHALLENGER,))
-    assert came.tags["preset"] == "p2"
-    assert decisions_of(came) == ()
-    with pytest.raises(ConfigError, match="exists"):
-        export_version(registry, version(registry, 2), folder)
-
-
-def test_a_bundle_alone_is_imported_and_a_foreign_record_refused(tmp_path: Path) -> None:
-    bundle = write_tiny_bundle(tmp_path / "bundle")
-    registry, tracking = FakeRegistry(tmp_path / "registry"), FakeTracking()
-    assert import_version(registry, tracking, bundle, "mine").number == 1
-    folder = tmp_path / "exported"
-    folder.mkdir()
-    bundle.rename(folder / "bundle")
-    for text in (json.dumps({"tags": ["a"]}), "[" * 100_000, " " * (2**20 + 1)):
-        (folder / "version.json").write_text(text)
-        with pytest.raises(ConfigError, match=r"version\.json"):
-            import_version(registry, tracking, folder, "mine")
 
 
 OWN, OTHER = PlanarArm((1.0, 1.0)), PlanarArm((1.0, 1.1))

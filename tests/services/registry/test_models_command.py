@@ -56,7 +56,7 @@ def test_a_model_lives_through_all_commands(uri: str, tmp_path: Path) -> None:
     assert "private key" in models(uri, "sign", f"{NAME}/1", "--key", str(public), code=2)
     models(uri, "export", f"{NAME}/1", str(tmp_path / "out"))
     picture = np.full((48, 48, 3), 255, dtype=np.uint8)
-    exported = LocalSampler(tmp_path / "out" / "bundle").sample(picture, 30, seed=7)
+    exported = LocalSampler(tmp_path / "out").sample(picture, 30, seed=7)
     assert (exported.digest, exported.samples.shape) == (Bundle.load(tmp_path / "bundle-1").digest, (30, 2))
     assert "elsewhere/1 is" in models(uri, "import", str(tmp_path / "out"), "elsewhere")
     # A signature is of one name and version.

@@ -1,7 +1,6 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
 
 import pytest
 
@@ -24,7 +23,7 @@ DECISION = Decision(
     version=1,
     promoted=True,
     reasons=("coverage 0.877 is at or above the floor of 0.800", "there is no earlier champion"),
-    metrics=MappingProxyType({"precision": 0.845}),
+    metrics={"precision": 0.845},
     against=None,
     created_ms=1,
 )
@@ -41,9 +40,10 @@ def registry(tmp_path: Path) -> FakeRegistry:
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"name": "x"}', "[" * 100_000])
-def test_an_entry_that_somebody_else_wrote_is_named(text: str) -> None:
-    with pytest.raises(RegistryError, match="decision log"):
-        Decision.from_json(text)
+def test_an_entry_that_somebody_else_wrote_is_named(registry: FakeRegistry, text: str) -> None:
+    registry.set_tags(NAME, 1, {"decision.0000000000001.beef": text})
+    with pytest.raises(RegistryError, match=f"decision log of {NAME}/1"):
+        decisions(registry, NAME)
 
 
 def test_a_promotion_moves_the_champion_and_a_refusal_leaves_it(registry: FakeRegistry) -> None:
