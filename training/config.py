@@ -337,11 +337,8 @@ def _world(data: DatasetConfig, folder: Path | None) -> World:
         return default_world()
 
 
-PathModel = Literal["wgan", "wgan_guided"]
-
-
 class PathTrainConfig(JobConfig):
-    """Everything that fixes a job that trains path models."""
+    """Everything that fixes a job that trains a path model."""
 
     SCRIPT = "path_train.py"
     PRESETS = TrainConfig.PRESETS / "paths"
@@ -353,12 +350,7 @@ class PathTrainConfig(JobConfig):
     )
     data: PathDatasetConfig = PathDatasetConfig()
     points: int = Field(64, ge=2, description="of each path")
-    models: tuple[PathModel, ...] = ("wgan",)
-    guides: AbsolutePath | None = Field(
-        None, description="absolute: folder of a cluster-train job whose local critics guide"
-    )
     wgan: PathGanConfig = PathGanConfig()
-    wgan_guided: PathGanConfig = PathGanConfig(guide_weight=0.1)
     resources: ResourceConfig = ResourceConfig(log_every_steps=50, checkpoint_every_steps=500)
 
     @field_validator("source")
@@ -371,15 +363,3 @@ class PathTrainConfig(JobConfig):
                 "an absolute path of a bundle's folder, name@alias or name/version",
             )
         return source
-
-    @model_validator(mode="after")
-    def _models_have_what_they_need(self) -> "PathTrainConfig":
-        if not self.models or len(set(self.models)) != len(self.models):
-            raise ValueError("models names one or more, each once")
-        if "wgan_guided" in self.models and self.guides is None:
-            raise ValueError("wgan_guided needs guides: the folder of a job with local critics")
-        return self
-
-    def points_of(self, name: PathModel) -> PathGanConfig:
-        """Settings of a model."""
-        return self.wgan if name == "wgan" else self.wgan_guided

@@ -24,7 +24,6 @@ _LABELS = {
     "validity_accuracy": "accuracy in the batch",
     "kl": "KL divergence [nat]",
     "gate_divergence": "divergence from the true shares [nat]",
-    "flow_loss": "squared error of the velocity [rad^2]",
 }
 
 
@@ -39,10 +38,8 @@ def own_curves(trial: str, history: History) -> Figure:
 
 
 def path_curves(histories: Mapping[str, History]) -> Figure:
-    """What each path model minimises over its steps; WGAN-GPs by their Wasserstein estimate."""
-    names = ("flow_loss", "wasserstein_estimate")
-    shown = [name for name in names if any(name in history[0] for history in histories.values())]
-    return _curves(histories, shown, "step")
+    """The Wasserstein estimate of the path model over its steps."""
+    return _curves(histories, ["wasserstein_estimate"], "step")
 
 
 def _curves(histories: Mapping[str, History], names: Sequence[str], x_label: str) -> Figure:

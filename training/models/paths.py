@@ -15,9 +15,8 @@ from cspace.space import JointSpace
 from training.models import losses
 from training.models.data import Held
 from training.models.joints import Joints
-from training.models.lookups import PictureReader, read
 from training.models.modules import AdversarialModule
-from training.models.networks import Critic, Sizes, mlp
+from training.models.networks import Sizes, mlp
 from training.models.settings import PathGanConfig
 
 
@@ -144,22 +143,12 @@ class PathGanModule(AdversarialModule):
     samples: PathSamples
     config: PathGanConfig
 
-    def __init__(
-        self,
-        config: PathGanConfig,
-        samples: PathSamples,
-        seed: int,
-        space: JointSpace,
-        guides: list[Critic] | None = None,
-        guide_reader: PictureReader | None = None,
-    ) -> None:
+    def __init__(self, config: PathGanConfig, samples: PathSamples, seed: int, space: JointSpace) -> None:
         super().__init__(seed)
         self.config, self.samples, self.joints = config, samples, Joints(space)
         sizes = point_sizes(config, space, samples.mu.shape[1])
         self.net = PathGenerator(sizes, config.noise_dim)
         self.critic = PathCritic(replace(sizes, hidden=config.critic_hidden, layers=config.critic_layers))
-        self.guides = nn.ModuleList(guides or []).requires_grad_(requires_grad=False)
-        self.guide_reader = guide_reader
         self.set_optimisers(self.critic, self.net.parameters(), config.learning_rate)
 
     def _generate(self, batch: PathBatch) -> Tensor:
@@ -190,12 +179,8 @@ class PathGanModule(AdversarialModule):
         return wasserstein + self.config.penalty_weight * penalty
 
     def generator_step_loss(self, batch: PathBatch) -> Tensor:
-        """-f(fake), with the guides' mean where they have a weight (line 11; eq. multiDirector)."""
-        fake = self._generate(batch)
-        values = self.critic(fake, self._known(batch))
-        guides = list(self.guides) if self.config.guide_weight > 0.0 else []
-        guided = [guide(fake, batch.mu, read(self.guide_reader, batch.ids, fake)) for guide in guides]
-        loss = losses.guided_generator_loss(values, guided, self.config.guide_weight)
+        """-f(fake) (line 11)."""
+        loss = losses.generator_loss(self.critic(self._generate(batch), self._known(batch)))
         self.latest["generator_loss"] = loss.detach()
         return loss
 

@@ -158,7 +158,6 @@ class PathGanConfig(Section):
     critic_steps: int = Field(4, ge=1)
     critic_learning_rate: float = Field(2e-3, gt=0)
     betas: tuple[float, float] = (0.0, 0.9)
-    guide_weight: float = Field(0.0, ge=0, description="of the configuration space's local critics")
     batch_size: int = Field(512, ge=2)
     steps: int = Field(1500, ge=1)
     learning_rate: float = Field(1e-3, gt=0)

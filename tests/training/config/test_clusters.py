@@ -186,7 +186,6 @@ def test_a_name_of_another_robot_is_refused(overrides):
         (COMMAND, "data_folder", "./mine"),
         (COMMAND, "vae.checkpoint", "~/mine"),
         (path_train.COMMAND, "data_folder", "mine"),
-        (path_train.COMMAND, "guides", "jobs/1"),
         (path_train.COMMAND, "source", "build/bundle"),
     ],
 )
