@@ -39,6 +39,7 @@ from services import progress
 from services.commands import report_error
 from services.names import SCENE_MODEL_FILE
 from services.registry import connect, tracking_uri
+from training.config import GridConfig, ValidityConfig
 from training.jobs.scene_models import fetch, register
 from training.models.checkpoint import (
     Progress,
@@ -50,7 +51,6 @@ from training.models.checkpoint import (
 )
 from training.models.grid_head import GridHead, counts_of
 from training.models.grid_training import ArmSamples, GridHeadModule, GridSamples
-from training.models.settings import GridConfig, ValidityConfig
 from training.random_arms import random_arm
 
 _LOG = logging.getLogger("training")

@@ -14,6 +14,7 @@ PANELS = {
     "gate": ("gate_divergence",),
 }
 _WGAN_PANELS = ("wasserstein_estimate", "gradient_penalty", "generator_loss")
+_NO_LOSSES = ("step", "time_ms", "steps_per_s")
 _LOGARITHMIC = ("reconstruction_loss", "validity_loss", "gate_divergence")
 _LABELS = {
     "wasserstein_estimate": "Wasserstein estimate",
@@ -28,8 +29,10 @@ _LABELS = {
 
 
 def wgan_curves(histories: Mapping[str, History]) -> Figure:
-    """The WGAN-GP trials' losses over their generator steps, one line a trial."""
-    return _curves(histories, _WGAN_PANELS, "generator step")
+    """The losses of the trials of a model family over their steps, one line a trial."""
+    rows = [history[0] for history in histories.values()]
+    known = [name for name in _WGAN_PANELS if any(name in row for row in rows)]
+    return _curves(histories, known or [name for name in rows[0] if name not in _NO_LOSSES], "generator step")
 
 
 def own_curves(trial: str, history: History) -> Figure:
@@ -53,7 +56,7 @@ def _curves(histories: Mapping[str, History], names: Sequence[str], x_label: str
                 [row["step"] for row in history], [row[name] for row in history], label=trial, linewidth=1.2
             )
         axes.set_xlabel(x_label)
-        axes.set_title(_LABELS[name], fontsize=10)
+        axes.set_title(_LABELS.get(name, name), fontsize=10)
         axes.grid(visible=True, alpha=0.3)
         if name in _LOGARITHMIC:
             axes.set_yscale("log")

@@ -158,7 +158,7 @@ class Job(Generic[Config]):
                 remedy="take the id of the line `run: ...` at the start of the job's log",
             ) from error
         try:
-            config = kind.model_validate(record["config"])
+            config = kind.from_dict(record["config"])
         except ValidationError as error:
             raise refused(error, ConfigError, f"the job is no {kind.__name__}") from error
         tracking = Tracking(environment.tracking_uri, wait_s=environment.patience_s)

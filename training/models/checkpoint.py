@@ -16,9 +16,9 @@ from cspace.errors import ConfigError
 from cspace.files import discard, replacing
 from cspace.simulator import derived_seed
 from cspace.world import World
+from training.config import GridConfig
 from training.models.grid_head import SceneModel
 from training.models.modules import TrialModule
-from training.models.settings import GridConfig
 
 Network = TypeVar("Network", bound=nn.Module)
 

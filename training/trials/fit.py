@@ -16,12 +16,11 @@ from cspace.files import write_json
 from services.progress import Estimate
 from services.registry.errors import set_timeouts
 from services.registry.tracking import RunLog, Tracking
-from training.config import ResourceConfig
+from training.config import ResourceConfig, TrialSettings
 from training.jobs.job import MISSED
 from training.models.checkpoint import Progress, load_checkpoint, read_progress, start_from
 from training.models.data import StepCounter
 from training.models.modules import Metrics, TrialModule
-from training.models.settings import TrialSettings
 from training.trials.launch import TrialFolder, TrialRequest
 
 # Readers of a log want a line now and then, however fast the steps are.

@@ -13,7 +13,7 @@ from cspace.dataset import Dataset
 from cspace.errors import ConfigError
 from cspace.world import World
 from services.progress import Progress
-from training.config import PathTrainConfig
+from training.config import PathGanConfig, PathTrainConfig
 from training.models.checkpoint import seeded_initialisation, trained
 from training.models.modules import Metrics
 from training.models.paths import (
@@ -23,7 +23,6 @@ from training.models.paths import (
     equal_paths,
     point_sizes,
 )
-from training.models.settings import PathGanConfig
 from training.trials.fit import fit_tracked
 from training.trials.launch import TrialRequest
 

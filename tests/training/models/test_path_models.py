@@ -7,9 +7,9 @@ import torch
 
 from cspace.worlds.planar.arm import TWO_LINK
 from tests.training.models.path_builders import LATENT, arrays
+from training.config import PathGanConfig
 from training.models.checkpoint import seeded_initialisation
 from training.models.paths import Condition, PathGanModule
-from training.models.settings import PathGanConfig
 from training.paths.bundling import point_graph
 
 SMALL = PathGanConfig(hidden=32, layers=2, critic_hidden=32, critic_layers=2, steps=40, batch_size=64)
@@ -31,7 +31,7 @@ def trained():
 
 def test_the_critics_steps_change_the_generator_and_tell_their_losses():
     module, first = trained()
-    assert set(first) == {"wasserstein_estimate", "gradient_penalty", "generator_loss"}
+    assert set(first) == {"critic_loss", "wasserstein_estimate", "gradient_penalty", "generator_loss"}
     assert all(np.isfinite(list(module.metrics().values())))
     fresh = path_module(count=1, scenarios=1)
     before, after = fresh.net.state_dict(), module.net.state_dict()

@@ -10,9 +10,8 @@ from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from training.clusters.bundling import head_graphs
-from training.config import HeadConfig
+from training.config import GridConfig, HeadConfig, ValidityConfig
 from training.models.checkpoint import Progress, load_scene_model, save_checkpoint
-from training.models.settings import GridConfig, ValidityConfig
 from training.trials.arrays import has_occupancy, head_module, occupancy_samples
 
 HEAD = ValidityConfig(free_share=0.5)
