@@ -29,7 +29,6 @@ from training.data.generate import generate
 from training.jobs.figures import PANELS, own_curves, wgan_curves
 from training.jobs.job import TAG_START, Job, kept_bundle, log_configuration, registered_name, world_tag
 from training.models.autoencoders import shown
-from training.models.checkpoint import read_progress
 from training.models.mixture import gate_probabilities
 from training.trials.arrays import TrainingArrays, has_occupancy, load_encoder
 from training.trials.launch import TrialOutcome, TrialRequest, run_trials
@@ -61,7 +60,7 @@ def log_result(
     run: RunLog, bundle: Bundle, dataset: Dataset, outcomes: Sequence[TrialOutcome]
 ) -> tuple[str, ...]:
     """Curves of all trials, samples against truth for seen and unseen scenarios; returns their names."""
-    histories = {outcome.name: read_progress(outcome.checkpoint).history for outcome in outcomes}
+    histories = {outcome.name: outcome.history for outcome in outcomes}
     own = {name: own_curves(name, histories.pop(name)) for name in PANELS if name in histories}
     figures = {
         **{f"{name}-losses": figure for name, figure in own.items()},
@@ -73,7 +72,7 @@ def log_result(
     final = outcomes[-1]
     last = {f"last/{name}": value for name, value in final.metrics.items() if name != "steps_per_s"}
     # The same moment for a job that goes on, so that it is one point.
-    run.metrics(last, 0, round(1e3 * final.ended_s))
+    run.metrics(last, 0, round(1e3 * final.times_s[1]))
     # The registry copies what the server holds by the time of registration.
     run.flush()
     return tuple(figures)
@@ -164,7 +163,6 @@ def train_on_pictures(
         "train": config,
         "images": images,
         "data_folder": dataset.folder.absolute(),
-        "tracking_uri": job.environment.tracking_uri,
     }
     done = run_trials(picture_trial, trials, shared, config.resources)
     outcomes = {outcome.name: outcome for outcome in done}
@@ -262,7 +260,7 @@ def train_global(
     resources = job.config.resources
     if job.config.joint:
         return run_trials(joint_trial, trials, shared | {"images": np.asarray(dataset.images)}, resources)
-    local_checkpoints = [str(outcome.checkpoint) for outcome in local]
+    local_checkpoints = [outcome.checkpoint for outcome in local]
     return run_trials(global_trial, trials, shared | {"local_checkpoints": local_checkpoints}, resources)
 
 
@@ -271,7 +269,7 @@ def encoder_checkpoint(job: Job[TrainConfig], vae: TrialOutcome | None) -> Path:
     given = job.config.vae.checkpoint
     if vae is not None:
         return vae.checkpoint
-    if given is None or not given.is_dir():
+    if given is None or not given.is_file():
         raise ConfigError("there is no encoder", expected="a VAE trial's checkpoint", got=str(given))
     return given
 
@@ -296,7 +294,7 @@ def require_encoder(job: Job[TrainConfig], dataset: Dataset) -> None:
 
 def _shared(job: Job[TrainConfig], arrays: TrainingArrays) -> dict[str, Any]:
     """What every trial on configurations gets."""
-    return {"train": job.config, "arrays": arrays, "tracking_uri": job.environment.tracking_uri}
+    return {"train": job.config, "arrays": arrays}
 
 
 BUNDLE_FOLDER = "bundle"
@@ -364,7 +362,7 @@ def run_job(job: Job[TrainConfig]) -> TrainResult:
         digest=bundle.digest,
         data_digest=dataset.digest,
         metrics=outcomes[-1].metrics,
-        trials={outcome.name: (outcome.started_s, outcome.ended_s) for outcome in outcomes},
+        trials={outcome.name: outcome.times_s for outcome in outcomes},
         figures=figures,
     )
 

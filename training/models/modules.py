@@ -36,22 +36,33 @@ class TrialModule(lightning.LightningModule):
         self.training_optimisers: list[Optimizer] = []
         self.training_schedules: list[LambdaLR | OneCycleLR] = []
         self._rng: torch.Generator | None = None
+        self._rng_state: Tensor | None = None
 
     @property
     def rng(self) -> torch.Generator:
         """The generator of every random draw in training, on the module's device."""
         if self._rng is None or self._rng.device != self.device:
             self._rng = torch.Generator(device=self.device).manual_seed(self.seed)
+            if self._rng_state is not None:
+                self._rng.set_state(self._rng_state)
         return self._rng
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Keep the state of the random stream."""
+        checkpoint["rng"] = self.rng.get_state()
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Take the random stream up when the module is on its device."""
+        self._rng, self._rng_state = None, checkpoint["rng"].cpu()
 
     def on_fit_start(self) -> None:
         """Keep the data where the model is."""
         if self.samples is not None:
             self.samples = self.samples.to(self.device)
 
-    def configure_optimizers(self) -> list[Optimizer]:
-        """The optimisers made at construction, so that a checkpoint can fill them before training starts."""
-        return self.training_optimisers
+    def configure_optimizers(self) -> tuple[list[Optimizer], list[LambdaLR | OneCycleLR]]:
+        """The optimisers and schedules made at construction."""
+        return self.training_optimisers, self.training_schedules
 
     def metrics(self) -> Metrics:
         """Means of the last step's losses as plain numbers."""
@@ -71,13 +82,17 @@ class TrialModule(lightning.LightningModule):
         self.training_optimisers = [optimiser]
         self.training_schedules = [OneCycleLR(optimiser, learning_rate, total_steps=steps + 1, pct_start=0.1)]
 
+    def step_optimiser(self, index: int) -> None:
+        """Step an optimiser as Lightning's, which counts it as the trainer's global step."""
+        optimisers = self.optimizers()
+        (optimisers if isinstance(optimisers, list) else [optimisers])[index].step()
+
     def descend(self, loss: Tensor, clip: float | None = None) -> None:
         """One step of the only optimiser and its schedule, the gradient's norm clipped where asked."""
-        (optimiser,) = self.training_optimisers
-        _differentiate(loss, optimiser)
+        _differentiate(loss, self.training_optimisers[0])
         if clip is not None:
             nn.utils.clip_grad_norm_(self.parameters(), clip)
-        optimiser.step()
+        self.step_optimiser(0)
         self.training_schedules[0].step()
 
 
@@ -101,7 +116,7 @@ class VaeModule(TrialModule):
 
     def training_step(self, step: int, batch_index: int) -> None:
         """One step of the evidence lower bound, its KL term warmed up and its gradient clipped."""
-        del batch_index
+        del step, batch_index
         rows = torch.randint(
             len(self.images), (self.config.batch_size,), generator=self.rng, device=self.device
         )
@@ -111,7 +126,7 @@ class VaeModule(TrialModule):
         latent = mu + (log_variance / 2.0).exp() * self.normal(*mu.shape)
         reconstruction = losses.reconstruction_loss(pictures, self.decoder(latent)).mean()
         kl = losses.kl_divergence(mu, log_variance).mean()
-        warmup = min(1.0, (step + 1) / max(1.0, self.config.kl_warmup * self.config.steps))
+        warmup = min(1.0, (self.global_step + 1) / max(1.0, self.config.kl_warmup * self.config.steps))
         loss = reconstruction + self.config.kl_weight * warmup * kl
         self.descend(loss, self.config.gradient_clip)
         self.latest = {
@@ -158,7 +173,7 @@ class AdversarialModule(TrialModule, ABC):
             _differentiate(self.critic_step_loss(self._batch()), critic)
             critic.step()
         _differentiate(self.generator_step_loss(self._batch()), generator)
-        generator.step()
+        self.step_optimiser(1)
         for schedule in self.training_schedules:
             schedule.step()
 

@@ -18,7 +18,6 @@ from training.config import PathTrainConfig
 from training.data.generate import generate
 from training.jobs.figures import path_curves
 from training.jobs.job import TAG_START, Job, kept_bundle, log_configuration, registered_name, world_tag
-from training.models.checkpoint import read_progress
 from training.paths.bundling import trained_bundle
 from training.paths.writing import made_or_found, require_source, source_bundle
 from training.trials.launch import TrialOutcome, TrialRequest, run_trials
@@ -71,7 +70,7 @@ def run_job(job: Job[PathTrainConfig]) -> PathTrainResult:
         job.add_tags(world_tag(source.spec.world, named))
         arrays = path_arrays(source, dataset, config.points)
         outcomes = _train(job, dataset, arrays, guides)
-        histories = {outcome.name: read_progress(outcome.checkpoint).history for outcome in outcomes}
+        histories = {outcome.name: outcome.history for outcome in outcomes}
         run.figure(path_curves(histories), "path-losses")
         run.flush()
         bundles = _bundles(job, source, dataset, arrays, outcomes)
@@ -85,7 +84,7 @@ def run_job(job: Job[PathTrainConfig]) -> PathTrainResult:
             versions=versions,
             digests={name: bundle.digest for name, bundle in bundles.items()},
             data_digest=dataset.digest,
-            seconds={outcome.name: outcome.ended_s - outcome.started_s for outcome in outcomes},
+            seconds={outcome.name: outcome.seconds for outcome in outcomes},
         )
 
 
@@ -106,7 +105,6 @@ def _train(
         "arrays": arrays,
         "guides": guides,
         "images": None if guides is None else np.asarray(dataset.images),
-        "tracking_uri": job.environment.tracking_uri,
     }
     return run_trials(path_trial, trials, shared, config.resources)
 

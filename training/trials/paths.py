@@ -19,7 +19,6 @@ from training.config import PathModel, PathTrainConfig, TrainConfig
 from training.jobs.environment import RECORD as JOB_RECORD
 from training.models.checkpoint import seeded_initialisation, trained
 from training.models.lookups import Scenes, make_reader
-from training.models.modules import Metrics
 from training.models.networks import Critic
 from training.models.paths import (
     PathGanModule,
@@ -30,7 +29,7 @@ from training.models.paths import (
 )
 from training.models.settings import LookupConfig
 from training.trials.fit import fit_tracked
-from training.trials.launch import TrialFolder, TrialRequest
+from training.trials.launch import FINAL, TrialRequest
 from training.trials.trainables import load_critic
 
 _LOG = logging.getLogger("training")
@@ -107,8 +106,7 @@ def find_guides(folder: Path, digest: str) -> Guides:
         raise ConfigError(
             "guides is no job's folder", expected=f"a folder with {JOB_RECORD}", got=str(error)
         ) from error
-    latest = (TrialFolder(trial).latest() for trial in sorted(folder.glob("local/*")))
-    checkpoints = tuple(checkpoint for checkpoint in latest if checkpoint is not None)
+    checkpoints = tuple(sorted(folder.glob(f"local/*/{FINAL}")))
     if not checkpoints or train.local.critic_condition != "latent":
         raise ConfigError(
             "the job has no local critics that can guide",
@@ -131,13 +129,12 @@ def path_trial(
     arrays: PathArrays,
     guides: Guides | None,
     images: NDArray[np.uint8] | None,
-    tracking_uri: str,
-) -> Metrics | None:
+) -> None:
     """Train the path model that the trial is named after."""
     name = cast("PathModel", trial.name)
     with seeded_initialisation(trial.seed):
         module = make_path_module(name, train, arrays, trial.seed, guides, images)
-    return fit_tracked(trial, module, train.points_of(name), train.resources, tracking_uri)
+    fit_tracked(trial, module, train.points_of(name), train.resources)
 
 
 def make_path_module(

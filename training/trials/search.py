@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import lightning
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -20,12 +21,15 @@ from cspace.simulator import Split, derived_seed
 from cspace.world import World
 from services.evaluator.scenes import Scene, Stage
 from services.names import EXPERIMENT, TAG_STAGE
-from services.registry.tracking import Tracking
+from services.registry.tracking import RunLog, Tracking
 from training.config import ResourceConfig, TrainConfig
 from training.models.cells import UniformBase
-from training.models.mixture import GatedSampler, LookupSampler
+from training.models.mixture import Gate, GatedSampler, LookupSampler
+from training.models.modules import WganGpModule
 from training.models.networks import TorusGenerator
+from training.models.settings import GanConfig
 from training.trials.arrays import TrainingArrays, load_encoder
+from training.trials.fit import fit_module
 from training.trials.trainables import gated_sampler, load_gate, make_wgan
 
 SAMPLES = 1000
@@ -115,16 +119,38 @@ def search_trial(
     )
     with run:
         run.params({key: str(value) for key, value in settings.items()})
-        every = -(-gan.steps // looks)
-        for step in range(1, gan.steps + 1):
-            module.training_step(step, step)
-            if step % every == 0 or step == gan.steps:
-                sampler = gated_sampler(gate, arrays, [module.generator], gan.generator_lookups)
-                found = validation.measure(sampler)
-                run.metrics(module.metrics() | found, step)
-                # Tune ends a trial that falls behind inside of report, so the run must be whole by then.
-                run.flush()
-                tune.report(found | {"step": step})
+        look = _Look(gan, arrays, gate, validation, run, -(-gan.steps // looks))
+        fit_module(module, gan.steps, callbacks=[look])
+
+
+class _Look(lightning.Callback):
+    """Reports the quality now and then."""
+
+    def __init__(
+        self,
+        gan: GanConfig,
+        arrays: TrainingArrays,
+        gate: Gate,
+        validation: Validation,
+        run: RunLog,
+        every: int,
+    ) -> None:
+        self.gan, self.arrays, self.gate = gan, arrays, gate
+        self.validation, self.run, self.every = validation, run, every
+
+    def on_train_batch_end(
+        self, trainer: lightning.Trainer, pl_module: lightning.LightningModule, *others: Any
+    ) -> None:
+        """Measure and report every so many steps, and at the end."""
+        del others
+        step, gan = trainer.global_step, self.gan
+        if isinstance(pl_module, WganGpModule) and (step % self.every == 0 or step == gan.steps):
+            sampler = gated_sampler(self.gate, self.arrays, [pl_module.generator], gan.generator_lookups)
+            found = self.validation.measure(sampler)
+            self.run.metrics(pl_module.metrics() | found, step)
+            # Tune ends a trial that falls behind inside of report, so the run must be whole by then.
+            self.run.flush()
+            tune.report(found | {"step": step})
 
 
 REDUCTION = 3

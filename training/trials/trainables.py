@@ -15,7 +15,7 @@ from training.models.checkpoint import seeded_initialisation, trained
 from training.models.joint import JointModule
 from training.models.lookups import make_lookups, values_read
 from training.models.mixture import Experts, Gate, GatedSampler, GateModule
-from training.models.modules import Metrics, TrialModule, VaeModule, WganGpModule, make_critic, make_generator
+from training.models.modules import TrialModule, VaeModule, WganGpModule, make_critic, make_generator
 from training.models.networks import Critic, MeansGenerator, TorusGenerator
 from training.models.settings import GanConfig, LookupConfig, TrialSettings
 from training.trials.arrays import TrainingArrays, head_module
@@ -105,8 +105,7 @@ def picture_trial(
     train: TrainConfig,
     images: NDArray[np.uint8],
     data_folder: Path,
-    tracking_uri: str,
-) -> Metrics | None:
+) -> None:
     """Train what learns from pictures, channels first, and needs no latents: the VAE, or the head."""
     pictures = torch.tensor(images)
     module: TrialModule
@@ -117,44 +116,38 @@ def picture_trial(
             settings = train.validity
         else:
             module, settings = VaeModule(train.vae, pictures, trial.seed), train.vae
-    return fit_tracked(trial, module, settings, train.resources, tracking_uri, pictures=len(images))
+    fit_tracked(trial, module, settings, train.resources, pictures=len(images))
 
 
-def gate_trial(
-    trial: TrialRequest, train: TrainConfig, arrays: TrainingArrays, tracking_uri: str
-) -> Metrics | None:
+def gate_trial(trial: TrialRequest, train: TrainConfig, arrays: TrainingArrays) -> None:
     """Train the gate on the cells' shares of every scenario's free configurations."""
     mu, sigma = torch.tensor(arrays.mu), torch.tensor(arrays.sigma)
     with seeded_initialisation(trial.seed):
         module = GateModule(train.gate, mu, sigma, arrays.shares(), trial.seed)
-    return fit_tracked(trial, module, train.gate, train.resources, tracking_uri)
+    fit_tracked(trial, module, train.gate, train.resources)
 
 
-def local_trial(
-    trial: TrialRequest, train: TrainConfig, arrays: TrainingArrays, tracking_uri: str
-) -> Metrics | None:
+def local_trial(trial: TrialRequest, train: TrainConfig, arrays: TrainingArrays) -> None:
     """Train one cluster's WGAN-GP (Algorithm 1)."""
     module = make_wgan(train.local, arrays, trial.cluster, trial.seed)
     part = arrays.part(trial.cluster)
-    return fit_tracked(trial, module, train.local, train.resources, tracking_uri, **part)
+    fit_tracked(trial, module, train.local, train.resources, **part)
 
 
 def global_trial(
     trial: TrialRequest,
     train: TrainConfig,
     arrays: TrainingArrays,
-    local_checkpoints: list[str],
-    tracking_uri: str,
-) -> Metrics | None:
+    local_checkpoints: list[Path],
+) -> None:
     """Train the global WGAN-GP on all data, guided by the frozen local critics (eq. multiDirector)."""
     scenarios, latent_dim = arrays.mu.shape
     critics = [
-        load_critic(train.local, arrays.world, latent_dim, scenarios, Path(folder))
-        for folder in local_checkpoints
+        load_critic(train.local, arrays.world, latent_dim, scenarios, path) for path in local_checkpoints
     ]
     weight = train.global_.local_critic_weight
     module = make_wgan(train.global_, arrays, None, trial.seed, critics, weight)
-    return fit_tracked(trial, module, train.global_, train.resources, tracking_uri)
+    fit_tracked(trial, module, train.global_, train.resources)
 
 
 def joint_trial(
@@ -162,8 +155,7 @@ def joint_trial(
     train: TrainConfig,
     arrays: TrainingArrays,
     images: NDArray[np.uint8],
-    tracking_uri: str,
-) -> Metrics | None:
+) -> None:
     """Train one WGAN-GP on all data together with the encoder of (S, P, P, 3) pictures."""
     with seeded_initialisation(trial.seed):
         module = JointModule(
@@ -175,4 +167,4 @@ def joint_trial(
             trial.seed,
             arrays.world.space,
         )
-    return fit_tracked(trial, module, train.global_, train.resources, tracking_uri)
+    fit_tracked(trial, module, train.global_, train.resources)

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from cspace.worlds.planar.arm import TWO_LINK
+from tests.training.models.builders import run
 from tests.training.models.path_builders import LATENT, arrays
 from training.config import PathTrainConfig
 from training.models.paths import Condition, PathGanModule
@@ -20,11 +21,8 @@ SMALL = PathTrainConfig(
 
 def trained(name):
     module = make_path_module(name, SMALL, arrays(count=1, scenarios=1), 0)
-    first: dict[str, float] = {}
-    for step in range(SMALL.wgan.steps):
-        module.training_step(step, 0)
-        first = first or module.metrics()
-    return module.eval(), first
+    first = run(module, 1).metrics()
+    return run(module, SMALL.wgan.steps - 1).eval(), first
 
 
 def test_the_critics_steps_change_the_generator_and_tell_their_losses():
@@ -49,8 +47,7 @@ def test_a_guide_pulls_the_generator_its_way():
     for name, guides in (("alone", []), ("guided", [Guide()])):
         torch.manual_seed(0)  # noqa: TID251 - two modules that start alike
         module = PathGanModule(config, given.samples(), 0, TWO_LINK.space, guides)
-        for step in range(60):
-            module.training_step(step, 0)
+        run(module, 60)
         batch = module.samples.draw(200, module.rng)
         with torch.no_grad():
             condition = Condition(batch.mu, batch.start, batch.goal)

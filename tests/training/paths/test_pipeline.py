@@ -102,7 +102,8 @@ def test_guides_of_another_encoder_and_folders_without_a_job_are_refused(tmp_pat
     (tmp_path / "job.json").write_text(json.dumps(record), encoding="utf-8")
     with pytest.raises(ConfigError, match="no local critics"):
         find_guides(tmp_path, "0" * 64)
-    (tmp_path / "local" / "local-0" / "step-000000001").mkdir(parents=True)
+    (tmp_path / "local" / "local-0").mkdir(parents=True)
+    (tmp_path / "local" / "local-0" / "final.ckpt").touch()
     write_tiny_bundle(tmp_path / "bundle")
     with pytest.raises(ConfigError, match="other latents"):
         find_guides(tmp_path, "0" * 64)
