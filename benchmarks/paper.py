@@ -112,8 +112,8 @@ def _finished(log: Path) -> bool:
 
 
 def encoder_of(folder: Path) -> Path:
-    """The last checkpoint of a job's auto-encoder."""
-    return max(folder.glob("*/vae/step-*"))
+    """The checkpoint of a job's auto-encoder."""
+    return folder / "pictures" / "vae" / "final.ckpt"
 
 
 def measure(label: str, split: Split, seed: int, bundle: Bundle, scenarios: int) -> list[dict[str, str]]:

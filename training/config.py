@@ -133,7 +133,7 @@ class VaeConfig(TrialSettings):
     """The picture's variational auto-encoder: trained, or taken from an earlier job."""
 
     checkpoint: AbsolutePath | None = Field(
-        None, description="absolute: a VAE trial's checkpoint whose encoder is taken; none is trained"
+        None, description="absolute: a VAE trial's final.ckpt whose encoder is taken; none is trained"
     )
     latent_dim: int = Field(64, ge=1)
     width: int = Field(16, ge=1, description="channels of the first convolution")
@@ -256,7 +256,6 @@ class ResourceConfig(Section):
     max_failures: int = Field(2, ge=0)
     log_every_steps: int = Field(20, ge=1)
     checkpoint_every_steps: int = Field(250, ge=1)
-    checkpoints_kept: int = Field(1, ge=1, description="of each trial, the last ones")
 
     @property
     def threads(self) -> int:

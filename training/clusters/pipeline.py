@@ -28,7 +28,6 @@ from training.data.generate import generate
 from training.jobs.figures import PANELS, own_curves, wgan_curves
 from training.jobs.job import TAG_START, Job, kept_bundle, log_configuration, registered_name, world_tag
 from training.models.autoencoders import encode, shown
-from training.models.checkpoint import read_progress
 from training.models.data import TrainingArrays
 from training.models.families import family
 from training.trials.arrays import has_occupancy, load_encoder
@@ -50,7 +49,7 @@ def log_result(
     run: RunLog, bundle: Bundle, dataset: Dataset, outcomes: Sequence[TrialOutcome]
 ) -> tuple[str, ...]:
     """Curves of all trials, samples against truth for seen and unseen scenarios; returns their names."""
-    histories = {outcome.name: read_progress(outcome.checkpoint).history for outcome in outcomes}
+    histories = {outcome.name: outcome.history for outcome in outcomes}
     own = {name: own_curves(name, histories.pop(name)) for name in PANELS if name in histories}
     figures = {
         **{f"{name}-losses": figure for name, figure in own.items()},
@@ -62,7 +61,7 @@ def log_result(
     final = outcomes[-1]
     last = {f"last/{name}": value for name, value in final.metrics.items() if name != "steps_per_s"}
     # The same moment for a job that goes on, so that it is one point.
-    run.metrics(last, 0, round(1e3 * final.ended_s))
+    run.metrics(last, 0, round(1e3 * final.times_s[1]))
     # The registry copies what the server holds by the time of registration.
     run.flush()
     return tuple(figures)
@@ -153,7 +152,6 @@ def train_on_pictures(
         "train": config,
         "images": images,
         "data_folder": dataset.folder.absolute(),
-        "tracking_uri": job.environment.tracking_uri,
     }
     done = run_trials(picture_trial, trials, shared, config.resources)
     outcomes = {outcome.name: outcome for outcome in done}
@@ -224,7 +222,7 @@ def train_family(
     """Stages 5 and on: what the model family trains from the latents; ``until`` names the last stage."""
     config, outcomes = job.config, list[TrialOutcome]()
     kind = family(config.clusters.form)
-    shared = {"kind": kind, "train": config, "arrays": arrays, "tracking_uri": job.environment.tracking_uri}
+    shared = {"kind": kind, "train": config, "arrays": arrays}
     for stage, names in kind(config, arrays).stages().items():
         trials = [TrialRequest.of(job, stage, name) for name in names]
         outcomes += run_trials(
@@ -245,7 +243,7 @@ def encoder_checkpoint(job: Job[TrainConfig], vae: TrialOutcome | None) -> Path:
     given = job.config.vae.checkpoint
     if vae is not None:
         return vae.checkpoint
-    if given is None or not given.is_dir():
+    if given is None or not given.is_file():
         raise ConfigError("there is no encoder", expected="a VAE trial's checkpoint", got=str(given))
     return given
 
@@ -330,7 +328,7 @@ def run_job(job: Job[TrainConfig]) -> TrainResult:
         digest=bundle.digest,
         data_digest=dataset.digest,
         metrics=outcomes[-1].metrics,
-        trials={outcome.name: (outcome.started_s, outcome.ended_s) for outcome in outcomes},
+        trials={outcome.name: outcome.times_s for outcome in outcomes},
         figures=figures,
     )
 

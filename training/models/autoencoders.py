@@ -304,7 +304,7 @@ class VaeModule(TrialModule):
 
     def training_step(self, step: int, batch_index: int) -> None:
         """One step of the evidence lower bound, its KL term warmed up and its gradient clipped."""
-        del batch_index
+        del step, batch_index
         rows = torch.randint(
             len(self.images), (self.config.batch_size,), generator=self.rng, device=self.device
         )
@@ -314,7 +314,7 @@ class VaeModule(TrialModule):
         latent = mu + (log_variance / 2.0).exp() * self.normal(*mu.shape)
         reconstruction = reconstruction_loss(pictures, self.decoder(latent)).mean()
         kl = kl_divergence(mu, log_variance).mean()
-        warmup = min(1.0, (step + 1) / max(1.0, self.config.kl_warmup * self.config.steps))
+        warmup = min(1.0, (self.global_step + 1) / max(1.0, self.config.kl_warmup * self.config.steps))
         loss = reconstruction + self.config.kl_weight * warmup * kl
         self.descend(loss, self.config.gradient_clip)
         self.latest = {

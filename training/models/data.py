@@ -1,6 +1,5 @@
 """Batches: scenarios with their latents, configurations drawn from them, and pictures."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from typing import Self
 
@@ -8,7 +7,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.utils.data import IterableDataset
 
 from cspace.world import World
 from training.models.lookups import Scenes
@@ -106,16 +104,3 @@ class TrainingArrays:
     def scenes(self) -> Scenes | None:
         """The pictures for look-ups, copied; None without."""
         return None if self.images is None else Scenes(self.world, torch.tensor(self.images))
-
-
-class StepCounter(IterableDataset[int]):
-    """Step numbers from ``first`` to ``last``: the modules draw their own batches on their own device."""
-
-    def __init__(self, first: int, last: int) -> None:
-        self.first, self.last = first, last
-
-    def __iter__(self) -> Iterator[int]:
-        return iter(range(self.first, self.last))
-
-    def __len__(self) -> int:
-        return self.last - self.first

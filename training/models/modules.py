@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from itertools import pairwise
+from typing import Any
 
 import lightning
 import torch
@@ -43,22 +44,33 @@ class TrialModule(lightning.LightningModule):
         self.training_optimisers: list[Optimizer] = []
         self.training_schedules: list[LambdaLR | OneCycleLR] = []
         self._rng: torch.Generator | None = None
+        self._rng_state: Tensor | None = None
 
     @property
     def rng(self) -> torch.Generator:
         """The generator of every random draw in training, on the module's device."""
         if self._rng is None or self._rng.device != self.device:
             self._rng = torch.Generator(device=self.device).manual_seed(self.seed)
+            if self._rng_state is not None:
+                self._rng.set_state(self._rng_state)
         return self._rng
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Keep the state of the random stream."""
+        checkpoint["rng"] = self.rng.get_state()
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Take the random stream up when the module is on its device."""
+        self._rng, self._rng_state = None, checkpoint["rng"].cpu()
 
     def on_fit_start(self) -> None:
         """Keep the data where the model is."""
         if self.samples is not None:
             self.samples = self.samples.to(self.device)
 
-    def configure_optimizers(self) -> list[Optimizer]:
-        """The optimisers made at construction, so that a checkpoint can fill them before training starts."""
-        return self.training_optimisers
+    def configure_optimizers(self) -> tuple[list[Optimizer], list[LambdaLR | OneCycleLR]]:
+        """The optimisers and schedules made at construction."""
+        return self.training_optimisers, self.training_schedules
 
     def metrics(self) -> Metrics:
         """Means of the last step's losses as plain numbers."""
@@ -78,13 +90,17 @@ class TrialModule(lightning.LightningModule):
         self.training_optimisers = [optimiser]
         self.training_schedules = [OneCycleLR(optimiser, learning_rate, total_steps=steps + 1, pct_start=0.1)]
 
+    def step_optimiser(self, index: int) -> None:
+        """Step an optimiser as Lightning's, which counts it as the trainer's global step."""
+        optimisers = self.optimizers()
+        (optimisers if isinstance(optimisers, list) else [optimisers])[index].step()
+
     def descend(self, loss: Tensor, clip: float | None = None) -> None:
         """One step of the only optimiser and its schedule, the gradient's norm clipped where asked."""
-        (optimiser,) = self.training_optimisers
-        differentiate(loss, optimiser)
+        differentiate(loss, self.training_optimisers[0])
         if clip is not None:
             nn.utils.clip_grad_norm_(self.parameters(), clip)
-        optimiser.step()
+        self.step_optimiser(0)
         self.training_schedules[0].step()
 
 

@@ -53,5 +53,5 @@ def trained_bundle(
     seeds = {"training": train.seed, "data": dataset.generator_seed}
     recipe = {"path_model": outcome.name, "source_digest": source.digest, **train.to_dict()}
     recipe |= {} if job.start_run_id is None else {TAG_START: job.start_run_id}
-    metrics = {**outcome.metrics, "training_s": outcome.ended_s - outcome.started_s}
+    metrics = {**outcome.metrics, "training_s": outcome.seconds}
     return write_path_bundle(folder, source, graph, dataset.digest, seeds, recipe, metrics)

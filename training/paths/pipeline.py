@@ -15,7 +15,6 @@ from training.config import PathTrainConfig
 from training.data.generate import generate
 from training.jobs.figures import path_curves
 from training.jobs.job import TAG_START, Job, kept_bundle, log_configuration, registered_name, world_tag
-from training.models.checkpoint import read_progress
 from training.paths.bundling import trained_bundle
 from training.paths.writing import made_or_found, require_source, source_bundle
 from training.trials.launch import TrialOutcome, TrialRequest, run_trials
@@ -67,7 +66,7 @@ def run_job(job: Job[PathTrainConfig]) -> PathTrainResult:
         job.add_tags(world_tag(source.spec.world, named))
         arrays = path_arrays(source, dataset, config.points)
         outcome = _train(job, arrays)
-        run.figure(path_curves({MODEL: read_progress(outcome.checkpoint).history}), "path-losses")
+        run.figure(path_curves({MODEL: outcome.history}), "path-losses")
         run.flush()
         bundles = _bundles(job, source, dataset, arrays, outcome)
         versions = {
@@ -80,7 +79,7 @@ def run_job(job: Job[PathTrainConfig]) -> PathTrainResult:
             versions=versions,
             digests={name: bundle.digest for name, bundle in bundles.items()},
             data_digest=dataset.digest,
-            seconds={MODEL: outcome.ended_s - outcome.started_s},
+            seconds={MODEL: outcome.seconds},
         )
 
 
@@ -92,7 +91,7 @@ def _data(config: PathTrainConfig, folder: Path) -> Dataset:
 
 def _train(job: Job[PathTrainConfig], arrays: PathArrays) -> TrialOutcome:
     _LOG.info("path model: %d paths", len(arrays.ids))
-    shared = {"train": job.config, "arrays": arrays, "tracking_uri": job.environment.tracking_uri}
+    shared = {"train": job.config, "arrays": arrays}
     (outcome,) = run_trials(path_trial, [TrialRequest.of(job, "models", MODEL)], shared, job.config.resources)
     return outcome
 

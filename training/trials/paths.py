@@ -15,7 +15,6 @@ from cspace.world import World
 from services.progress import Progress
 from training.config import PathGanConfig, PathTrainConfig
 from training.models.checkpoint import seeded_initialisation, trained
-from training.models.modules import Metrics
 from training.models.paths import (
     PathGanModule,
     PathGenerator,
@@ -68,13 +67,11 @@ def path_arrays(bundle: Bundle, dataset: Dataset, points: int) -> PathArrays:
     return PathArrays(dataset.world, paths, ids, mu, sigma)
 
 
-def path_trial(
-    trial: TrialRequest, train: PathTrainConfig, arrays: PathArrays, tracking_uri: str
-) -> Metrics | None:
+def path_trial(trial: TrialRequest, train: PathTrainConfig, arrays: PathArrays) -> None:
     """Train the path model."""
     with seeded_initialisation(trial.seed):
         module = PathGanModule(train.wgan, arrays.samples(), trial.seed, arrays.world.space)
-    return fit_tracked(trial, module, train.wgan, train.resources, tracking_uri)
+    fit_tracked(trial, module, train.wgan, train.resources)
 
 
 def load_points(config: PathGanConfig, arrays: PathArrays, checkpoint: Path) -> PathGenerator:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import lightning
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -21,13 +22,15 @@ from cspace.simulator import Split, derived_seed
 from cspace.world import World
 from services.evaluator.scenes import Scene, Stage
 from services.names import EXPERIMENT, TAG_STAGE
-from services.registry.tracking import Tracking
+from services.registry.tracking import RunLog, Tracking
 from training.config import ResourceConfig
 from training.models.checkpoint import seeded_initialisation
 from training.models.data import TrainingArrays
 from training.models.export import Sampler
-from training.models.families.mixture import Mixture, MixtureConfig
+from training.models.families.mixture import Gate, Mixture, MixtureConfig
+from training.models.families.wgan_gp import GanConfig, WganGpModule
 from training.trials.arrays import load_encoder
+from training.trials.fit import fit_module
 
 SAMPLES = 1000
 
@@ -117,16 +120,37 @@ def search_trial(
     )
     with run:
         run.params({key: str(value) for key, value in settings.items()})
-        every = -(-gan.steps // looks)
-        for step in range(1, gan.steps + 1):
-            module.training_step(step, step)
-            if step % every == 0 or step == gan.steps:
-                sampler = mixture.gated(gate, [module.generator], gan)
-                found = validation.measure(sampler)
-                run.metrics(module.metrics() | found, step)
-                # Tune ends a trial that falls behind inside of report, so the run must be whole by then.
-                run.flush()
-                tune.report(found | {"step": step})
+        look = _Look(gan, mixture, gate, validation, run, -(-gan.steps // looks))
+        fit_module(module, gan.steps, callbacks=[look])
+
+
+class _Look(lightning.Callback):
+    """Reports the quality now and then."""
+
+    def __init__(
+        self,
+        gan: GanConfig,
+        mixture: Mixture,
+        gate: Gate,
+        validation: Validation,
+        run: RunLog,
+        every: int,
+    ) -> None:
+        self.gan, self.mixture, self.gate = gan, mixture, gate
+        self.validation, self.run, self.every = validation, run, every
+
+    def on_train_batch_end(
+        self, trainer: lightning.Trainer, pl_module: lightning.LightningModule, *others: Any
+    ) -> None:
+        """Measure and report every so many steps, and at the end."""
+        del others
+        step = trainer.global_step
+        if isinstance(pl_module, WganGpModule) and (step % self.every == 0 or step == self.gan.steps):
+            found = self.validation.measure(self.mixture.gated(self.gate, [pl_module.generator], self.gan))
+            self.run.metrics(pl_module.metrics() | found, step)
+            # Tune ends a trial that falls behind inside of report, so the run must be whole by then.
+            self.run.flush()
+            tune.report(found | {"step": step})
 
 
 REDUCTION = 3

@@ -13,7 +13,7 @@ from training.models.autoencoders import VaeModule
 from training.models.checkpoint import seeded_initialisation
 from training.models.data import TrainingArrays
 from training.models.families import Family
-from training.models.modules import Metrics, TrialModule
+from training.models.modules import TrialModule
 from training.trials.arrays import head_module
 from training.trials.fit import fit_tracked
 from training.trials.launch import TrialRequest
@@ -26,8 +26,7 @@ def picture_trial(
     train: TrainConfig,
     images: NDArray[np.uint8],
     data_folder: Path,
-    tracking_uri: str,
-) -> Metrics | None:
+) -> None:
     """Train what learns from pictures, channels first, and needs no latents: the VAE, or the head."""
     pictures = torch.tensor(images)
     module: TrialModule
@@ -38,7 +37,7 @@ def picture_trial(
             settings = train.validity
         else:
             module, settings = VaeModule(train.vae, pictures, trial.seed), train.vae
-    return fit_tracked(trial, module, settings, train.resources, tracking_uri, pictures=len(images))
+    fit_tracked(trial, module, settings, train.resources, pictures=len(images))
 
 
 def family_trial(
@@ -47,9 +46,8 @@ def family_trial(
     train: TrainConfig,
     arrays: TrainingArrays,
     done: Mapping[str, Path],
-    tracking_uri: str,
-) -> Metrics | None:
+) -> None:
     """Train one trial of a model family; ``done`` holds the checkpoints of the stages before."""
     with seeded_initialisation(trial.seed):
         made = kind(train, arrays).trial(trial.name, trial.seed, done)
-    return fit_tracked(trial, made.module, made.settings, train.resources, tracking_uri, **made.parameters)
+    fit_tracked(trial, made.module, made.settings, train.resources, **made.parameters)

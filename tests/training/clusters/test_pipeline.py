@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mlflow import MlflowClient
-from safetensors.torch import load_file
 
 from cspace.bundle import Bundle
 from cspace.png import encode_png
@@ -22,6 +21,7 @@ from training.data.config import DatasetConfig
 from training.data.configurations import ConfigurationRecipe
 from training.data.merge import merge
 from training.jobs.job import TAG_START
+from training.models.checkpoint import read_checkpoint
 
 pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(400)]
 
@@ -164,8 +164,8 @@ def test_the_same_seed_trains_the_same_sampler(result, server, data_folder, tmp_
 
 
 def weights(data_folder, run_id, trial):
-    (folder,) = (data_folder / "jobs" / run_id).glob(f"*/{trial}/step-*")
-    return load_file(folder / "weights.safetensors")
+    (path,) = (data_folder / "jobs" / run_id).glob(f"*/{trial}/final.ckpt")
+    return read_checkpoint(path)["state_dict"]
 
 
 def test_a_grown_data_set_is_trained_on_from_the_weights_of_a_version(server, data_folder, tmp_path, client):

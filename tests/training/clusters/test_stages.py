@@ -53,15 +53,15 @@ def test_a_job_that_goes_on_with_other_data_is_told(tmp_path):
 
 
 def test_an_encoder_that_is_not_there_or_of_other_sizes_is_refused_before_training(tmp_path):
+    from tests.training.models.builders import save
     from training.models.autoencoders import VaeModule
-    from training.models.checkpoint import Progress, save_checkpoint
 
     data = dataset(tmp_path / "data")
     with pytest.raises(ConfigError, match="no encoder"):
         require_encoder(job(tmp_path, f"vae.checkpoint={tmp_path / 'nothing'}"), data)
     given = job(tmp_path, "vae.latent_dim=4")
     module = VaeModule(given.config.vae, dataset_pictures(data), 0)
-    made = save_checkpoint(tmp_path / "step-000000001", module, Progress(1, "run"))
+    made = save(tmp_path / "final.ckpt", module)
     require_encoder(job(tmp_path, f"vae.checkpoint={made}", "vae.latent_dim=4"), data)
     with pytest.raises(ConfigError, match=r"vae\.checkpoint does not fit"):
         require_encoder(job(tmp_path, f"vae.checkpoint={made}", "vae.latent_dim=6"), data)

@@ -1,5 +1,9 @@
 """Small modules for the tests of training."""
 
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import lightning
 import torch
 
 from cspace.space import circles
@@ -8,6 +12,7 @@ from training.models.checkpoint import seeded_initialisation
 from training.models.data import ScenarioSamples
 from training.models.families.joint import JointGanConfig, JointModule
 from training.models.families.wgan_gp import GanConfig, WganGpModule
+from training.trials.fit import fit_module
 
 TINY = {
     "hidden": 16,
@@ -48,11 +53,17 @@ def tiny_joint_module(seed: int = 0, **changes: object) -> JointModule:
         return JointModule(config, ring_samples(), SCALE, seed, SPACE, vae=vae, images=images)
 
 
-def run(module: torch.nn.Module, steps: int, first: int = 0) -> torch.nn.Module:
-    """Take training steps."""
-    for step in range(first, first + steps):
-        module.training_step(step, step)
+def run(module: lightning.LightningModule, steps: int, last: Path | None = None) -> torch.nn.Module:
+    """Take training steps, or those that a checkpoint's module has left."""
+    fit_module(module, steps, last)
     return module
+
+
+def save(path: Path, module: torch.nn.Module, history: Sequence[Mapping[str, float]] = ()) -> Path:
+    """A checkpoint of a module that was not trained."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    torch.save({"state_dict": module.state_dict(), "history": list(history)}, path)
+    return path
 
 
 def weights(module: torch.nn.Module) -> torch.Tensor:

@@ -9,6 +9,7 @@ from cspace.space import circles
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
+from tests.training.models.builders import run
 from training.models.checkpoint import seeded_initialisation
 from training.models.data import Cells
 from training.models.export import generator_graph
@@ -155,6 +156,5 @@ def test_the_gate_learns_the_shares_of_the_cells():
     mu, config = torch.eye(2, 4), GateConfig(cells=3, hidden=16, steps=150, batch_size=16)
     with seeded_initialisation(0):
         module = GateModule(config, mu, torch.full_like(mu, 0.05), shares, 0)
-    for step in range(config.steps):
-        module.training_step(step, step)
+    run(module, config.steps)
     np.testing.assert_allclose(gate_probabilities(module.gate, mu.numpy()), shares.numpy(), atol=0.05)

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from cspace.worlds.planar.arm import TWO_LINK
+from tests.training.models.builders import run
 from tests.training.models.path_builders import LATENT, arrays
 from training.config import PathGanConfig
 from training.models.checkpoint import seeded_initialisation
@@ -22,11 +23,8 @@ def path_module(**sizes):
 
 def trained():
     module = path_module(count=1, scenarios=1)
-    first: dict[str, float] = {}
-    for step in range(SMALL.steps):
-        module.training_step(step, 0)
-        first = first or module.metrics()
-    return module.eval(), first
+    first = run(module, 1).metrics()
+    return run(module, SMALL.steps - 1).eval(), first
 
 
 def test_the_critics_steps_change_the_generator_and_tell_their_losses():

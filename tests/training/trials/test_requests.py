@@ -23,6 +23,7 @@ def requests(seed: int, folder: Path) -> list[TrialRequest]:
         folder=folder,
         start_folder=None,
         name=None,
+        environment=SimpleNamespace(tracking_uri="", patience_s=0.0),
         run=SimpleNamespace(run_id="0" * 32),
         child=lambda name: name,
     )

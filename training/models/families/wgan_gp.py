@@ -335,7 +335,7 @@ class AdversarialModule(TrialModule, ABC):
             differentiate(self.critic_step_loss(self._batch()), critic)
             critic.step()
         differentiate(self.generator_step_loss(self._batch()), generator)
-        generator.step()
+        self.step_optimiser(1)
         for schedule in self.training_schedules:
             schedule.step()
 
