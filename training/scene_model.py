@@ -21,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from lightning.pytorch.callbacks import ModelCheckpoint, TQDMProgressBar
 from numpy.typing import NDArray
 
 from cspace.errors import ConfigError, CspaceError, ImageError, InputError, ScenarioError
@@ -39,19 +40,13 @@ from services import progress
 from services.commands import report_error
 from services.names import SCENE_MODEL_FILE
 from services.registry import connect, tracking_uri
+from training.config import GridConfig, ValidityConfig
 from training.jobs.scene_models import fetch, register
-from training.models.checkpoint import (
-    Progress,
-    load_checkpoint,
-    read_progress,
-    save_checkpoint,
-    save_scene_model,
-    seeded_initialisation,
-)
+from training.models.checkpoint import save_scene_model, seeded_initialisation
 from training.models.grid_head import GridHead, counts_of
 from training.models.grid_training import ArmSamples, GridHeadModule, GridSamples
-from training.models.settings import GridConfig, ValidityConfig
 from training.random_arms import random_arm
+from training.trials.fit import fit_module
 
 _LOG = logging.getLogger("training")
 # Shares of scenes with the arm on a table or block, and with poses or a state that are a little wrong.
@@ -204,23 +199,14 @@ def draw_all(tasks: Sequence[SceneTask], processes: int) -> None:
             bar.advance()
 
 
-def train(config: ValidityConfig, held: ArmSamples, seed: int, checkpoint: Path) -> GridHeadModule:
-    """The trained module; goes on from the checkpoint where there is one."""
-    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+def train(config: ValidityConfig, held: ArmSamples, seed: int, folder: Path) -> GridHeadModule:
+    """The trained module; goes on from the checkpoint of the folder where there is one."""
     with seeded_initialisation(seed):
         module = GridHeadModule(config, held, seed)
-    module.to(device)
-    module.on_fit_start()
-    first = 0
-    if checkpoint.exists():
-        load_checkpoint(checkpoint, module)
-        first = read_progress(checkpoint).step
-    with progress.Progress("training", config.steps - first, _LOG.info, "step") as bar:
-        for step in range(first, config.steps):
-            module.training_step(step, 0)
-            bar.advance()
-            if (step + 1) % _SAVE_EVERY == 0 or step + 1 == config.steps:
-                save_checkpoint(checkpoint, module, Progress(step + 1, ""))
+    checkpoint = ModelCheckpoint(
+        folder, "last", every_n_train_steps=min(_SAVE_EVERY, config.steps), enable_version_counter=False
+    )
+    fit_module(module, config.steps, folder / "last.ckpt", [checkpoint, TQDMProgressBar(refresh_rate=50)])
     return module
 
 
@@ -294,14 +280,14 @@ def trained_and_measured(folder: Path, options: argparse.Namespace) -> dict[str,
         tuple(scene_world(named_arm(arm)) for arm in arms),
         tuple(load_samples(task.path for task in tasks if task.arm == arm) for arm in arms),
     )
-    module = train(config, held, options.seed, folder / "checkpoint")
+    module = train(config, held, options.seed, folder)
     save_scene_model(folder / SCENE_MODEL_FILE, module.head.model)
-    figures = {}
+    figures, device = {}, torch.device("cuda" if torch.cuda.is_available() else "cpu")
     for arm in HELD_OUT:
         world = scene_world(named_arm(arm))
         head = GridHead(module.head.model, world.grid_arm(SIZES.groups), counts_of(world))
         figures[arm] = measure(
-            head.to(module.device).eval(), load_samples(task.path for task in held_out if task.arm == arm)
+            head.to(device).eval(), load_samples(task.path for task in held_out if task.arm == arm)
         )
         _LOG.info("%s: %s", arm, json.dumps(figures[arm]))
     return figures

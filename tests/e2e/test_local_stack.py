@@ -16,6 +16,7 @@ from cspace.errors import JobError
 from services.local.quickstart import last_result, run_job
 from services.local.stack import SERVICES, healthy
 from tests.e2e.local_stack import ROOT, LocalStack
+from training.models.checkpoint import read_checkpoint
 
 pytestmark = [pytest.mark.e2e, pytest.mark.timeout(900)]
 
@@ -83,8 +84,8 @@ def test_a_failing_job_ends_the_main_job_with_its_lines_shown(
     assert any("the stub was told to fail" in line for line in shown)
 
 
-def test_ray_job_stop_writes_a_checkpoint_first_and_the_job_goes_on(stack: LocalStack) -> None:
-    steps = "--set vae.steps=1000000 --set resources.checkpoint_every_steps=1000000"
+def test_a_job_that_ray_stops_goes_on_from_its_last_checkpoint(stack: LocalStack) -> None:
+    steps = "--set vae.steps=1000000 --set resources.checkpoint_every_steps=20"
     job = f"python training/cluster_train.py --preset smoke --job stopped --set validity.steps=0 {steps}"
     outcome = stack.shell(f"ray job submit --no-wait --submission-id first -- {job}")
     assert outcome.returncode == 0, outcome.stdout
@@ -93,12 +94,12 @@ def test_ray_job_stop_writes_a_checkpoint_first_and_the_job_goes_on(stack: Local
     assert "was stopped" in outcome.stdout, outcome.stdout
     log = stack.shell("ray job logs first").stdout
     assert "stopped; nothing is lost: submit it again" in log
-    (state,) = ((stack.settings.home / "data") / "jobs").glob("*/pictures/vae/step-*/state.json")
-    step = json.loads(state.read_text())["step"]
+    (last,) = ((stack.settings.home / "data") / "jobs").glob("*/pictures/vae/last.ckpt")
+    step = read_checkpoint(last)["global_step"]
     assert 0 < step < 1_000_000
     # It goes on behind that checkpoint, and is stopped once more.
     stack.shell(f"ray job submit --no-wait --submission-id second -- {job}")
-    wait_for(lambda: f"vae (stopped, seed 0): step {step + 1}/" in stack.shell("ray job logs second").stdout)
+    wait_for(lambda: f"vae (stopped, seed 0): step {step + 20}/" in stack.shell("ray job logs second").stdout)
     stack.shell("timeout 60 ray job stop second")
 
 

@@ -1,10 +1,9 @@
-"""The main job: data, clusters, VAE and validity head, gate, local trials, global trial, bundle, registry."""
+"""The main job: data, clusters, VAE and validity head, the model family's trials, bundle, registry."""
 
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -28,23 +27,12 @@ from training.config import CLUSTERS_FILE, TrainConfig
 from training.data.generate import generate
 from training.jobs.figures import PANELS, own_curves, wgan_curves
 from training.jobs.job import TAG_START, Job, kept_bundle, log_configuration, registered_name, world_tag
-from training.models.autoencoders import shown
-from training.models.checkpoint import read_progress
-from training.models.mixture import gate_probabilities
-from training.trials.arrays import TrainingArrays, has_occupancy, load_encoder
+from training.models.autoencoders import encode, shown
+from training.models.data import TrainingArrays
+from training.models.families import family
+from training.trials.arrays import has_occupancy, load_encoder
 from training.trials.launch import TrialOutcome, TrialRequest, run_trials
-from training.trials.trainables import (
-    GATE,
-    GLOBAL,
-    VAE,
-    VALIDITY,
-    gate_trial,
-    global_trial,
-    joint_trial,
-    load_gate,
-    local_trial,
-    picture_trial,
-)
+from training.trials.trainables import VAE, VALIDITY, family_trial, picture_trial
 
 SHOWN_SCENARIOS = 3
 
@@ -61,7 +49,7 @@ def log_result(
     run: RunLog, bundle: Bundle, dataset: Dataset, outcomes: Sequence[TrialOutcome]
 ) -> tuple[str, ...]:
     """Curves of all trials, samples against truth for seen and unseen scenarios; returns their names."""
-    histories = {outcome.name: read_progress(outcome.checkpoint).history for outcome in outcomes}
+    histories = {outcome.name: outcome.history for outcome in outcomes}
     own = {name: own_curves(name, histories.pop(name)) for name in PANELS if name in histories}
     figures = {
         **{f"{name}-losses": figure for name, figure in own.items()},
@@ -73,7 +61,7 @@ def log_result(
     final = outcomes[-1]
     last = {f"last/{name}": value for name, value in final.metrics.items() if name != "steps_per_s"}
     # The same moment for a job that goes on, so that it is one point.
-    run.metrics(last, 0, round(1e3 * final.ended_s))
+    run.metrics(last, 0, round(1e3 * final.times_s[1]))
     # The registry copies what the server holds by the time of registration.
     run.flush()
     return tuple(figures)
@@ -154,7 +142,7 @@ def train_on_pictures(
     given = config.validity.scene_model is not None and config.data.outcomes is None
     trained = config.validity.steps > 0 and not given
     head = trained and has_occupancy(dataset, config.validity)
-    vae = not config.joint and config.vae.checkpoint is None
+    vae = not config.trains_encoder and config.vae.checkpoint is None
     names = [name for name, wanted in ((VAE, vae), (VALIDITY, head)) if wanted]
     if not names:
         return None, None
@@ -164,7 +152,6 @@ def train_on_pictures(
         "train": config,
         "images": images,
         "data_folder": dataset.folder.absolute(),
-        "tracking_uri": job.environment.tracking_uri,
     }
     done = run_trials(picture_trial, trials, shared, config.resources)
     outcomes = {outcome.name: outcome for outcome in done}
@@ -184,8 +171,9 @@ def cluster_data(job: Job[TrainConfig], dataset: Dataset) -> TrainingArrays:
         parted.save(path)
     sizes = np.bincount(parted.labels, minlength=config.clusters.count)
     _LOG.info("clusters: sizes %s", ", ".join(map(str, sizes)))
-    cells = parted.gated(config.gate, config.seed)
-    return TrainingArrays.unencoded(dataset, free, ids, parted.labels, config.vae.latent_dim, cells)
+    cells = parted.with_points(config.cell_points, config.seed)
+    nothing = np.zeros((dataset.scenario_count, config.vae.latent_dim), dtype=np.float32)
+    return TrainingArrays(free, ids, parted.labels, nothing, nothing, dataset.world, cells=cells)
 
 
 def encode_data(
@@ -195,16 +183,12 @@ def encode_data(
 
     An encoder that is yet to be trained with the generator leaves the latents at zero.
     """
-    config, images = job.config, dataset.images
-    if not config.joint:
-        encoder = load_encoder(config.vae, dataset.world.sensor, encoder_checkpoint(job, vae))
-        arrays = arrays.encoded(encoder, images)
-    looked_up = any(
-        part.points_per_link
-        for gan in (config.local, config.global_)
-        for part in (gan.generator_lookups, gan.critic_lookups)
-    )
-    return replace(arrays, images=np.asarray(images)) if looked_up else arrays
+    config, sensor = job.config, dataset.world.sensor
+    if not config.trains_encoder:
+        encoder = load_encoder(config.vae, sensor, encoder_checkpoint(job, vae))
+        mu, sigma = encode(encoder, sensor, dataset.images)
+        arrays = replace(arrays, mu=mu, sigma=sigma)
+    return replace(arrays, images=np.asarray(dataset.images)) if config.reads_pictures else arrays
 
 
 def uniform_free(dataset: Dataset) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
@@ -228,42 +212,30 @@ def partition(
     count, seed = config.clusters.count, config.seed
     if start is not None:
         return Partition.load(start / CLUSTERS_FILE, free, space)
-    cells = cluster(free, config.gate.cells or count, config.clusters.fit_samples, seed, space)
+    cells = cluster(free, config.cells, config.clusters.fit_samples, seed, space)
     return Partition(cells, group(cells, count, seed))
 
 
-def train_gate(job: Job[TrainConfig], arrays: TrainingArrays) -> tuple[TrainingArrays, TrialOutcome | None]:
-    """Stage 5, where there are cells: the gate, and what it says of every scenario."""
-    if arrays.cells is None:
-        return arrays, None
-    trial = TrialRequest.of(job, GATE, GATE)
-    gate = run_trials(gate_trial, [trial], _shared(job, arrays), job.config.resources)[0]
-    probabilities = gate_probabilities(load_gate(job.config, gate.checkpoint), arrays.mu)
-    return replace(arrays, cells=replace(arrays.cells, probabilities=probabilities)), gate
-
-
-def train_local(job: Job[TrainConfig], arrays: TrainingArrays) -> list[TrialOutcome]:
-    """Stage 6: one WGAN-GP a cluster, in parallel."""
-    count = job.config.local_trials
-    trials = [TrialRequest.of(job, "local", f"local-{index}", index) for index in range(count)]
-    return run_trials(local_trial, trials, _shared(job, arrays), job.config.resources)
-
-
-def train_global(
-    job: Job[TrainConfig], dataset: Dataset, arrays: TrainingArrays, local: Sequence[TrialOutcome]
+def train_family(
+    job: Job[TrainConfig], arrays: TrainingArrays, until: str | None = None
 ) -> list[TrialOutcome]:
-    """Stage 7: the global WGAN-GP, guided by the local critics or with the encoder that it trains.
+    """Stages 5 and on: what the model family trains from the latents; ``until`` names the last stage."""
+    config, outcomes = job.config, list[TrialOutcome]()
+    kind = family(config.clusters.form)
+    shared = {"kind": kind, "train": config, "arrays": arrays}
+    for stage, names in kind(config, arrays).stages().items():
+        trials = [TrialRequest.of(job, stage, name) for name in names]
+        outcomes += run_trials(
+            family_trial, trials, shared | {"done": checkpoints(outcomes)}, config.resources
+        )
+        if stage == until:
+            break
+    return outcomes
 
-    A mixture needs none, for its local generators are what is served.
-    """
-    if job.config.clusters.form == "mixture":
-        return []
-    trials, shared = [TrialRequest.of(job, GLOBAL, GLOBAL)], _shared(job, arrays)
-    resources = job.config.resources
-    if job.config.joint:
-        return run_trials(joint_trial, trials, shared | {"images": np.asarray(dataset.images)}, resources)
-    local_checkpoints = [str(outcome.checkpoint) for outcome in local]
-    return run_trials(global_trial, trials, shared | {"local_checkpoints": local_checkpoints}, resources)
+
+def checkpoints(outcomes: Sequence[TrialOutcome]) -> dict[str, Path]:
+    """Where the weights of trials are, by their names."""
+    return {outcome.name: outcome.checkpoint for outcome in outcomes}
 
 
 def encoder_checkpoint(job: Job[TrainConfig], vae: TrialOutcome | None) -> Path:
@@ -271,7 +243,7 @@ def encoder_checkpoint(job: Job[TrainConfig], vae: TrialOutcome | None) -> Path:
     given = job.config.vae.checkpoint
     if vae is not None:
         return vae.checkpoint
-    if given is None or not given.is_dir():
+    if given is None or not given.is_file():
         raise ConfigError("there is no encoder", expected="a VAE trial's checkpoint", got=str(given))
     return given
 
@@ -292,11 +264,6 @@ def require_encoder(job: Job[TrainConfig], dataset: Dataset) -> None:
             got=f"{checkpoint}: {str(error)[:300]}",
             remedy="name another checkpoint, or set the sizes of its job",
         ) from error
-
-
-def _shared(job: Job[TrainConfig], arrays: TrainingArrays) -> dict[str, Any]:
-    """What every trial on configurations gets."""
-    return {"train": job.config, "arrays": arrays, "tracking_uri": job.environment.tracking_uri}
 
 
 BUNDLE_FOLDER = "bundle"
@@ -342,19 +309,16 @@ def run_job(job: Job[TrainConfig]) -> TrainResult:
         require_encoder(job, dataset)
         data = cluster_data(job, dataset)
         vae, head = train_on_pictures(job, dataset)
-        arrays, gate = train_gate(job, encode_data(job, dataset, vae, data))
-        local = train_local(job, arrays)
-        final = train_global(job, dataset, arrays, local)
+        arrays = encode_data(job, dataset, vae, data)
+        trained = train_family(job, arrays)
         _LOG.info("bundle: exporting")
-        generators = tuple(outcome.checkpoint for outcome in final or local)
-        encoder = generators[0] if job.config.joint else encoder_checkpoint(job, vae)
-        gate_at = _checkpoint(gate)
-        head_at = _checkpoint(head) or job.config.validity.scene_model_file
-        parts = TrainedParts(encoder, generators, gate_at, head_at, arrays, job.start_run_id)
+        encoder = trained[-1].checkpoint if config.trains_encoder else encoder_checkpoint(job, vae)
+        head_at = config.validity.scene_model_file if head is None else head.checkpoint
+        parts = TrainedParts(encoder, checkpoints(trained), head_at, arrays, job.start_run_id)
         bundle = kept_bundle(job.folder / BUNDLE_FOLDER)
         if bundle is None:
             bundle = make_bundle(job.folder / BUNDLE_FOLDER, config, dataset, parts)
-        outcomes = [outcome for outcome in (vae, head, gate, *local, *final) if outcome is not None]
+        outcomes = [*(outcome for outcome in (vae, head) if outcome is not None), *trained]
         figures = log_result(run, bundle, dataset, outcomes)
         version = _register(job, model, dataset, bundle)
     return TrainResult(
@@ -364,13 +328,9 @@ def run_job(job: Job[TrainConfig]) -> TrainResult:
         digest=bundle.digest,
         data_digest=dataset.digest,
         metrics=outcomes[-1].metrics,
-        trials={outcome.name: (outcome.started_s, outcome.ended_s) for outcome in outcomes},
+        trials={outcome.name: outcome.times_s for outcome in outcomes},
         figures=figures,
     )
-
-
-def _checkpoint(outcome: TrialOutcome | None) -> Path | None:
-    return None if outcome is None else outcome.checkpoint
 
 
 def _register(job: Job[TrainConfig], model: str, dataset: Dataset, bundle: Bundle) -> int:

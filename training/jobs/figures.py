@@ -14,6 +14,7 @@ PANELS = {
     "gate": ("gate_divergence",),
 }
 _WGAN_PANELS = ("wasserstein_estimate", "gradient_penalty", "generator_loss")
+_NO_LOSSES = ("step", "time_ms", "steps_per_s")
 _LOGARITHMIC = ("reconstruction_loss", "validity_loss", "gate_divergence")
 _LABELS = {
     "wasserstein_estimate": "Wasserstein estimate",
@@ -24,13 +25,14 @@ _LABELS = {
     "validity_accuracy": "accuracy in the batch",
     "kl": "KL divergence [nat]",
     "gate_divergence": "divergence from the true shares [nat]",
-    "flow_loss": "squared error of the velocity [rad^2]",
 }
 
 
 def wgan_curves(histories: Mapping[str, History]) -> Figure:
-    """The WGAN-GP trials' losses over their generator steps, one line a trial."""
-    return _curves(histories, _WGAN_PANELS, "generator step")
+    """The losses of the trials of a model family over their steps, one line a trial."""
+    rows = [history[0] for history in histories.values()]
+    known = [name for name in _WGAN_PANELS if any(name in row for row in rows)]
+    return _curves(histories, known or [name for name in rows[0] if name not in _NO_LOSSES], "generator step")
 
 
 def own_curves(trial: str, history: History) -> Figure:
@@ -39,10 +41,8 @@ def own_curves(trial: str, history: History) -> Figure:
 
 
 def path_curves(histories: Mapping[str, History]) -> Figure:
-    """What each path model minimises over its steps; WGAN-GPs by their Wasserstein estimate."""
-    names = ("flow_loss", "wasserstein_estimate")
-    shown = [name for name in names if any(name in history[0] for history in histories.values())]
-    return _curves(histories, shown, "step")
+    """The Wasserstein estimate of the path model over its steps."""
+    return _curves(histories, ["wasserstein_estimate"], "step")
 
 
 def _curves(histories: Mapping[str, History], names: Sequence[str], x_label: str) -> Figure:
@@ -56,7 +56,7 @@ def _curves(histories: Mapping[str, History], names: Sequence[str], x_label: str
                 [row["step"] for row in history], [row[name] for row in history], label=trial, linewidth=1.2
             )
         axes.set_xlabel(x_label)
-        axes.set_title(_LABELS[name], fontsize=10)
+        axes.set_title(_LABELS.get(name, name), fontsize=10)
         axes.grid(visible=True, alpha=0.3)
         if name in _LOGARITHMIC:
             axes.set_yscale("log")

@@ -45,7 +45,6 @@ from training.jobs.environment import (
     submission_id,
 )
 from training.jobs.fine_tuning import earlier_job, require_folder
-from training.models.checkpoint import read_progress
 from training.section import Section
 
 LONGEST = 100
@@ -85,8 +84,6 @@ def log_configuration(run: RunLog, config: JobConfig) -> None:
 TAG_START = "start_from.run_id"
 # On a trial's run: its name in the job.
 TAG_TRIAL = "trial"
-# In a trial's folder: its parameters, where the server was away when it ended.
-MISSED = "missed.json"
 # Under which of Ray's ids the job runs; there while it does.
 _RUNNING = "running.json"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}")
@@ -158,7 +155,7 @@ class Job(Generic[Config]):
                 remedy="take the id of the line `run: ...` at the start of the job's log",
             ) from error
         try:
-            config = kind.model_validate(record["config"])
+            config = kind.from_dict(record["config"])
         except ValidationError as error:
             raise refused(error, ConfigError, f"the job is no {kind.__name__}") from error
         tracking = Tracking(environment.tracking_uri, wait_s=environment.patience_s)
@@ -168,7 +165,7 @@ class Job(Generic[Config]):
 
     @contextmanager
     def running(self) -> Iterator[RunLog]:
-        """The run, while this process works on the job; at its end the server has all trials."""
+        """The run, while this process works on the job."""
         with holding(self.folder / "lock", self._busy()):
             _LOG.info("run: %s", self.run.run_id)
             self._tidy()
@@ -179,17 +176,7 @@ class Job(Generic[Config]):
                 write_json(self.folder / _RUNNING, {"submission_id": submission})
             with self.run as run:
                 yield run
-                self._send_missed()
                 self._tidy()
-
-    def _send_missed(self) -> None:
-        """Send what trials could not, because the server was away when they ended."""
-        for missed in sorted(self.folder.glob(f"*/*/{MISSED}")):
-            progress = read_progress(max(missed.parent.glob("step-*")))
-            with self.tracking.resume(progress.run_id) as run:
-                run.params(json.loads(missed.read_text(encoding="utf-8")))
-                run.history(progress.history)
-            discard(missed)
 
     def child(self, name: str) -> str:
         """A trial's run, made here so that a retried trial and a resumed job continue it."""
@@ -232,8 +219,7 @@ class Job(Generic[Config]):
 
     def _tidy(self) -> None:
         """Delete what processes that were killed had begun to write, and what tells of one under way."""
-        done = (self.folder / name for name in ("stop", _RUNNING))
-        for half in (*self.folder.rglob(f"*{HALF_SUFFIX}"), *self.folder.glob(".*"), *done):
+        for half in (*self.folder.rglob(f"*{HALF_SUFFIX}"), *self.folder.glob(".*"), self.folder / _RUNNING):
             discard(half)
 
     def same(self, config: Config) -> "Job[Config]":

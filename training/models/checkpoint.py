@@ -1,37 +1,25 @@
-"""Checkpoints without pickle: tensors as safetensors, the rest as JSON, written beside and renamed."""
+"""Lightning's checkpoints, what is read of them, and files of scene models."""
 
 import contextlib
 import json
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
 import torch
+from lightning.fabric.plugins import TorchCheckpointIO
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
 from cspace.errors import ConfigError
-from cspace.files import discard, replacing
+from cspace.files import replacing
 from cspace.simulator import derived_seed
 from cspace.world import World
+from training.config import GridConfig
 from training.models.grid_head import SceneModel
-from training.models.modules import TrialModule
-from training.models.settings import GridConfig
 
 Network = TypeVar("Network", bound=nn.Module)
-
-WEIGHTS, TRAINING, STATE = "weights.safetensors", "training.safetensors", "state.json"
-
-
-@dataclass(frozen=True, slots=True)
-class Progress:
-    """Where a trial stands."""
-
-    step: int
-    run_id: str
-    history: tuple[Mapping[str, float], ...] = ()
 
 
 @contextlib.contextmanager
@@ -45,74 +33,50 @@ def seeded_initialisation(seed: int) -> Iterator[None]:
         yield
 
 
-def save_checkpoint(folder: Path, module: TrialModule, progress: Progress) -> Path:
-    """Weights, optimisers, schedules, the generator's state and the progress, as one folder."""
-    tensors = {"rng": module.rng.get_state()}
-    groups: list[Any] = []
-    for index, optimiser in enumerate(module.training_optimisers):
-        state = optimiser.state_dict()
-        groups.append(state["param_groups"])
-        for parameter, values in state["state"].items():
-            tensors |= {f"{index}.{parameter}.{name}": value for name, value in values.items()}
-    schedules = [_plain(schedule.state_dict()) for schedule in module.training_schedules]
-    content = {
-        "step": progress.step,
-        "run_id": progress.run_id,
-        "history": [dict(row) for row in progress.history],
-        "groups": groups,
-        "schedules": schedules,
-    }
-    with replacing(folder) as beside:
-        beside.mkdir(parents=True)
-        save_file(_contiguous(module.state_dict()), beside / WEIGHTS)
-        save_file(_contiguous(tensors), beside / TRAINING)
-        (beside / STATE).write_text(json.dumps(content), encoding="utf-8")
-        discard(folder)
-    return folder
+class AtomicCheckpoints(TorchCheckpointIO):
+    """Lightning's checkpoints, written beside and renamed.
+
+    Lightning's own way copies from the folder of temporary files, which may be another disk: a process that
+    is killed then leaves half a file.
+    """
+
+    def save_checkpoint(
+        self, checkpoint: dict[str, Any], path: str | Path, storage_options: Any | None = None
+    ) -> None:
+        """Save as a file of tensors and plain values."""
+        del storage_options
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        with replacing(Path(path)) as beside:
+            torch.save(checkpoint, beside)
 
 
-def read_progress(folder: Path) -> Progress:
-    """Where the trial of a checkpoint stood."""
-    content = json.loads((folder / STATE).read_text(encoding="utf-8"))
-    return Progress(int(content["step"]), str(content["run_id"]), tuple(content["history"]))
+def read_checkpoint(path: Path) -> dict[str, Any]:
+    """A checkpoint of Lightning on the CPU; ``history`` are the metrics of a trial up to there."""
+    content: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+    return content
 
 
-def load_checkpoint(folder: Path, module: TrialModule) -> None:
-    """Fill ``module`` from :func:`save_checkpoint`'s folder."""
-    content = json.loads((folder / STATE).read_text(encoding="utf-8"))
-    module.load_state_dict(load_file(folder / WEIGHTS))
-    tensors = load_file(folder / TRAINING)
-    module.rng.set_state(tensors.pop("rng"))
-    for index, optimiser in enumerate(module.training_optimisers):
-        optimiser.load_state_dict(
-            {"state": _optimiser_state(tensors, index), "param_groups": content["groups"][index]}
-        )
-    for schedule, state in zip(module.training_schedules, content["schedules"], strict=True):
-        schedule.load_state_dict(state)
-
-
-def start_from(folder: Path, module: TrialModule) -> None:
+def start_from(path: Path, module: nn.Module) -> None:
     """Give a new module the parameters that an earlier one has learned, and nothing else of its training.
 
     What follows from the data, and parameters that are not learned, stay as they are.
     """
-    learned = load_file(folder / WEIGHTS)
+    learned = read_checkpoint(path)["state_dict"]
     trained = [name for name, parameter in module.named_parameters() if parameter.requires_grad]
     module.load_state_dict({name: learned[name] for name in trained if name in learned}, strict=False)
 
 
-def load_weights(folder: Path, prefix: str) -> dict[str, Tensor]:
+def load_weights(path: Path, prefix: str) -> dict[str, Tensor]:
     """The weights of one part of a checkpoint's module, such as ``generator``, without their prefix."""
-    weights = load_file(folder / WEIGHTS)
-    start = prefix + "."
+    weights, start = read_checkpoint(path)["state_dict"], prefix + "."
     return {name.removeprefix(start): value for name, value in weights.items() if name.startswith(start)}
 
 
-def trained(make: Callable[[], Network], folder: Path, part: str) -> Network:
+def trained(make: Callable[[], Network], path: Path, part: str) -> Network:
     """A network with the weights of one part of a checkpoint's module, ready to be asked."""
     with seeded_initialisation(0):
         network = make()
-    network.load_state_dict(load_weights(folder, part))
+    network.load_state_dict(load_weights(path, part))
     return network.eval()
 
 
@@ -150,20 +114,3 @@ def load_scene_model(path: Path, world: World) -> SceneModel:
 
 def _contiguous(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
     return {name: tensor.detach().cpu().contiguous().clone() for name, tensor in tensors.items()}
-
-
-def _optimiser_state(tensors: dict[str, Tensor], index: int) -> dict[int, dict[str, Tensor]]:
-    state: dict[int, dict[str, Tensor]] = {}
-    for key, value in tensors.items():
-        owner, parameter, name = key.split(".", 2)
-        if int(owner) == index:
-            state.setdefault(int(parameter), {})[name] = value
-    return state
-
-
-def _plain(state: dict[str, Any]) -> dict[str, Any]:
-    """A schedule's state without what JSON can not hold (functions, which the module makes again)."""
-    kinds = (int, float, str, bool, list, type(None))
-    return {
-        key: value for key, value in state.items() if isinstance(value, kinds) and key != "lr_lambdas"
-    } | ({"lr_lambdas": [None]} if "lr_lambdas" in state else {})

@@ -1,165 +1,179 @@
-"""One trial's training loop: Lightning, with buffered tracking, progress lines and checkpoints."""
+"""One trial's training: Lightning, with its checkpoints, buffered tracking and progress lines."""
 
 import logging
 import os
 import time
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import lightning
 import torch
-from torch.utils.data import DataLoader
+from lightning.pytorch.callbacks import ModelCheckpoint, ProgressBar
 
 from cspace.errors import RegistryError, RegistryUnavailableError
-from cspace.files import write_json
 from services.progress import Estimate
-from services.registry.errors import set_timeouts
+from services.registry.errors import retry, set_timeouts
 from services.registry.tracking import RunLog, Tracking
-from training.config import ResourceConfig
-from training.jobs.job import MISSED
-from training.models.checkpoint import Progress, load_checkpoint, read_progress, start_from
-from training.models.data import StepCounter
-from training.models.modules import Metrics, TrialModule
-from training.models.settings import TrialSettings
-from training.trials.launch import TrialFolder, TrialRequest
+from training.config import ResourceConfig, TrialSettings
+from training.models.checkpoint import AtomicCheckpoints, start_from
+from training.models.modules import TrialModule
+from training.trials.launch import LAST, TrialRequest
 
 # Readers of a log want a line now and then, however fast the steps are.
 LINE_EVERY_S = 5.0
 # A server that hangs costs the client's timeout at each try.
 RETRY_S = 10.0
-# Whoever stops a job waits for this and for a checkpoint.
-STOP_LOOK_EVERY_S = 0.25
 
 _LOG = logging.getLogger("training")
 
 
-class TrialStopped(BaseException):
-    """The trial was asked to stop, and has written a checkpoint."""
+class TrialCheckpoint(ModelCheckpoint):
+    """Keeps the last checkpoint of a trial, with its metrics up to there, and sends these afterwards.
 
-
-class TrialCallback(lightning.Callback):
-    """Logs a trial's metrics and keeps its checkpoints."""
+    So a trial that goes on from it sends the same points again, which the server drops, and no others.
+    """
 
     def __init__(
         self,
-        name: str,
-        progress: Progress,
+        label: str,
         steps: int,
         resources: ResourceConfig,
         run: RunLog,
-        folder: TrialFolder,
-        stopping: Callable[[], bool],
+        folder: Path,
+        parameters: Mapping[str, Any] | None = None,
     ) -> None:
-        self.name, self.step, self.steps = name, progress.step, steps
-        self.resources, self.run, self.folder = resources, run, folder
-        self.stopping, self.stopped, self.looked_s = stopping, False, time.monotonic()
-        self.history = [dict(row) for row in progress.history]
-        self.sent, self.away_until = 0, float("-inf")
-        self.first, self.started = progress.step, time.monotonic()
-        self.shown_s, self.estimate = -LINE_EVERY_S, Estimate(steps, progress.step)
+        super().__init__(
+            folder,
+            LAST.removesuffix(".ckpt"),
+            every_n_train_steps=resources.checkpoint_every_steps,
+            enable_version_counter=False,
+        )
+        self.label, self.steps, self.resources, self.run = label, steps, resources, run
+        self.parameters = parameters or {}
+        self.history: list[dict[str, float]] = []
+        self.sent, self.away_until_s, self.shown_s = 0, float("-inf"), float("-inf")
+        self.first, self.started_s, self.estimate = 0, 0.0, Estimate(steps)
 
-    def on_fit_start(self, trainer: lightning.Trainer, pl_module: lightning.LightningModule) -> None:
-        """Fill the module from the checkpoint; its tensors are where they stay by now."""
-        del trainer
-        checkpoint = self.folder.latest()
-        if checkpoint is not None and isinstance(pl_module, TrialModule):
-            load_checkpoint(checkpoint, pl_module)
-        self.started, self.estimate = time.monotonic(), Estimate(self.steps, self.first)
+    def on_save_checkpoint(
+        self, trainer: lightning.Trainer, pl_module: lightning.LightningModule, checkpoint: dict[str, Any]
+    ) -> None:
+        """Keep the metrics."""
+        del trainer, pl_module
+        checkpoint["history"] = self.history
+
+    def on_load_checkpoint(
+        self, trainer: lightning.Trainer, pl_module: lightning.LightningModule, checkpoint: dict[str, Any]
+    ) -> None:
+        """Go on with the metrics."""
+        del trainer, pl_module
+        self.history = list(checkpoint["history"])
+
+    def on_train_start(self, trainer: lightning.Trainer, pl_module: lightning.LightningModule) -> None:
+        """Start the clocks."""
+        super().on_train_start(trainer, pl_module)
+        self.first, self.started_s = trainer.global_step, time.monotonic()
+        self.estimate = Estimate(self.steps, self.first)
+        self._try_to_send()
 
     def on_train_batch_end(
-        self,
-        trainer: lightning.Trainer,
-        pl_module: lightning.LightningModule,
-        outputs: Any,
-        batch: Any,
-        batch_idx: int,
+        self, trainer: lightning.Trainer, pl_module: lightning.LightningModule, *others: Any
     ) -> None:
-        """Log, checkpoint, or neither; and end where that is asked for."""
-        del outputs, batch, batch_idx
-        self.step += 1
-        last, first = self.step == self.steps, self.step == self.first + 1
-        if not isinstance(pl_module, TrialModule):
-            return
-        if first or last or self.step % self.resources.log_every_steps == 0:
-            self._log(pl_module)
-        self.stopped = not last and self._should_stop()
-        if last or self.stopped or self.step % self.resources.checkpoint_every_steps == 0:
-            self._checkpoint(pl_module)
-        trainer.should_stop = self.stopped
+        """Log, checkpoint and send, or neither."""
+        step = trainer.global_step
+        if isinstance(pl_module, TrialModule) and (
+            step in (1, self.steps) or step % self.resources.log_every_steps == 0
+        ):
+            self._log(pl_module, step)
+        super().on_train_batch_end(trainer, pl_module, *others)
+        if step % self.resources.checkpoint_every_steps == 0 and time.monotonic() > self.away_until_s:
+            self._try_to_send()
 
-    def _log(self, module: TrialModule) -> None:
-        elapsed = time.monotonic() - self.started
-        rate = (self.step - self.first) / max(elapsed, 1e-9)
-        metrics = module.metrics() | {"steps_per_s": rate}
-        now_ms = time.time_ns() // 1_000_000
-        self.history.append({"step": float(self.step), "time_ms": float(now_ms), **metrics})
-        if elapsed - self.shown_s < LINE_EVERY_S and self.step < self.steps:
-            return
-        self.shown_s = elapsed
-        shown = ", ".join(f"{key} {value:.4g}" for key, value in metrics.items() if key != "steps_per_s")
-        left = self.estimate.left(self.step)
-        _LOG.info("%s: step %d/%d, %s%s", self.name, self.step, self.steps, shown, left)
+    def on_train_end(self, trainer: lightning.Trainer, pl_module: lightning.LightningModule) -> None:
+        """Keep the last step."""
+        del pl_module
+        trainer.save_checkpoint(Path(str(self.dirpath), LAST))
 
-    def _should_stop(self) -> bool:
-        now = time.monotonic()
-        if now - self.looked_s < STOP_LOOK_EVERY_S:
-            return False
-        self.looked_s = now
-        return self.stopping()
-
-    def _checkpoint(self, module: TrialModule) -> None:
-        # First the checkpoint: a trial that goes on from it sends the same points again, and no others.
-        self.folder.save(module, Progress(self.step, self.run.run_id, tuple(self.history)))
-        if time.monotonic() < self.away_until:
-            return
+    def send(self) -> None:
+        """Send what the run does not have."""
         try:
-            self.run.history(self.history[self.sent :])
-            self.sent = len(self.history)
+            self.run.params(self.parameters)
+            self.parameters = {}
+        except RegistryUnavailableError:
+            raise
+        except RegistryError as error:
+            # A trial may go on where another version of the code, or another device, began it.
+            _LOG.warning("%s: other parameters than it began with: %s", self.label, error)
+        self.run.history(self.history[self.sent :])
+        self.sent = len(self.history)
+
+    def _try_to_send(self) -> None:
+        try:
+            self.send()
         except RegistryUnavailableError as error:
-            _LOG.warning("%s: metrics are sent later: %s", self.name, error)
-            self.away_until = time.monotonic() + RETRY_S
+            _LOG.warning("%s: metrics are sent later: %s", self.label, error)
+            self.away_until_s = time.monotonic() + RETRY_S
+
+    def _log(self, module: TrialModule, step: int) -> None:
+        elapsed_s = time.monotonic() - self.started_s
+        metrics = module.metrics() | {"steps_per_s": (step - self.first) / max(elapsed_s, 1e-9)}
+        self.history.append({"step": float(step), "time_ms": float(time.time_ns() // 1_000_000), **metrics})
+        if elapsed_s - self.shown_s < LINE_EVERY_S and step < self.steps:
+            return
+        self.shown_s = elapsed_s
+        shown = ", ".join(f"{key} {value:.4g}" for key, value in metrics.items() if key != "steps_per_s")
+        _LOG.info("%s: step %d/%d, %s%s", self.label, step, self.steps, shown, self.estimate.left(step))
 
 
-def fit(
-    name: str,
-    module: TrialModule,
+def fit_module(
+    module: lightning.LightningModule,
     steps: int,
-    resources: ResourceConfig,
-    run: RunLog,
-    folder: TrialFolder,
-    stopping: Callable[[], bool] = lambda: False,
-) -> Metrics:
-    """Train ``module`` up to ``steps``, from the last checkpoint when there is one.
-
-    Returns:
-        The last metrics.
-    """
-    checkpoint = folder.latest()
-    progress = Progress(0, run.run_id, ()) if checkpoint is None else read_progress(checkpoint)
-    callback = TrialCallback(name, progress, steps, resources, run, folder, stopping)
+    last: Path | None = None,
+    callbacks: Sequence[lightning.Callback] = (),
+) -> None:
+    """Train up to a number of steps, from the checkpoint ``last`` on where it is there."""
+    saves, shows = (
+        any(isinstance(one, kind) for one in callbacks) for kind in (ModelCheckpoint, ProgressBar)
+    )
     with warnings.catch_warnings():
-        # Lightning counsels on loader workers and loggers; the loader only counts steps.
+        # Lightning counsels on loaders, loggers, and checkpoints of manual optimisation.
         warnings.simplefilter("ignore")
         trainer = lightning.Trainer(
             accelerator="auto",
             devices=1,
-            min_epochs=0,
-            max_epochs=1,
+            max_steps=steps,
             logger=False,
-            enable_checkpointing=False,
-            enable_progress_bar=False,
+            enable_checkpointing=saves,
+            enable_progress_bar=shows,
             enable_model_summary=False,
-            callbacks=[callback],
+            callbacks=list(callbacks),
+            plugins=[AtomicCheckpoints()],
         )
-        with run:
-            # A worker may have been killed between a trial's last checkpoint and its outcome.
-            if progress.step < steps:
-                trainer.fit(module, DataLoader(StepCounter(progress.step, steps), batch_size=None))
-            if callback.stopped:
-                raise TrialStopped
-            run.history(callback.history[callback.sent :])
-    return last_metrics(callback.history)
+        found = last if last is not None and last.is_file() else None
+        # The modules draw their own batches, on their own device.
+        loader: Any = range(steps)
+        trainer.fit(module, loader, ckpt_path=found, weights_only=True)
+
+
+def fit(
+    label: str,
+    module: TrialModule,
+    steps: int,
+    resources: ResourceConfig,
+    run: RunLog,
+    folder: Path,
+    parameters: Mapping[str, Any] | None = None,
+    patience_s: float = 0.0,
+) -> None:
+    """Train ``module`` up to ``steps``, from the last checkpoint when there is one, and end its run.
+
+    Training goes on while the tracking server is away; it has to be back within ``patience_s`` at the end.
+    """
+    callback = TrialCheckpoint(label, steps, resources, run, folder, parameters)
+    with run:
+        fit_module(module, steps, folder / LAST, [callback])
+        retry(f"{label}: sending the last metrics", callback.send, patience_s)
 
 
 def fit_tracked(
@@ -167,52 +181,23 @@ def fit_tracked(
     module: TrialModule,
     settings: TrialSettings,
     resources: ResourceConfig,
-    tracking_uri: str,
     **extra_parameters: Any,
-) -> Metrics | None:
-    """Train a trial's module, from its last checkpoint on where it has one.
-
-    Training goes on while the tracking server is away: the metrics are in the checkpoint. What the server
-    lacks is sent when the trial ends, else by the job's driver. A job that is being stopped ends it early,
-    with a checkpoint.
-
-    Returns:
-        The last metrics; None where the job is being stopped.
-    """
+) -> None:
+    """Train a trial's module, from its last checkpoint on where it has one, in the trial's run."""
     # No more threads than the trial claims: two pools on the same cores are slower than one thread each.
     torch.set_num_threads(resources.threads)
     logging.basicConfig(level=logging.WARNING, format="%(message)s", force=True)
     logging.getLogger("training").setLevel(logging.INFO)
     logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
-    # What can not be sent is sent later, so there is nothing to be patient for.
+    # What can not be sent is sent later.
     set_timeouts(os.environ)
     label = f"{trial.name} ({trial.job})"
-    folder = TrialFolder(trial.folder, resources.checkpoints_kept)
     if trial.start is not None:
         start_from(trial.start, module)
         _LOG.info("%s: starts from the weights of %s", label, trial.start)
-    run = RunLog(Tracking(tracking_uri), trial.run_id)
+    run = RunLog(Tracking(trial.tracking_uri), trial.run_id)
     parameters = _parameters(trial, module, settings) | extra_parameters
-    try:
-        run.params(parameters)
-    except RegistryUnavailableError:
-        _LOG.warning("%s: the tracking server is away; training goes on", label)
-    except RegistryError as error:
-        # A trial may go on where another version of the code began it.
-        _LOG.warning("run %s: other parameters than it began with: %s", run.run_id, error)
-    try:
-        return fit(label, module, settings.steps, resources, run, folder, trial.stop.exists)
-    except TrialStopped:
-        return None
-    except RegistryUnavailableError as error:
-        _LOG.warning("%s: the job sends the metrics when it ends: %s", label, error)
-        write_json(trial.folder / MISSED, parameters)
-        return last_metrics(read_progress(folder.checkpoints()[-1]).history)
-
-
-def last_metrics(history: Sequence[Mapping[str, float]]) -> Metrics:
-    """Of a trial's last row."""
-    return {name: value for name, value in history[-1].items() if name not in ("step", "time_ms")}
+    fit(label, module, settings.steps, resources, run, trial.folder, parameters, trial.patience_s)
 
 
 def _parameters(trial: TrialRequest, module: TrialModule, settings: TrialSettings) -> dict[str, Any]:

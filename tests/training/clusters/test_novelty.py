@@ -14,10 +14,11 @@ from cspace.worlds.planar.simulator import render
 from cspace.worlds.planar.world import Disc
 from tests.dataset_content import content
 from tests.scenarios import random_scenarios
+from tests.training.models.builders import run, save
 from training.clusters.calibration import KNOWN_PICTURES, known_pictures, known_quantiles
-from training.models.checkpoint import Progress, save_checkpoint, seeded_initialisation
-from training.models.modules import VaeModule
-from training.models.settings import VaeConfig
+from training.config import VaeConfig
+from training.models.autoencoders import VaeModule
+from training.models.checkpoint import seeded_initialisation
 from training.trials.arrays import load_encoder, load_scores
 
 CONFIG = VaeConfig(latent_dim=16, width=8, steps=1)
@@ -26,9 +27,7 @@ CONFIG = VaeConfig(latent_dim=16, width=8, steps=1)
 def checkpoint(folder, config, pictures):
     with seeded_initialisation(0):
         module = VaeModule(config, torch.tensor(pictures.transpose(0, 3, 1, 2).copy()), 0)
-    for step in range(config.steps):
-        module.training_step(step, step)
-    return save_checkpoint(folder / "checkpoint", module, Progress(config.steps, "run"))
+    return save(folder / "final.ckpt", run(module, config.steps))
 
 
 def pictures_of(scenarios):

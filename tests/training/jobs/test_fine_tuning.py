@@ -10,12 +10,12 @@ from cspace.errors import ConfigError, ModelNotFoundError
 from inference_api.settings import PRETRAINED_FOLDER
 from services.registry.entities import ModelVersion
 from tests.fakes.registry import FakeTracking
-from tests.training.models.builders import tiny_module
+from tests.training.models.builders import save, tiny_module
 from training.config import CLUSTERS_FILE, PathTrainConfig, TrainConfig
 from training.jobs.environment import RECORD, Environment, job_folder
 from training.jobs.job import TAG_START, Job
-from training.models.checkpoint import Progress, save_checkpoint, start_from
-from training.trials.launch import TrialRequest
+from training.models.checkpoint import start_from
+from training.trials.launch import FINAL, TrialRequest
 
 EARLIER, CHILD = "a" * 32, "c" * 32
 SMOKE = TrainConfig.load("smoke")
@@ -50,7 +50,8 @@ def environment(tmp_path):
     record = {"config": SMOKE.to_dict(), "children": {"vae": CHILD}, "name": None}
     (folder / RECORD).write_text(json.dumps(record))
     np.savez(folder / CLUSTERS_FILE, centres=np.zeros((2, 4)), clusters=np.arange(2))
-    (folder / "local" / "local-0" / "step-000000006").mkdir(parents=True)
+    (folder / "local" / "local-0").mkdir(parents=True)
+    (folder / "local" / "local-0" / FINAL).touch()
     return environment
 
 
@@ -70,7 +71,7 @@ def test_a_version_and_a_run_mean_the_job_that_made_them(text, environment, trac
 def test_a_trial_starts_from_the_last_checkpoint_of_its_namesake(environment, tracking):
     # Budgets and data may differ.
     job = start(environment, EARLIER, "local.steps=9", "seed=5", "data.seed=7", "data.scenario_count=30")
-    known = job.start_folder / "local" / "local-0" / "step-000000006"
+    known = job.start_folder / "local" / "local-0" / FINAL
     assert TrialRequest.of(job, "local", "local-0", 0).start == known
     assert TrialRequest.of(job, "pictures", "vae").start is None
 
@@ -149,7 +150,7 @@ def test_a_job_that_started_from_nothing_does_not_start_from_weights_later(envir
 def test_a_module_takes_what_was_learned_and_keeps_what_follows_from_its_own_data(tmp_path):
     earlier, fresh = tiny_module(), tiny_module(seed=1)
     kept = {name: value.clone() for name, value in fresh.named_buffers()}
-    start_from(save_checkpoint(tmp_path / "step", earlier, Progress(9, "r")), fresh)
+    start_from(save(tmp_path / "final.ckpt", earlier), fresh)
     for (name, one), other in zip(earlier.named_parameters(), fresh.parameters(), strict=True):
         assert np.array_equal(one.detach(), other.detach()), name
     assert all(np.array_equal(value, kept[name]) for name, value in fresh.named_buffers())

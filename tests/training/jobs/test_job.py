@@ -3,16 +3,12 @@ import json
 
 import pytest
 
-from cspace.errors import ConfigError, JobError, RegistryUnavailableError, StorageError
-from cspace.files import write_json
+from cspace.errors import ConfigError, JobError, StorageError
 from services.names import TAG_KEY
 from tests.fakes.registry import FakeTracking
-from tests.training.models.builders import tiny_module
 from training.config import TrainConfig
 from training.jobs.environment import RECORD, Environment, job_environment, job_folder, run_of, submission_id
-from training.jobs.job import MISSED, Job, kept_bundle
-from training.models.checkpoint import Progress
-from training.trials.launch import TrialFolder
+from training.jobs.job import Job, kept_bundle
 
 SMOKE = TrainConfig.load("smoke", ["seed=4"])
 
@@ -119,11 +115,11 @@ def test_a_job_that_nobody_submitted_says_nothing_of_it(environment, tracking, m
     assert submission_id({"RAY_JOB_CONFIG_JSON_ENV_VAR": '{"metadata": null}'}) is None
 
 
-def test_what_an_attempt_left_half_and_the_request_to_stop_it_are_gone_in_the_next(environment, tracking):
+def test_what_an_attempt_left_half_is_gone_in_the_next(environment, tracking):
     job = Job.start(SMOKE, environment, {}, name="arm-1")
-    (job.folder / "local" / "step-000000004.tmp").mkdir(parents=True)
+    (job.folder / "local").mkdir()
+    (job.folder / "local" / ".write-last.ckpt-1.tmp").touch()
     (job.folder / ".bundle-abc").mkdir()
-    (job.folder / "stop").touch()
     with Job.start(SMOKE, environment, {}, name="arm-1").running():
         assert sorted(path.name for path in job.folder.rglob("*")) == ["job.json", "local", "lock"]
 
@@ -133,32 +129,6 @@ def test_an_interrupted_job_is_a_killed_run(environment, tracking):
     with pytest.raises(KeyboardInterrupt), job.running():
         raise KeyboardInterrupt
     assert tracking.runs[job.run.run_id].status == "KILLED"
-
-
-def test_what_trials_could_not_send_is_sent_before_a_job_counts_as_done(environment, tracking, monkeypatch):
-    job = Job.start(SMOKE, environment, {})
-    run_id, folder = job.child("local-0"), job.folder / "local" / "local-0"
-    rows = [{"step": 2.0, "time_ms": 7.0, "loss": 0.5}, {"step": 4.0, "time_ms": 9.0, "loss": 0.25}]
-    TrialFolder(folder).save(tiny_module(), Progress(4, run_id, tuple(rows)))
-    write_json(folder / MISSED, {"seed": 7})
-    with monkeypatch.context() as patch:
-        patch.setattr(tracking, "resume", away)
-        with pytest.raises(RegistryUnavailableError), job.running():
-            pass
-    assert tracking.runs[job.run.run_id].status == "FAILED"
-    with Job.resume(job.run.run_id, environment, TrainConfig).running():
-        pass
-    run = tracking.runs[run_id]
-    assert (run.status, run.params, run.history) == (
-        "FINISHED",
-        {"seed": "7"},
-        {"loss": [(2, 0.5), (4, 0.25)]},
-    )
-    assert not (folder / MISSED).exists()
-
-
-def away(*_):
-    raise RegistryUnavailableError("away")
 
 
 def test_a_folder_that_can_not_be_written_or_has_no_room_is_told_before_the_work(

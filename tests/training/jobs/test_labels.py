@@ -18,7 +18,7 @@ def run():
 
 
 def test_a_job_goes_by_its_name_or_by_its_preset():
-    config = TrainConfig(preset="paper", seed=3)
+    config = TrainConfig.load("paper", ["seed=3"])
     assert job_label(config, "arm-1") == "arm-1, seed 3"
     assert job_label(config, None) == "paper, seed 3"
     assert shown_tags(config, None, "local") == {"stage": "local", "job": "", "preset": "paper"}
@@ -27,7 +27,7 @@ def test_a_job_goes_by_its_name_or_by_its_preset():
 
 def test_settings_are_parameters_one_each_and_a_file_has_all_of_them(run):
     log, kept = run
-    config = TrainConfig(start_from="x" * (LONGEST + 1))
+    config = TrainConfig.load("quickstart", [f"start_from={'x' * (LONGEST + 1)}"])
     log_configuration(log, config)
     assert kept.params["local.steps"] == str(config.local.steps)
     assert "start_from" not in kept.params

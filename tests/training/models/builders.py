@@ -1,13 +1,18 @@
 """Small modules for the tests of training."""
 
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import lightning
 import torch
 
 from cspace.space import circles
+from training.config import VaeConfig
 from training.models.checkpoint import seeded_initialisation
 from training.models.data import ScenarioSamples
-from training.models.joint import JointModule
-from training.models.modules import WganGpModule
-from training.models.settings import GanConfig, GlobalConfig, VaeConfig
+from training.models.families.joint import JointGanConfig, JointModule
+from training.models.families.wgan_gp import GanConfig, WganGpModule
+from training.trials.fit import fit_module
 
 TINY = {
     "hidden": 16,
@@ -39,20 +44,26 @@ def tiny_module(seed: int = 0, **changes: object) -> WganGpModule:
 
 def tiny_joint_module(seed: int = 0, **changes: object) -> JointModule:
     """A WGAN-GP that trains its encoder, too; two scenarios with a picture each."""
-    small = {"critic_condition": "projection", "encoder": "joint", "generator": "means", "steps": 20}
-    config = GlobalConfig.model_validate(TINY | small | changes)
+    small = {"critic_condition": "projection", "generator": "means", "steps": 20}
+    config = JointGanConfig.model_validate(TINY | small | changes)
     vae = VaeConfig(latent_dim=3, width=4, batch_size=2)
     images = torch.zeros(2, 3, 48, 48, dtype=torch.uint8)
     images[1, :, 12:36] = 255
     with seeded_initialisation(seed):
-        return JointModule(config, vae, ring_samples(), images, SCALE, seed, SPACE)
+        return JointModule(config, ring_samples(), SCALE, seed, SPACE, vae=vae, images=images)
 
 
-def run(module: torch.nn.Module, steps: int, first: int = 0) -> torch.nn.Module:
-    """Take training steps."""
-    for step in range(first, first + steps):
-        module.training_step(step, step)
+def run(module: lightning.LightningModule, steps: int, last: Path | None = None) -> torch.nn.Module:
+    """Take training steps, or those that a checkpoint's module has left."""
+    fit_module(module, steps, last)
     return module
+
+
+def save(path: Path, module: torch.nn.Module, history: Sequence[Mapping[str, float]] = ()) -> Path:
+    """A checkpoint of a module that was not trained."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    torch.save({"state_dict": module.state_dict(), "history": list(history)}, path)
+    return path
 
 
 def weights(module: torch.nn.Module) -> torch.Tensor:

@@ -2,7 +2,6 @@ import pytest
 import torch
 
 from tests.training.models.builders import run, tiny_joint_module, weights
-from training.models.checkpoint import Progress, load_checkpoint, load_weights, save_checkpoint
 
 
 def encode(module):
@@ -49,16 +48,4 @@ def test_training_reconstructs_the_pictures():
     rates = {"generator_learning_rate": 5e-3, "critic_learning_rate": 5e-3, "critic_steps": 1}
     module = run(tiny_joint_module(steps=120, **rates), 1)
     first = module.metrics()["reconstruction_loss"]
-    assert run(module, 119, first=1).metrics()["reconstruction_loss"] < 0.2 * first
-
-
-def test_a_resumed_training_ends_bit_for_bit_where_the_uninterrupted_one_does(tmp_path):
-    whole = run(tiny_joint_module(), 8)
-    folder = save_checkpoint(tmp_path / "checkpoint", run(tiny_joint_module(), 4), Progress(4, "run", ()))
-    assert set(load_weights(folder, "encoder")) == set(whole.encoder.state_dict())
-    resumed = tiny_joint_module(seed=5)
-    assert "images" not in resumed.state_dict()
-    load_checkpoint(folder, resumed)
-    run(resumed, 4, first=4)
-    for name, value in whole.state_dict().items():
-        assert torch.equal(value, resumed.state_dict()[name]), name
+    assert run(module, 119).metrics()["reconstruction_loss"] < 0.2 * first

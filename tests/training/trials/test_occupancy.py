@@ -9,10 +9,10 @@ from cspace.worlds import examples
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
+from tests.training.models.builders import run, save
 from training.clusters.bundling import head_graphs
-from training.config import HeadConfig
-from training.models.checkpoint import Progress, load_scene_model, save_checkpoint
-from training.models.settings import GridConfig, ValidityConfig
+from training.config import GridConfig, HeadConfig, ValidityConfig
+from training.models.checkpoint import load_scene_model
 from training.trials.arrays import has_occupancy, head_module, occupancy_samples
 
 HEAD = ValidityConfig(free_share=0.5)
@@ -76,7 +76,7 @@ def test_a_head_learns_from_outcomes_as_often_as_they_have_pictures(tmp_path):
     assert [float(share) for share in module.shares] == [3.0, 1.0]
     assert [int(one.images[0].max()) for one in module.samples.samples] == [100, 200]
     before = [one.detach().clone() for one in module.parameters()]
-    module.training_step(0, 0)
+    run(module, 1)
     assert any((one != other).any() for one, other in zip(module.parameters(), before, strict=True))
     assert len(head_module(data, config, torch.empty(0), 0).samples.samples) == 1
 
@@ -91,7 +91,7 @@ def test_a_scene_model_is_trained_further_and_exported_as_it_became(tmp_path):
         assert torch.equal(module.head.model.state_dict()[name], value), name
     with torch.no_grad():
         module.head.model.hazard.bias += 3.0
-    checkpoint = save_checkpoint(tmp_path / "checkpoint", module, Progress(1, ""))
+    checkpoint = save(tmp_path / "final.ckpt", module)
     further, first = (head_graphs(config, PANDA, at) for at in (checkpoint, config.scene_model_file))
     assert further["map"] == first["map"]
     assert further["validity"] != first["validity"]

@@ -29,8 +29,7 @@ def looker():
             array.sum(),
         )
         Path(notes, trial.name).write_text(" ".join(map(str, notes_of)))
-        (trial.folder / "step-000000001").mkdir(parents=True)
-        return {"steps_per_s": 1.0}
+        (trial.folder / "last.ckpt").touch()
 
     return look
 

@@ -13,7 +13,7 @@ STAGES = {
     "gate": ("gate",),
     "local": tuple(f"local-{index}" for index in range(8)),
     "global": ("global",),
-    "models": ("wgan", "wgan_guided"),
+    "models": ("wgan",),
 }
 
 
@@ -23,6 +23,7 @@ def requests(seed: int, folder: Path) -> list[TrialRequest]:
         folder=folder,
         start_folder=None,
         name=None,
+        environment=SimpleNamespace(tracking_uri="", patience_s=0.0),
         run=SimpleNamespace(run_id="0" * 32),
         child=lambda name: name,
     )
