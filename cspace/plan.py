@@ -16,7 +16,7 @@ from cspace.planning.rrt_connect import Growth, grow_connect
 from cspace.planning.search import find_paths, with_deadline
 from cspace.query import Plan, PlanQuery
 from cspace.simulator import Checker
-from cspace.space import JointSpace
+from cspace.space import LIMIT_TOLERANCE_RAD, JointSpace
 from cspace.world import CheckCancelled, Contact, Image, Known, World
 from cspace.worlds import (
     WITH_TOOL,
@@ -157,11 +157,45 @@ def plan(
         found = Plan("timeout" if searched.late else "refused", nothing, reason=reason)
     if found.status != "solved" and (query.explain or seen.known is not None):
         found = replace(found, contact=_contact(seen, ends, found))
+    space = planning_space(seen.world, query.limits)
+    start = np.where(space.periodic, ends[0], query.start)
+    if np.abs(start - ends[0]).max() > LIMIT_TOLERANCE_RAD and len(found.path):
+        found = _led_back(found, start)
+    elif len(ends) > 1 and np.array_equal(*ends):
+        found = _one_point(found)
     if query.unwrapped:
-        space = planning_space(seen.world, query.limits)
         others = (replace(one, path=space.unwrap(one.path, query.start)) for one in found.alternatives)
         found = replace(found, path=space.unwrap(found.path, query.start), alternatives=tuple(others))
     return replace(found, search_ms=searched.search_ms, score_ms=searched.score_ms)
+
+
+def _led_back(found: Plan, start: NDArray[np.float64]) -> Plan:
+    """The plan from a start beyond a limit, whose first edge leads to the limit."""
+    alternatives = tuple(
+        replace(one, path=np.vstack([start, one.path]), edges=np.pad(one.edges, (1, 0), mode="edge"))
+        for one in found.alternatives
+    )
+    return replace(
+        found,
+        path=np.vstack([start, found.path]),
+        edges=np.pad(found.edges, (1, 0), mode="edge"),
+        unseen=None if found.unseen is None else np.pad(found.unseen, (1, 0), mode="edge"),
+        length_rad=found.length_rad + float(np.linalg.norm(start - found.path[0])),
+        alternatives=alternatives,
+    )
+
+
+def _one_point(found: Plan) -> Plan:
+    """The plan to where the arm stands."""
+    alternatives = tuple(replace(one, path=one.path[:1], edges=one.edges[:0]) for one in found.alternatives)
+    return replace(
+        found,
+        path=found.path[:1],
+        edges=found.edges[:0],
+        unseen=None if found.unseen is None else found.unseen[:0],
+        length_rad=0.0,
+        alternatives=alternatives[:1],
+    )
 
 
 def _blocked_end(seen: Seen, ends: NDArray[np.float64], *, goal_free: bool) -> str | None:

@@ -17,6 +17,8 @@ Floats = NDArray[np.floating[Any]]
 _TURN = 2.0 * np.pi
 # A value that lies this little beyond a limit is there by rounding, and is taken as that limit.
 LIMIT_TOLERANCE_RAD = 1e-4
+# How far beyond a limit an encoder, a hand-guided or a sagging arm may read.
+NEAR_LIMIT_RAD = 0.1
 # Farther from 0 than three turns an angle of a circle is more likely in degrees than unwrapped.
 MAX_CIRCLE_RAD = 3.0 * _TURN
 
@@ -161,12 +163,16 @@ class JointSpace:
         return np.asarray(~np.any(moved & ~np.asarray(self.periodic), axis=-1))
 
     def admitted(
-        self, configurations: ArrayLike, what: str, error: type[InputError] = InputError
+        self,
+        configurations: ArrayLike,
+        what: str,
+        error: type[InputError] = InputError,
+        beyond_rad: float = LIMIT_TOLERANCE_RAD,
     ) -> NDArray[np.float64]:
         """Configurations that come from outside, checked; every file and request goes through here.
 
-        Limited joints are clamped to their limits where they lie up to ``LIMIT_TOLERANCE_RAD`` beyond, as
-        values in single precision do. Circles stay as they are, within ``MAX_CIRCLE_RAD`` of 0.
+        Limited joints are clamped to their limits where they lie up to ``beyond_rad`` beyond, by default
+        as values in single precision do. Circles stay as they are, within ``MAX_CIRCLE_RAD`` of 0.
 
         ``configurations``: (d,) or (n, d) rad. ``what``: the clause of the error's message, as "start lies
         outside the robot's limits". Returns the same, clamped.
@@ -174,7 +180,7 @@ class JointSpace:
         values = np.asarray(configurations, dtype=np.float64)
         low = np.where(self.periodic, -MAX_CIRCLE_RAD, self.lower)
         high = np.where(self.periodic, MAX_CIRCLE_RAD, self.upper)
-        fits = (values >= low - LIMIT_TOLERANCE_RAD) & (values <= high + LIMIT_TOLERANCE_RAD)
+        fits = (values >= low - beyond_rad) & (values <= high + beyond_rad)
         if fits.all():
             return np.clip(values, low, high)
         *row, joint = np.argwhere(~fits)[0]
@@ -186,7 +192,9 @@ class JointSpace:
             + (", three turns of a circle either way" if self.periodic[joint] else ""),
             got=(f"{wrong} of {len(fits)} rows outside, the first is row {row[0]}: " if row else "")
             + f"{name} at {values[(*row, joint)]:.8g} rad",
-            remedy="send angles in rad, not in degrees, as the joints stand",
+            remedy="send angles in rad, not in degrees, as the joints stand"
+            if np.abs(values).max() > _TURN
+            else f"send {name} within its limits",
         )
 
     def holds(self, configurations: Floats) -> NDArray[np.bool_]:

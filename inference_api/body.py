@@ -1,6 +1,7 @@
 """The body of a request as a pydantic model: a form, or JSON with the same names."""
 
 import base64
+import codecs
 import re
 from collections.abc import Awaitable, Callable
 from functools import cache
@@ -26,7 +27,11 @@ MAX_FIELDS, MAX_FILES, MAX_FIELD_BYTES = 1_100, 48, 64 * 1024
 _LONG_JSON_BYTES = 64 * 1024
 # Of JSON beside its pictures: parsed, it takes up to 27 times as much memory, while other threads wait.
 MAX_JSON_BYTES = 1024 * 1024
-_PICTURE = re.compile(rb'"[A-Za-z0-9+/=]{1024,}"')
+_PICTURE = re.compile(rb'"(?:data:[a-z0-9/.+;=-]{,60},)?[A-Za-z0-9+/=_\\-]{1024,}"')
+# As PHP and jQuery name the values of a list, and as JavaScript joins them.
+_INDEX = re.compile(r"\[\d*\]$")
+_NUMBERS = re.compile(r"[-.\dEe+]+(?:[\s,]+[-.\dEe+]+)+")
+_CONSTANTS = ("true", "false", "null")
 Fields = TypeVar("Fields", bound=BaseModel)
 
 
@@ -67,7 +72,7 @@ def _of_json(kind: type[Fields], body: bytes) -> Fields:
             expected=f"at most {MAX_JSON_BYTES} bytes beside pictures in base64",
             remedy="send configurations as .npy in a form",
         )
-    values = _json("the body", body)
+    values = _json("the body", body.removeprefix(codecs.BOM_UTF8))
     if not isinstance(values, dict):
         raise _malformed("the body is no JSON object", "an object", type(values).__name__)
     return validated(kind, values)
@@ -95,28 +100,44 @@ async def _form_values(request: Request, kind: type[BaseModel], boundary: bytes)
     try:
         form = await parser.parse()
     except MultiPartException as error:
-        raise _malformed("the form is malformed", "parts as RFC 7578 has them", error.message) from error
+        raise RequestError(
+            MALFORMED_BODY,
+            "the form is malformed",
+            expected="parts as RFC 7578 has them",
+            got=error.message,
+            remedy="give the part of a picture or an array a file name",
+        ) from error
     values: dict[str, list[Any]] = {}
     meshes: dict[str, str] = {}
-    for name, value in form.multi_items():
-        if isinstance(value, str):
-            values.setdefault(name, []).append(_form_value(name, value, kind))
-        elif name == "mesh":
-            meshes[value.filename or ""] = base64.b64encode(await value.read()).decode()
+    for field, part in form.multi_items():
+        name = _INDEX.sub("", field)
+        if name == "mesh" and not isinstance(part, str):
+            meshes[part.filename or ""] = base64.b64encode(await part.read()).decode()
         else:
-            values.setdefault(name, []).append(await value.read())
+            value = part if isinstance(part, str) else await part.read()
+            values.setdefault(name, []).append(_form_value(name, value, kind))
     await form.close()
     found: dict[str, Any] = {name: many[0] if len(many) == 1 else many for name, many in values.items()}
     return found | ({"meshes": meshes} if meshes else {})
 
 
-def _form_value(name: str, value: str, kind: type[BaseModel]) -> object:
+def _form_value(name: str, value: str | bytes, kind: type[BaseModel]) -> object:
+    """A field's value: JSON also comes as a file, and a picture without a file name as text."""
+    if name == "image":
+        return value.encode("latin-1") if isinstance(value, str) and value[:1] == "\x89" else value
+    if isinstance(value, bytes):
+        if name == "configurations" and value.lstrip()[:1] != b"[":
+            return value
+        value = value.decode("utf-8", "replace")
     if name in FORM_TEXTS or name not in kind.model_fields:
         return value
+    text = value.strip()
+    if _NUMBERS.fullmatch(text):
+        text = f"[{','.join(text.replace(',', ' ').split())}]"
     try:
-        return _json(name, value.strip().encode())
+        return _json(name, (text.lower() if text.lower() in _CONSTANTS else text).encode())
     except RequestError:
-        if value.lstrip()[:1] in ("[", "{"):
+        if text[:1] in ("[", "{"):
             raise
         # The field refuses it in its own words.
         return value

@@ -11,7 +11,7 @@ from cspace.bundle.spec import BundleSpec
 from cspace.errors import InputError, OtherRobotError
 from cspace.plan import planning_space
 from cspace.query import PlanQuery, SampleQuery
-from cspace.space import JointSpace
+from cspace.space import LIMIT_TOLERANCE_RAD, NEAR_LIMIT_RAD, JointSpace
 from cspace.world import Known, Sensor
 from cspace.worlds import robot_digest, tool_constraints
 
@@ -165,13 +165,18 @@ def fitted_plan(spec: BundleSpec, query: PlanQuery) -> PlanQuery:
 def fitted_end(
     spec: BundleSpec, name: str, angles: tuple[float, ...], space: JointSpace | None = None
 ) -> tuple[float, ...]:
-    """A start or goal, finite rad, as a bundle takes it: circles wrapped, in single precision."""
+    """A start or goal, finite rad, as a bundle takes it: circles wrapped, in single precision.
+
+    A start that lies a little beyond a limit is taken as that limit.
+    """
     if len(angles) != spec.dim:
         expected = f"{spec.dim} finite angles in rad"
         raise InputError(f"{name} does not fit the robot", expected=expected, got=str(list(angles))[:200])
     whose = "the robot's joints" if space is None else "this request"
     space = spec.world.space if space is None else space
-    configuration = space.admitted(angles, f"{name} lies outside the limits of {whose}")
+    beyond_rad = NEAR_LIMIT_RAD if name == "start" else LIMIT_TOLERANCE_RAD
+    what = f"{name} lies outside the limits of {whose}"
+    configuration = space.admitted(angles, what, beyond_rad=beyond_rad)
     return tuple(space.to_float32(configuration).tolist())
 
 

@@ -5,12 +5,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Annotated
 
+import numpy as np
 from fastapi import APIRouter, Depends, Request
 from fastapi.responses import Response
 
 from cspace.bundle.samples import fitted_plan, fitted_problem, require_robot
 from cspace.errors import InputError
+from cspace.plan import planning_space
 from cspace.query import Plan, PlanQuery, random_seed
+from cspace.space import LIMIT_TOLERANCE_RAD, JointSpace
 from cspace.view_file import View
 from cspace.world import ARM_IN_PICTURE, LITTLE_IN_REACH, Finding, World
 from cspace_client.wire import Alternative, Contact, LeastSure, NextView, PlanAnswer, PlanTimingMs
@@ -153,9 +156,29 @@ def _query_of(request: PlanRequest, view: View) -> PlanQuery:
 
 
 def _findings(world: World, prepared: Prepared, query: PlanQuery) -> tuple[Finding, ...]:
-    if not prepared.without_state:
-        return prepared.findings
-    return prepared.findings_with(world, image=prepared.picture.image, start=query.start)
+    found = prepared.findings
+    if prepared.without_state:
+        found = prepared.findings_with(world, image=prepared.picture.image, start=query.start)
+    return (*found, *_beyond(planning_space(world, query.limits), query.start))
+
+
+def _beyond(space: JointSpace, start: Sequence[float]) -> list[Finding]:
+    """Whether a limited joint starts beyond its range."""
+    off = np.maximum(np.subtract(space.lower, start), np.subtract(start, space.upper))
+    off = np.where(space.periodic, 0.0, off)
+    joint = int(np.argmax(off))
+    if off[joint] <= LIMIT_TOLERANCE_RAD:
+        return []
+    name = space.names[joint] if space.names else f"joint {joint + 1}"
+    seen = f"{name} starts {off[joint]:.4f} rad beyond its limit"
+    return [
+        Finding(
+            "start-beyond-limit",
+            seen,
+            "the first edge of the path leads back to the limit, and is not checked",
+            "drive it back slowly, or check the joint's zero",
+        )
+    ]
 
 
 def _reason(found: Plan, query: PlanQuery, max_risk: float | None, findings: Sequence[Finding]) -> str | None:

@@ -63,7 +63,6 @@ FORMS: list[tuple[str, list[tuple[str, Any]]]] = [
     ("image", [("image", ("a.png", PNG)), ("image", ("b.png", PNG))]),
     ("n", [("image", PNG), ("n", (None, "1_0"))]),
     ("n", [("image", PNG), ("n", (None, "3")), ("n", (None, "3"))]),
-    ("n", [("image", PNG), ("n", ("n.txt", b"3"))]),
     # Words of an exhausted machine, which only its own errors may be taken for.
     ("n", [("image", PNG), ("n", (None, "can't start new thread, bad_alloc"))]),
     ("seed", [("image", PNG), ("seed", (None, "seven"))]),
@@ -79,6 +78,41 @@ def test_a_wrong_value_in_a_form_is_422_and_named(api: ApiClient) -> None:
         problem = assert_problem(api.post("/sample", files=parts), 422, "invalid-value")
         assert field in problem["detail"], parts
     assert_answers(api)
+
+
+SPELLINGS: dict[str, list[tuple[str, Any]]] = {
+    "a file of JSON, as Spring's and a Blob": [("image", PNG), ("n", ("blob", b"3", "application/json"))],
+    "a part that curl reads from a file": [("image", PNG), ("epsilon_sigma", ("e.json", b"[0, 1]"))],
+    "brackets of PHP": [("image[]", PNG), ("n", (None, "3")), ("epsilon_sigma[0]", (None, "0"))],
+    "a list that JavaScript joined": [("image", PNG), ("epsilon_sigma", (None, "0,0.5,1e-05"))],
+    "a list of a shell": [("image", PNG), ("epsilon_sigma", (None, "0 0.5"))],
+    "Java's array": [("image", PNG), ("epsilon_sigma", (None, "[0.0, 1.0E-5]"))],
+    "Qt's part without a file name": [("image", (None, PNG))],
+    "a canvas": [("image", (None, f"data:image/png;base64,{IMAGE}"))],
+    "Python's nothing and a text as a file": [("image", PNG), ("seed", ("seed.txt", b"7"))],
+}
+
+
+@pytest.mark.parametrize("name", SPELLINGS)
+def test_what_other_languages_send_is_taken(api: ApiClient, name: str) -> None:
+    answer = api.post("/sample", files=[*SPELLINGS[name], ("model", (None, "pretrained"))])
+    assert answer.status_code == 200, answer.text
+
+
+def test_json_of_other_languages_is_taken(api: ApiClient) -> None:
+    wrapped = "\r\n".join(IMAGE[at : at + 76] for at in range(0, len(IMAGE), 76))
+    pictures = [f"data:image/png;base64,{IMAGE}", wrapped, IMAGE.replace("+", "-").replace("/", "_")]
+    bodies = [json.dumps({"image": one, "n": 3, "model": "pretrained"}) for one in pictures]
+    bodies += [bodies[0].replace("/", r"\/"), "\ufeff" + bodies[0]]
+    for body in bodies:
+        answer = api.post("/sample", content=body.encode(), headers=JSON)
+        assert answer.status_code == 200, answer.text
+
+
+def test_a_large_picture_without_a_file_name_is_told_what_it_lacks(api: ApiClient) -> None:
+    large = PNG[:33] + chunk(b"tEXt", bytes(MAX_FIELD_BYTES)) + PNG[33:]
+    problem = assert_problem(api.post("/sample", files=[("image", (None, large))]), 400, "malformed-body")
+    assert "file name" in problem["remedy"]
 
 
 def test_several_wrong_fields_are_all_reported(api: ApiClient) -> None:

@@ -39,6 +39,29 @@ def planar(api: ApiClient, **fields: Any) -> httpx.Response:
     return api.post("/plan", files={"image": EMPTY}, data=texts(**PLAN, **fields))
 
 
+def test_an_arm_a_little_beyond_a_limit_is_led_back(api: ApiClient) -> None:
+    limit = WORLD.space.upper[0]
+    start, goal = [limit + 0.002, *START[1:]], [limit - 0.2, *START[1:]]
+    body = texts(**PLAN, start=start, goal=goal, state=start)
+    answer = ask(api, "/plan", [wall()], [RIGHT], **body).json()
+    assert answer["status"] == "solved", answer
+    np.testing.assert_allclose(answer["path"][:2], [start, [limit, *START[1:]]], atol=1e-6)
+    assert len(answer["edges"]) == len(answer["unseen"]) == len(answer["path"]) - 1
+    (told,) = [one["message"] for one in answer["warnings"] if one["code"] == "start-beyond-limit"]
+    assert f"{WORLD.space.names[0]} starts 0.0020 rad beyond its limit" in told
+    far = ask(api, "/plan", [wall()], [RIGHT], **texts(start=[limit + 0.2, *START[1:]], goal=goal))
+    assert far.status_code == 422
+    assert f"send {WORLD.space.names[0]} within its limits" in far.json()["detail"]
+
+
+def test_a_plan_to_where_the_arm_stands_is_one_point(api: ApiClient) -> None:
+    answer = plan(api, START, min_confidence=0.0, alternatives=True).json()
+    assert answer["status"] == "solved", answer
+    np.testing.assert_allclose(answer["path"], [START], atol=1e-6)
+    assert (answer["edges"], answer["unseen"], answer["length_rad"]) == ([], [], 0.0)
+    assert len(answer["alternatives"]) == 1
+
+
 def test_a_path_to_a_tool_pose_keeps_limits_and_the_tool_upright(api: ApiClient) -> None:
     fields = {"limits": [[-0.3, 1.2], *[None] * 6], "upright": DOWN, "unwrapped": True, "state": START}
     found = plan(api, None, goal_pose={"pose": POSE.tolist()}, **fields, **PLAN).json()

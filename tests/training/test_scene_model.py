@@ -10,10 +10,11 @@ import torch
 from cspace.errors import ConfigError
 from cspace.simulator import Split
 from cspace.worlds import examples, usual_world
-from cspace.worlds.spatial.arm import ready_rad
+from cspace.worlds.spatial.arm import Joint, Part, SerialArm, ready_rad
 from cspace.worlds.spatial.camera import DepthCamera, looking
 from cspace.worlds.spatial.checks import CollisionChecker
 from cspace.worlds.spatial.obstacles import Obstacles
+from cspace.worlds.spatial.poses import Frame
 from cspace.worlds.spatial.view import DepthView
 from training.config import SCENE_MODEL, GridConfig, TrainConfig, ValidityConfig
 from training.models.checkpoint import load_scene_model, save_scene_model, seeded_initialisation
@@ -32,6 +33,9 @@ from training.scene_model import (
 )
 
 SMALL = GridConfig(finest=4, width=4, middle=4, deep=4)
+JOINTS = tuple(Joint(name, Frame((0.0, 0.0, 0.3)), (0.0, 1.0, 0.0), (-2.0, 2.0)) for name in "ab")
+RODS = tuple(Part(f"l{number}", number, ((0.0, 0.0, 0.0, 0.05), (0.0, 0.0, 0.2, 0.05))) for number in (1, 2))
+FEW_SPHERES = SerialArm("few", JOINTS, RODS, (), Frame((0.0, 0.0, 0.3)))
 PANDA, UR5 = (examples()[name] for name in ("panda", "ur5"))
 
 
@@ -116,12 +120,14 @@ def test_pose_and_state_are_off_by_little_and_pictures_are_not_touched() -> None
 
 
 def test_the_shipped_model_serves_arms_of_any_size_and_no_voxels_of_another_size(tmp_path: Path) -> None:
-    for arm in (PANDA.body, UR5.body, random_arm(3)):
+    for arm in (PANDA.body, UR5.body, random_arm(3), FEW_SPHERES):
         world = usual_world(arm)
         model = load_scene_model(SCENE_MODEL, world)
         head = GridHead(model, world.grid_arm(model.config.groups), counts_of(world))
+        assert head.groups <= min(model.config.groups, arm.sphere_count)
+        picture, rows = torch.rand(1, 2, *head.counts), torch.zeros(1, 3, arm.dim)
         with torch.no_grad():
-            assert head.encode(torch.rand(1, 2, *head.counts)).isfinite().all()
+            assert head(picture, head.encode(picture), rows).free.isfinite().all()
     coarse = replace(PANDA, sensor=replace(PANDA.sensor, grid=replace(PANDA.sensor.grid, voxel_m=0.05)))
     with pytest.raises(ConfigError, match=r"voxels of 0.025 m; got 0.05 m; train a head"):
         load_scene_model(SCENE_MODEL, coarse)

@@ -1,5 +1,6 @@
 """What a bundle states of itself, fitted to validation scenes: threshold, conformal bound, plans, novelty."""
 
+import logging
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,7 +18,7 @@ from cspace.bundle.golden import GoldenCase
 from cspace.bundle.load import quantiles_of
 from cspace.bundle.sampling import UNIFORM_SHARE
 from cspace.dataset import Dataset
-from cspace.errors import BundleError
+from cspace.errors import BundleError, ScenarioError
 from cspace.planning.calibration import fit_calibration
 from cspace.planning.cost import calibration_error, confidence_of_cost
 from cspace.planning.paths import spaced
@@ -29,6 +30,8 @@ from services.evaluator.scenes import Scene, Stage
 from training.config import VaeConfig
 from training.models.autoencoders import blocks
 from training.trials.arrays import load_encoder
+
+_LOG = logging.getLogger(__name__)
 
 
 def require_head(source: Bundle) -> None:
@@ -268,7 +271,12 @@ def planned(bundle: Bundle, world: World, problems: int) -> Planned:
     costs, free, pictures = [], [], []
     for number in range(problems):
         family, index = families[number % len(families)], number // len(families)
-        problem = simulator.problem(family, Split.VALIDATION, SEED, index)
+        try:
+            problem = simulator.problem(family, Split.VALIDATION, SEED, index)
+        except ScenarioError as error:
+            # An arm of few joints reaches into no shelf.
+            _LOG.warning("plans: %s", error.what)
+            continue
         start, goal = (tuple(float(angle) for angle in end) for end in (problem.start, problem.goal))
         query = PlanQuery(start, goal, number, 0.0, math.inf)
         read = world.examine_picture(picture_file_of(problem.scenario))

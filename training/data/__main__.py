@@ -1,6 +1,7 @@
 """Data sets: ``python -m training.data generate|paths|import|import-recording|import-outcomes|merge|verify``.
 
-Exit codes: 0 done; 1 the data or the disk is bad; 2 the command is wrong.
+Exit codes: 0 done; 1 the data or the disk is bad; 2 the command is wrong; 3 most of a recording's views fail
+the diagnosis.
 """
 
 import argparse
@@ -31,6 +32,7 @@ from training.data.recordings import add_recording_options
 
 # Pictures of an import are arrays in memory, 1 MB each.
 IMPORT = bounded.Limits(memory_bytes=2**30, cpu_s=600, wall_s=600.0, file_bytes=2**31)
+FOUND = 3
 _PARTS = ("robot", "robot_name", "camera", "scenes")
 
 
@@ -39,25 +41,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = sys.argv[1:] if arguments is None else list(arguments)
     options = parser().parse_args(given)
     try:
-        print(_import_bounded(options, given) if options.is_foreign else run(given))
+        text, code = _import_bounded(options, given) if options.is_foreign else run(given)
     except CspaceError as error:
         return report_error(error, ConfigError, ScenarioError)
-    return 0
+    print(text)
+    return code
 
 
-def run(arguments: Sequence[str]) -> str:
-    """Do what a command says; what it made, in lines."""
+def run(arguments: Sequence[str]) -> tuple[str, int]:
+    """Do what a command says; what it made, in lines, and the exit code."""
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
     logging.getLogger("training").setLevel(logging.INFO)
     options = parser().parse_args(arguments)
     made = options.run(options)
-    return describe(made) if isinstance(made, Dataset) else str(made)
+    if isinstance(made, Dataset):
+        return describe(made), 0
+    return str(made), FOUND if 2 * made.wrong > made.diagnosed else 0
 
 
-def _import_bounded(options: argparse.Namespace, arguments: Sequence[str]) -> str:
+def _import_bounded(options: argparse.Namespace, arguments: Sequence[str]) -> tuple[str, int]:
     """The same for files of others, in a worker that the kernel bounds."""
     limit_s = getattr(options, "time_limit_s", IMPORT.wall_s)
-    text: str = bounded.call(
+    found: tuple[str, int] = bounded.call(
         run,
         list(arguments),
         limits=replace(IMPORT, cpu_s=max(1, math.ceil(limit_s)), wall_s=limit_s),
@@ -65,7 +70,7 @@ def _import_bounded(options: argparse.Namespace, arguments: Sequence[str]) -> st
         error=DatasetError,
         remedy="cut the recording or leave topics out (ros2 bag convert), or raise --time-limit",
     )
-    return text
+    return found
 
 
 def describe(dataset: Dataset) -> str:
@@ -79,7 +84,8 @@ def parser() -> argparse.ArgumentParser:
     result = argparse.ArgumentParser(
         prog="python -m training.data",
         description="Make, import, merge and verify data-set folders.",
-        epilog="Exit codes: 0 done, 1 the data or the disk is bad, 2 the command is wrong.",
+        epilog="Exit codes: 0 done, 1 the data or the disk is bad, 2 the command is wrong, "
+        "3 most of a recording's views fail the diagnosis.",
     )
     result.set_defaults(is_foreign=False)
     commands = result.add_subparsers(required=True, metavar="COMMAND")

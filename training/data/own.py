@@ -135,6 +135,15 @@ def _read(picture: Path, world: World) -> OwnScenario:
     free = _configurations(picture.with_suffix(".npy"), world.space)
     path = picture.with_suffix(COLLISION_ENDING)
     collision = _configurations(path, world.space) if path.exists() else np.empty((0, world.dim))
+    if both := {row.tobytes() for row in world.space.to_float32(free)} & {
+        row.tobytes() for row in world.space.to_float32(collision)
+    }:
+        raise DatasetError(
+            f"{path} holds configurations that {picture.stem}.npy holds too",
+            expected="each of them free or in collision",
+            got=f"{len(both)} in both",
+            remedy="leave them out of one of the files",
+        )
     return OwnScenario(read_own_picture(picture, world), free, collision)
 
 
@@ -155,7 +164,9 @@ def _configurations(path: Path, space: JointSpace) -> NDArray[np.float64]:
         )
     if not np.isfinite(array).all():
         raise DatasetError(f"{path} holds values that are not finite", expected="angles in rad")
-    return space.admitted(array, f"{path} holds configurations outside the robot's limits", DatasetError)
+    # Row after row, as the digest takes it.
+    rows = np.ascontiguousarray(array)
+    return space.admitted(rows, f"{path} holds configurations outside the robot's limits", DatasetError)
 
 
 def _refuse_strays(source: Path, pictures: list[Path]) -> None:

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from cspace.errors import ConfigError, CspaceError, DatasetError, ImageError, Sc
 from cspace.files import encode_png, replacing
 from cspace.space import JointSpace
 from cspace.view_file import pack_view
+from cspace.world import Finding
 from cspace.worlds.spatial.camera import (
     DepthCamera,
     decode_depth,
@@ -34,6 +36,8 @@ from cspace.worlds.spatial.camera import (
     read_pinhole,
     undistorted,
 )
+from cspace.worlds.spatial.doctor import ELSEWHERE
+from cspace.worlds.spatial.hypotheses import HYPOTHESES
 from cspace.worlds.spatial.poses import quaternion_pose
 from cspace.worlds.spatial.view import METRES, rounded_mm
 from cspace.worlds.spatial.world import SpatialWorld, add_options, described
@@ -51,6 +55,9 @@ _DEPTH = {"16UC1": "u2", "32FC1": "f4"}
 _HEADER_BYTES = 12
 _QUATERNION_TOLERANCE, _FAR_M = 1e-2, 1e6
 MOST_PICTURES = 1000
+# Views that are diagnosed, 2 s each.
+_DIAGNOSED = 8
+_WRONG = {*HYPOTHESES, ELSEWHERE}
 _PREVIEWS, _PREVIEW_HEIGHT = 4, 360
 # What is as near as the first is white in the preview, what is as far as the second is black.
 _NEAR_MM, _FAR_MM = 200, 3000
@@ -62,15 +69,16 @@ class RecordingOptions:
     """How a recording is read.
 
     ``base`` is the tf frame of the robot's base. Topics that are None are the only ones of their type, or
-    for ``camera_info`` the one beside the depth images. ``every_s`` is the least time between two pictures,
-    ``tolerance_s`` how far stamps of picture, joint state and moving transforms may be apart, and ``most``
-    the number of pictures.
+    for ``camera_info`` the one beside the depth images. ``joint_prefix`` stands in front of the robot's
+    names of joints. ``every_s`` is the least time between two pictures, ``tolerance_s`` how far stamps of
+    picture, joint state and moving transforms may be apart, and ``most`` the number of pictures.
     """
 
     base: str = "base_link"
     depth: str | None = None
     camera_info: str | None = None
     joint_states: str | None = None
+    joint_prefix: str = ""
     every_s: float = 1.0
     tolerance_s: float = 0.05
     most: int = 100
@@ -104,20 +112,27 @@ class RecordedView:
 class Imported:
     """What an import wrote: ``views``, ``preview.png`` and, where a robot is known, ``data`` in a folder.
 
-    ``skipped`` counts pictures that were left out by the reason, ``warnings`` what the robot's world says of
-    the views by its code. ``digest`` is the data set's.
+    ``skipped`` counts pictures that were left out by the reason. Where a robot is known, ``diagnosed`` views
+    are looked at closely: ``findings`` are theirs, and in ``wrong`` of them the arm is not where it should
+    be. ``digest`` is the data set's.
     """
 
     folder: Path
     views: int
     skipped: Mapping[str, int]
-    warnings: Mapping[str, int]
+    diagnosed: int
+    findings: tuple[Finding, ...]
+    wrong: int
     digest: str | None
 
     def __str__(self) -> str:
         lines = [f"{self.folder}", f"  views           {self.views}"]
         lines += [f"  skipped         {count}: {reason}" for reason, count in sorted(self.skipped.items())]
-        lines += [f"  warned          {count}: {code}" for code, count in sorted(self.warnings.items())]
+        if self.diagnosed:
+            lines.append(f"  diagnosed       {self.diagnosed}: arm in another place in {self.wrong}")
+        first = {one.code: one.seen for one in reversed(self.findings)}
+        counts = sorted(Counter(one.code for one in self.findings).items())
+        lines += [f"  verdict         {count}: {code}, as {first[code]}" for code, count in counts]
         return "\n".join(lines + ([f"  digest          {self.digest}"] if self.digest else []))
 
 
@@ -152,6 +167,7 @@ def import_recording(
                 or "no picture",
                 remedy="look at --base, --tolerance and the topics",
             )
+        found = [] if world is None else _diagnosed(world, sorted((beside / "views").iterdir()))
         (beside / "preview.png").write_bytes(preview(views))
         if world is not None:
             written = write_dataset(
@@ -163,7 +179,15 @@ def import_recording(
                 generator={"recording": source.name, "stamps_ns": [view.stamp_ns for view in views]},
             )
             digest = written.digest
-    return Imported(folder, len(views), selection.skipped, selection.warnings, digest)
+    wrong = sum(any(one.code in _WRONG for one in findings) for findings in found)
+    flat = tuple(chain.from_iterable(found))
+    return Imported(folder, len(views), selection.skipped, len(found), flat, wrong, digest)
+
+
+def _diagnosed(world: SpatialWorld, files: Sequence[Path]) -> list[tuple[Finding, ...]]:
+    """What is found in some of the views."""
+    chosen = np.unique(np.linspace(0, len(files) - 1, _DIAGNOSED).round().astype(int))
+    return [world.diagnosed(world.view(files[number].read_bytes())).findings for number in chosen]
 
 
 @contextmanager
@@ -209,12 +233,13 @@ class _Selection:
     ) -> None:
         self._reader, self._name, self._options, self._world = reader, name, options, world
         self.skipped: Counter[str] = Counter()
-        self.warnings: Counter[str] = Counter()
         self._within_ns = 1e9 * options.tolerance_s
         self._tree = TransformTree(options.base)
         # Those that differ from the one before.
         self._infos: list[tuple[int, dict[str, Any]]] = []
-        self._names = () if world is None else world.space.names
+        self._names = [] if world is None else [options.joint_prefix + one for one in world.space.names]
+        self._joints: dict[str, float] = {}
+        self._since = 0
         self._states = Series(len(self._names))
 
     def views(self, folder: Path) -> list[RecordedView]:
@@ -294,7 +319,7 @@ class _Selection:
         others: set[str] = set()
         for topic, message in self._messages(*topics):
             if topic == info:
-                values = camera_info(message)
+                values = camera_info(message, rectified="/image_rect" in depth)
                 if not self._infos or self._infos[-1][1] != values:
                     self._infos.append((stamp_of(message.header), values))
             elif topic == joints:
@@ -307,16 +332,21 @@ class _Selection:
                 f"{self._name} has no joint state of the robot",
                 expected=f"joints {', '.join(self._names)}",
                 got=f"joints {', '.join(sorted(others))}"[:300],
-                remedy="import the arm with the recording's joint names, or name its topic by --joint-states",
+                remedy="give what is in front of the robot's names by --joint-prefix, name the topic by "
+                "--joint-states, or import the arm with the recording's joint names",
             )
 
     def _add_state(self, message: Any) -> set[str]:
-        """Add a joint state of the whole robot; returns its names where it is of others."""
-        at = dict(zip(message.name, message.position.tolist(), strict=False))
-        row = [at.get(name, np.nan) for name in self._names]
-        if not np.isfinite(row).all():
+        """Add a joint state once all joints have come, in one message or several; returns others' names."""
+        stamp = stamp_of(message.header)
+        if not self._joints or abs(stamp - self._since) > self._within_ns:
+            self._joints, self._since = {}, stamp
+        came = zip(message.name, message.position.tolist(), strict=False)
+        self._joints |= {name: at for name, at in came if name in self._names and np.isfinite(at)}
+        if len(self._joints) < len(self._names):
             return set(message.name)
-        self._states.add(stamp_of(message.header), row)
+        self._states.add(stamp, [self._joints[name] for name in self._names])
+        self._joints = {}
         return set()
 
     def _view(self, message: Any, stamp: int, path: Path) -> RecordedView | str:
@@ -342,9 +372,7 @@ class _Selection:
             file = pack_view([encode_depth(picture)], [camera_values], None if state is None else list(state))
             image = spheres = None
             if self._world is not None and state is not None:
-                examined = self._world.examine_picture(file)
-                image = np.asarray(examined.images[0])
-                self.warnings.update({one.code for one in examined.findings})
+                image = np.asarray(self._world.examine_picture(file).images[0])
                 spheres = self._world.body.spheres_at(state)
         except (ImageError, ScenarioError) as error:
             return str(error)[:300]
@@ -493,14 +521,18 @@ def depth_mm(message: Any) -> NDArray[np.uint16]:
     return rounded_mm(depth, METRES) if kind == "f4" else depth.astype(np.uint16)
 
 
-def camera_info(info: Any) -> dict[str, Any]:
-    """The parts of a CameraInfo that say how its pictures are read, as plain values."""
+def camera_info(info: Any, *, rectified: bool) -> dict[str, Any]:
+    """The parts of a CameraInfo that say how its pictures are read, as plain values.
+
+    K and D are of the raw picture, P of the one that image_proc has rectified.
+    """
+    is_projected = rectified and info.p[0] > 0.0
     return {
         "width": int(info.width),
         "height": int(info.height),
         "distortion_model": info.distortion_model,
-        "d": info.d.tolist(),
-        "k": info.k.tolist(),
+        "d": [] if is_projected else info.d.tolist(),
+        "k": info.p.reshape(3, 4)[:, :3].ravel().tolist() if is_projected else info.k.tolist(),
         "binning_x": int(info.binning_x),
         "binning_y": int(info.binning_y),
         "roi": {"x_offset": int(info.roi.x_offset), "y_offset": int(info.roi.y_offset)},
@@ -550,6 +582,8 @@ def add_recording_options(parser: argparse.ArgumentParser) -> None:
         ("joint-states", "joint states; default the only one"),
     ):
         parser.add_argument(f"--{name}", metavar="TOPIC", help=f"topic of the {words}")
+    prefix = "what the recording has in front of the robot's names of joints"
+    parser.add_argument("--joint-prefix", metavar="TEXT", default="", help=prefix)
     for name, words in (
         ("every", "least time between pictures that are taken"),
         ("tolerance", "how far the stamps of a picture, a joint state and a transform may differ"),

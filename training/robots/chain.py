@@ -1,7 +1,7 @@
 """The serial chain in a description: joints that do not move are folded, what hangs on them is carried."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -49,13 +49,18 @@ class Chain:
 
 
 def read_chain(
-    description: Description, tip: str | None, locked: Mapping[str, float], limits: Mapping[str, Limits]
+    description: Description,
+    tip: str | None,
+    locked: Mapping[str, float],
+    limits: Mapping[str, Limits],
+    without: Collection[str] = (),
 ) -> Chain:
     """The chain from a description's root to a tip.
 
     Joints beside the chain are held: at the value that is given, where the joint that they mimic puts them,
     else as near to zero as their limits allow. Joints in ``locked`` do not move, rad or m; ``limits`` replace
-    the description's, rad, None for a circle.
+    the description's, rad, None for a circle. Links in ``without`` have no shapes, so where they are matters
+    on the chain alone.
     """
     proposed, note = (tip, None) if tip is not None else _propose_tip(description, locked)
     path = _path(description, proposed)
@@ -78,7 +83,7 @@ def read_chain(
         if joint.name in moving:
             joints.append(_moving(joint, frame, limits))
             number, frame = len(joints), np.eye(4)
-        elif joint.type != "fixed":
+        elif joint.type != "fixed" and (link in path or link not in without):
             held.append(_held(joint, by_name, locked, moving))
             frame = frame @ _displacement(joint, held[-1].value)
         frames[link] = (number, frame)
@@ -91,6 +96,8 @@ def read_chain(
         )
     outside = [one for one in held if not _within(by_name[one.name], one.value)]
     notes = [] if note is None else [note]
+    if soft := [one for one in sorted(moving - set(limits)) if _soft(by_name[one])]:
+        notes.append(f"the soft limits of safety_controller are taken: {', '.join(soft)}")
     notes += [f"joint {one.name} is held at {one.value:g}, outside its limits" for one in outside]
     return Chain(tuple(joints), frames, Frame.of(frames[path[-1]][1]), tuple(held), tuple(notes))
 
@@ -159,6 +166,8 @@ def _limits(joint: Any) -> Limits:
     if joint.type == "continuous":
         return None
     name, (low, high) = joint.name, _bounds(joint)
+    if soft := _soft(joint):
+        low, high = soft
     if not (np.isfinite(high - low) and high - low >= MIN_RANGE_RAD):
         raise ScenarioError(
             f"the limits of joint {name} do not fit",
@@ -186,6 +195,15 @@ def _bounds(joint: Any) -> tuple[float, float]:
     return limit.lower or 0.0, limit.upper or 0.0
 
 
+def _soft(joint: Any) -> Limits:
+    """The soft limits of a joint where they leave some of its range, as MoveIt takes them, and narrow it."""
+    safety, (low, high) = joint.safety_controller, _bounds(joint)
+    if joint.type != "revolute" or safety is None:
+        return None
+    soft = max(low, safety.soft_lower_limit or 0.0), min(high, safety.soft_upper_limit or 0.0)
+    return soft if soft[0] < soft[1] and soft != (low, high) else None
+
+
 def _within(joint: Any, value: float) -> bool:
     low, high = _bounds(joint)
     return joint.type == "continuous" or low - _AGREE <= value <= high + _AGREE
@@ -207,7 +225,8 @@ def _held(joint: Any, by_name: Mapping[str, Any], locked: Mapping[str, float], m
             f"joint {name} cannot follow joint {joint.mimic.joint}",
             expected="a joint beside the chain that follows no other",
             got=what,
-            remedy=f"hold one of them with --lock NAME=VALUE, or name a link before {name} with --tip",
+            remedy=f"hold one of them with --lock NAME=VALUE, name a link before {name} with --tip, "
+            f"or leave out what lies beside the chain with --without {joint.child}",
         )
     value = joint.mimic.multiplier * _held(leader, by_name, locked, moving).value + joint.mimic.offset
     return Held(name, joint.type, float(value), f"follows {leader.name}")

@@ -9,7 +9,7 @@ import ast
 import os
 import re
 import resource
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -17,6 +17,7 @@ from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
+import yaml
 from lxml import etree
 from yourdfpy import URDF
 
@@ -24,8 +25,18 @@ from cspace import bounded
 from cspace.errors import ScenarioError
 
 XACRO = bounded.Limits(cpu_s=10, wall_s=30.0)
-_UNUSED = ("inertial", "material", "dynamics", "calibration", "safety_controller")
-_PACKAGE, _FILE = "package://", "file://"
+_UNUSED = ("inertial", "material", "dynamics", "calibration")
+# Elements that are read, and those that say nothing of limits, pairs or shapes.
+_KNOWN = {
+    "collision", "joint", "link", "visual", "disable_collisions", "disable_default_collisions",
+    "enable_collisions", *("axis", "child", "limit", "mimic", "origin", "parent", "safety_controller"),
+}  # fmt: skip
+_IRRELEVANT = {
+    *_UNUSED, *("gazebo", "hardwareInterface", "ros2_control", "sensor", "transmission", "verbose"),
+    *("chain", "end_effector", "group", "group_state", "joint_property", "passive_joint", "virtual_joint"),
+}  # fmt: skip
+_FILE = "file://"
+_POINTER = b"version https://git-lfs.github.com/spec/"
 # Numbers, strings, collections, arithmetic, comparisons, calls and members. No functions, no comprehensions.
 _ALLOWED = (
     ast.Expression, ast.Constant, ast.Name, ast.Load, ast.List, ast.Tuple, ast.Dict, ast.Set, ast.BinOp,
@@ -38,22 +49,34 @@ _FORBIDDEN = {"format", "format_map", "mro"}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Description:
-    """yourdfpy's links, parents first, and its joints by the links after them."""
+    """yourdfpy's links, parents first, its joints by the links after them, and warnings."""
 
     name: str
     links: dict[str, Any]
     joints: dict[str, Any]
+    notes: tuple[str, ...]
+
+    def behind(self, links: Collection[str]) -> list[str]:
+        """Some links and all that hang on them, parents first."""
+        found: list[str] = []
+        for name in self.links:
+            if name in links or (name in self.joints and self.joints[name].parent in found):
+                found.append(name)
+        return found
 
 
 def read_description(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, str]) -> Description:
     """The description in a URDF file, or in a ``.xacro`` file, which is expanded with the arguments."""
-    robot = _read_xml(_expanded(path, packages, arguments) if path.suffix == ".xacro" else _read(path), path)
+    robot = _read_xml(
+        _expanded(path, packages, arguments) if path.suffix == ".xacro" else read_file(path), path
+    )
     if any("xacro" in (etree.QName(element).namespace or "") for element in robot.iter("{*}*")):
         raise ScenarioError(
             f"{path.name} holds xacro, expand it first",
             expected="URDF",
             remedy="give the file a name that ends with .xacro, and the import expands it",
         )
+    notes = _unused(robot.xpath("*|link/*|joint/*"), path)
     etree.strip_elements(robot, *_UNUSED, with_tail=False)
     try:
         data = BytesIO(etree.tostring(robot))
@@ -84,7 +107,13 @@ def read_description(path: Path, packages: Mapping[str, Path], arguments: Mappin
             expected="a name for each link and joint, and one joint before each link but one root",
             got=f"{len(read.links)} links, {len(read.joints)} joints, roots {roots}"[:300],
         )
-    return Description(read.name, {name: links[name] for name in order}, joints)
+    return Description(read.name, {name: links[name] for name in order}, joints, notes)
+
+
+def _unused(elements: Sequence[Any], path: Path) -> tuple[str, ...]:
+    """A warning of elements that the import does not know."""
+    names = {etree.QName(one).localname for one in elements} - _KNOWN - _IRRELEVANT
+    return (f"{path.name}: not used, {', '.join(sorted(names))}",) if names else ()
 
 
 def find_srdf(urdf: Path) -> Path | None:
@@ -94,18 +123,54 @@ def find_srdf(urdf: Path) -> Path | None:
     return next((one for one in places if one.is_file() and one.resolve() == one), None)
 
 
-def read_disabled_pairs(path: Path) -> dict[frozenset[str], str]:
-    """The pairs of links that an SRDF file says need no check, with its reasons."""
-    pairs = _read_xml(_read(path), path).iterfind("disable_collisions")
-    return {
-        frozenset((one.get("link1", ""), one.get("link2", ""))): one.get("reason", "no reason")
-        for one in pairs
+def read_srdf(path: Path, links: Collection[str]) -> tuple[dict[frozenset[str], str], list[str]]:
+    """The pairs of links that an SRDF file says need no check, with its reasons, and warnings.
+
+    As in MoveIt, ``enable_collisions`` takes pairs back from ``disable_default_collisions`` alone.
+    """
+    robot = _read_xml(read_file(path), path)
+    pairs = {
+        frozenset((one.get("link", ""), other)): one.tag
+        for one in robot.iterfind("disable_default_collisions")
+        for other in links
     }
+    for one in robot.iterfind("enable_collisions"):
+        pairs.pop(_pair(one), None)
+    pairs |= {_pair(one): one.get("reason", "no reason") for one in robot.iterfind("disable_collisions")}
+    unknown = sorted(set().union(*pairs) - set(links))
+    notes = [f"{path.name} names links that are not there: {', '.join(unknown)}"] if unknown else []
+    return pairs, [*_unused(robot, path), *notes]
 
 
-def _read(path: Path) -> bytes:
+def _pair(element: Any) -> frozenset[str]:
+    return frozenset((element.get("link1", ""), element.get("link2", "")))
+
+
+def read_joint_limits(beside: Path, joints: Collection[str]) -> dict[str, tuple[float, float]]:
+    """The ranges of joints, rad, in MoveIt's ``joint_limits.yaml`` beside a file; none if there is none."""
+    path = beside.with_name("joint_limits.yaml")
+    if not path.is_file():
+        return {}
     try:
-        return path.read_bytes()
+        rows = yaml.safe_load(path.read_text(encoding="utf-8"))["joint_limits"].items()
+        return {
+            name: (float(row["min_position"]), float(row["max_position"]))
+            for name, row in rows
+            if name in joints and row.get("has_position_limits")
+        }
+    except (yaml.YAMLError, UnicodeDecodeError, LookupError, TypeError, ValueError, AttributeError) as error:
+        raise ScenarioError(
+            f"{path} cannot be read",
+            expected="joint_limits, as MoveIt has them: has_position_limits, min_position, max_position",
+            got=" ".join(repr(error).split())[:200],
+            remedy="move the file away and give --limit JOINT=LOW,HIGH",
+        ) from error
+
+
+def read_file(path: Path) -> bytes:
+    """The bytes of a file that is no pointer of Git LFS."""
+    try:
+        data = path.read_bytes()
     except OSError as error:
         raise ScenarioError(
             f"{path} cannot be read",
@@ -113,6 +178,11 @@ def _read(path: Path) -> bytes:
             got=error.strerror,
             remedy="give the path of a URDF, xacro or SRDF file",
         ) from error
+    if data.startswith(_POINTER):
+        raise ScenarioError(
+            f"{path} is a pointer of Git LFS", expected="the file itself", remedy="run git lfs pull there"
+        )
+    return data
 
 
 def _read_xml(data: bytes, path: Path) -> Any:
@@ -145,8 +215,16 @@ def _expanded(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, 
 
 
 def package_of(folder: Path) -> Path:
-    """The nearest folder above that is a package, by its ``package.xml``; else the folder itself."""
-    return next((one for one in (folder, *folder.parents) if (one / "package.xml").is_file()), folder)
+    """The nearest folder above that is a package; else the folder itself."""
+    return next((one for one in (folder, *folder.parents) if _name_of_package(one)), folder)
+
+
+def _name_of_package(folder: Path) -> str | None:
+    """As its ``package.xml`` says, else its own name; None where it is no package of ROS or Gazebo."""
+    if _is_file(folder / "package.xml"):
+        found = re.search(rb"<name>\s*([\w.-]+)\s*</name>", (folder / "package.xml").read_bytes())
+        return found[1].decode() if found else folder.name
+    return folder.name if _is_file(folder / "model.config") else None
 
 
 def package_roots(name: str, folder: Path, packages: Mapping[str, Path]) -> list[Path]:
@@ -155,9 +233,12 @@ def package_roots(name: str, folder: Path, packages: Mapping[str, Path]) -> list
         return [packages[name]]
     if not re.fullmatch(r"\w[\w.-]{,99}", name):
         return []
-    # A folder that says it is a package, or the description's own in a copy that left this out.
-    places = [root for one in (folder, *folder.parents) for root in (one / name, one) if root.name == name]
-    found = [root for root in places if (root / "package.xml").is_file()]
+    above, own = (folder, *folder.parents), package_of(folder)
+    beside = sorted(one for one in own.parent.iterdir() if one.is_dir()) if _name_of_package(own) else []
+    found = [
+        root for root in (*above, *(one / name for one in above), *beside) if _name_of_package(root) == name
+    ]
+    # The description's own in a copy that left out what says so.
     return found + [one for one in (folder, folder.parent) if one.name == name and len(one.parts) > 2]
 
 
@@ -168,8 +249,8 @@ def found_file(name: str | None, folder: Path, packages: Mapping[str, Path]) -> 
     elsewhere, also by a symbolic link, is refused.
     """
     name = unquote(name or "")
-    if name.startswith(_PACKAGE):
-        package, _, rest = name.removeprefix(_PACKAGE).partition("/")
+    if address := re.match("(?:package|model)://([^/]*)/*", name):
+        package, rest = address[1], name[address.end() :]
         places: list[tuple[Path, tuple[Path, ...]]]
         places = [(root / rest, (root,)) for root in package_roots(package, folder, packages)]
         remedy = f"say where the package lies with --package {package}=FOLDER"
@@ -245,7 +326,7 @@ def _restrict(xacro: Any, folder: Path, packages: Mapping[str, Path]) -> None:
         for root in package_roots(name, folder, packages):
             allowed.append(root.resolve())
             return str(root)
-        raise ValueError(f"package {name} is not found; say where it lies with --package {name}=FOLDER")
+        raise ValueError(f"package {name} is not found")
 
     def open_own(path: str) -> Any:
         real = Path(path).resolve()

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from cspace.errors import ScenarioError
 from cspace.kernel_cache import njit
-from training.robots.description import found_file
+from training.robots.description import found_file, read_file
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -39,6 +39,9 @@ _RESERVE_M, _USED_M = 0.0003, 0.0002
 _SURFACE_POINTS = 2000
 _FRESH_POINTS = 20_000
 _INSIDE_POINTS = 500
+_DEPTH_POINTS = 4000
+# Of one shape, if each covers a disc of its size on both sides of a wall.
+_MANY_SPHERES = 300
 _GRID_POINTS = 24_000
 # Points that become centres at a time, with so many others about each.
 _MORE_POINTS, _AROUND = 400, 6
@@ -80,6 +83,17 @@ class Solid:
         points.append(edges[chosen, 0] + part * (edges[chosen, 1] - edges[chosen, 0]))
         points.append(rng.permutation(self._vertices)[:count])
         return np.concatenate(points)
+
+    def is_hollow(self, excess_m: float, rng: np.random.Generator) -> bool:
+        """Whether hundreds of spheres are needed, as none inside is much larger than the excess."""
+        low, high = self.mesh.bounds
+        points = rng.uniform(low, high, (_DEPTH_POINTS, 3))
+        radius_m = max(0.0, float(self.depth_m(points).max())) + excess_m
+        return bool(self.mesh.area / (2.0 * np.pi * radius_m**2) > _MANY_SPHERES)
+
+    def hull(self) -> "Solid":
+        """The convex hull."""
+        return Solid(self.mesh.convex_hull)
 
 
 def union_depth_m(solids: Sequence[Solid], points: Floats) -> Floats:
@@ -152,14 +166,13 @@ def load_mesh(path: Path, scale: Floats, where: str) -> Any:
 
     Other files that it names, as textures and materials, are not read.
     """
+    data = read_file(path)
     try:
         kind = path.suffix.lower().removeprefix(".")
         if kind not in _FORMATS:
             raise ValueError(kind)  # noqa: TRY301
         # Of bytes, so that the reader has no folder to look for other files in.
-        scene = trimesh.load_scene(
-            BytesIO(path.read_bytes()), file_type=kind, process=False, skip_materials=True
-        )
+        scene = trimesh.load_scene(BytesIO(data), file_type=kind, process=False, skip_materials=True)
         mesh = scene.to_mesh()
         unit = mesh.units or scene.units
         metres = 1.0 if unit is None else trimesh.units.unit_conversion(unit, "meters")

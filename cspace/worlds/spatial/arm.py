@@ -307,13 +307,13 @@ class Grouping:
 # Asked for again with every scene, and half a second for hundreds of spheres.
 @lru_cache(maxsize=16)
 def grouped(arm: SerialArm, count: int) -> Grouping:
-    """The spheres of an arm in groups of one part each: the largest is halved until there are enough."""
-    if not len(arm.parts) <= count <= arm.sphere_count or not arm.parts:
-        raise ScenarioError(
-            "the arm's spheres cannot be grouped so",
-            expected=f"{len(arm.parts)} to {arm.sphere_count} groups",
-            got=str(count),
-        )
+    """The spheres of an arm in groups of one part each: the largest is halved until there are enough.
+
+    There is a group for each part at least, and for each sphere at most.
+    """
+    if np.count_nonzero(arm.sphere_links()) < 2:
+        raise ScenarioError("the arm has no shape", expected="two spheres or more on links that move")
+    count = min(max(count, len(arm.parts)), arm.sphere_count)
     spheres = arm.spheres_m()
     members = [np.arange(*span) for span in arm.sphere_ranges().tolist()]
     held = [_holding(spheres[one]) for one in members]

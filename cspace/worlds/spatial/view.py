@@ -13,7 +13,7 @@ from PIL import Image
 
 from cspace.errors import ImageError, ScenarioError
 from cspace.files import read_npy
-from cspace.space import JointSpace
+from cspace.space import NEAR_LIMIT_RAD, JointSpace
 from cspace.view_file import View, check_counts, pack_view, unstamped
 from cspace.world import CheckCancelled
 from cspace.worlds.spatial.arm import SerialArm
@@ -183,7 +183,9 @@ def _configuration(values: object, space: JointSpace) -> State | None:
             got=repr(values)[:200],
             remedy="send where the arm was when the pictures were taken, or leave it out if it is in none",
         )
-    return tuple(space.admitted(angles, "the state does not fit the robot", ImageError).tolist())
+    # An arm may stand a little beyond its limits, and there its pixels are.
+    space.admitted(angles, "the state does not fit the robot", ImageError, NEAR_LIMIT_RAD)
+    return tuple(angles)
 
 
 def _camera_values(camera: DepthCamera) -> dict[str, Any]:

@@ -5,7 +5,7 @@ import resource
 import sqlite3
 import struct
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -19,6 +19,8 @@ from cspace.errors import ConfigError, CspaceError, DatasetError, StorageError
 from cspace.view_file import pack_view, unpack_view
 from cspace.worlds.spatial.arm import ready_rad
 from cspace.worlds.spatial.camera import encode_depth
+from cspace.worlds.spatial.camera_info import read_pinhole
+from cspace.worlds.spatial.visibility import arm_depth_m
 from tests.cspace.worlds.spatial.test_camera_forms import (
     BODY,
     CAMERA_VALUES,
@@ -169,8 +171,11 @@ def test_a_recording_becomes_views_a_preview_and_a_data_set(tmp_path, capsys, so
     )
     path = bag if source == "a folder" else only_file(bag, source.split()[0])
     arguments = [str(path), str(tmp_path / "out"), "--arm", "panda", "--base", BASE, "--every", "0.05"]
-    assert main(["import-recording", *arguments]) == 0
-    assert "views           3" in capsys.readouterr().out
+    # It is written although the picture shows no arm, and that is told.
+    assert main(["import-recording", *arguments]) == 3
+    told = capsys.readouterr().out
+    assert "views           3" in told
+    assert "verdict         3: arm-elsewhere, as of the pixels" in told
     views = sorted((tmp_path / "out" / "views").iterdir())
     assert [one.name for one in views] == [f"{n:04d}-{START_NS + n * 10**8}.view" for n in range(3)]
     dataset = open_dataset(tmp_path / "out" / "data", verify=True)
@@ -185,6 +190,42 @@ def test_a_recording_becomes_views_a_preview_and_a_data_set(tmp_path, capsys, so
         assert preview.size == (3 * 480, 360)
         colours = {colour for _, colour in preview.getcolors(1 << 20)}
     assert (255, 140, 0) in colours
+
+
+def test_views_in_which_the_arm_is_where_it_should_be_pass(tmp_path):
+    camera, _ = read_pinhole(CAMERA_VALUES, DEPTH.shape)
+    arm_m = arm_depth_m(camera, WORLD.body.spheres_at(STATE))
+    shown = np.where(np.isfinite(arm_m), 1e3 * np.minimum(arm_m, 5.0), 2500.0).astype(np.uint16)
+    bag = usual(pictures=False).add("/camera/depth/image_rect_raw", "image", image(0.0, shown))
+    found = import_recording(bag.write(tmp_path / "bag"), tmp_path / "out", world=WORLD, options=OPTIONS)
+    assert (found.diagnosed, found.wrong) == (1, 0)
+
+
+def test_joint_states_come_in_parts_and_with_a_prefix(tmp_path):
+    names = [f"left_{name}" for name in NAMES]
+    parts = [joints(0.001, STATE[:4], names[:4]), joints(0.002, STATE[4:], names[4:])]
+    # Half of a state that is long gone is not joined with a later one.
+    parts = [joints(-0.2, turned(9)[:4], names[:4]), joints(-0.1, STATE[4:], names[4:]), *parts]
+    bag = usual(states=False).add("/joint_states", "joints", *parts).write(tmp_path / "bag")
+    refused(tmp_path, bag, "no joint state of the robot.*got joints.*left_panda_joint1.*--joint-prefix")
+    options = replace(OPTIONS, joint_prefix="left_", tolerance_s=0.03)
+    found = import_recording(bag, tmp_path / "done", world=WORLD, options=options)
+    assert found.views == 1
+    (view,) = (tmp_path / "done" / "views").iterdir()
+    np.testing.assert_array_equal(unpack_view(view.read_bytes()).state, STATE)
+
+
+@pytest.mark.parametrize(("topic", "is_rectified"), [("image_rect", True), ("image_raw", False)])
+def test_a_rectified_picture_has_the_camera_of_p_and_no_distortion(tmp_path, topic, is_rectified):
+    p = [50.0, 0.0, 30.0, 0.0, 0.0, 51.0, 20.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+    bag = Recorder().add("/tf_static", "tf_static", transforms(0.0, *STATIC))
+    bag.add("/camera/depth/camera_info", "info", info(0.0, p=p, d=[0.1, 0.0, 0.0, 0.0, 0.0]))
+    bag.add(f"/camera/depth/{topic}", "image", image(0.0))
+    import_recording(bag.write(tmp_path / "bag"), tmp_path / "out", options=OPTIONS)
+    (view,) = (tmp_path / "out" / "views").iterdir()
+    seen = unpack_view(view.read_bytes()).cameras[0]["camera_info"]
+    projected = ([50.0, 0.0, 30.0, 0.0, 51.0, 20.0, 0.0, 0.0, 1.0], [])
+    assert ((seen["k"], seen["d"]) == projected) is is_rectified
 
 
 @pytest.mark.parametrize("form", ["floats", "big-endian with padded rows", "compressed"])

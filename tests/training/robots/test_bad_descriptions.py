@@ -1,7 +1,10 @@
 import re
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
+import trimesh
 
 from cspace.errors import ScenarioError
 from tests.training.robots.descriptions import BRANCH, TWO_LINKS, described, with_more
@@ -20,15 +23,6 @@ def shoulder(limits: str) -> str:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (SLIDING, "elbow does not fit a serial arm.*got prismatic.*--lock elbow=VALUE"),
-        (SLIDING.replace('"prismatic"', '"planar"'), "got planar.*--lock elbow=0"),
-        (with_more(BRANCH), "tip of the chain is not clear.*gripper.*second.*--tip"),
-        (shoulder(""), "limits of joint shoulder.*got none.*--limit shoulder="),
-        (shoulder('lower="-2" upper="-2"'), "shoulder do not fit.*--lock shoulder=VALUE"),
-        (
-            shoulder('lower="-170" upper="170"'),
-            "shoulder .*like degrees; give --limit shoulder=-2.9671,2.9671",
-        ),
         (TWO_LINKS.replace('"2 0 0"', '"0 0 0"'), "axis of joint elbow"),
         (TWO_LINKS.replace('"2 0 0"', '"0 0 nan"'), "axis of joint elbow"),
         (TWO_LINKS.replace('"2 0 0"', '"2 0"'), "axis of joint elbow"),
@@ -50,6 +44,63 @@ def shoulder(limits: str) -> str:
 def test_descriptions_that_cannot_be_are_refused(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(ScenarioError, match=message):
         import_robot(Request(described(tmp_path, text)))
+
+
+ROD = """
+  <link name="rod"><collision><geometry><sphere radius="0.05"/></geometry></collision></link>
+  <joint name="follows" type="continuous">
+    <parent link="upper"/><child link="rod"/><axis xyz="0 1 0"/><mimic joint="elbow" multiplier="-1"/>
+  </joint>
+</robot>
+"""
+MESHED = TWO_LINKS.replace('<sphere radius="0.12"/>', '<mesh filename="package://other/box.stl"/>')
+
+
+@pytest.mark.parametrize(
+    ("text", "message", "remedy"),
+    [
+        (SLIDING, "elbow does not fit.*got prismatic.*--lock elbow=VALUE", {"locked": {"elbow": 0.1}}),
+        (
+            SLIDING.replace('"pris', '"pla').replace('atic"', 'ar"'),
+            "--lock elbow=0",
+            {"locked": {"elbow": 0}},
+        ),
+        (with_more(BRANCH), "tip of the chain.*gripper.*second.*--tip", {"tip": "gripper"}),
+        (shoulder(""), "shoulder.*got none.*--limit shoulder=LOW", {"limits": {"shoulder": (-1.0, 1.0)}}),
+        (shoulder(""), "--limit shoulder=none", {"limits": {"shoulder": None}}),
+        (shoulder('lower="-2" upper="-2"'), "--lock shoulder=VALUE", {"locked": {"shoulder": -2.0}}),
+        (
+            shoulder('lower="-170" upper="170"'),
+            "degrees; give --limit shoulder=-2.9671,2.9671",
+            {"limits": {"shoulder": (-2.9671, 2.9671)}},
+        ),
+        (with_more(ROD), "follows cannot follow joint elbow.*--without rod", {"without": ("rod",)}),
+        (with_more(ROD), "--lock NAME=VALUE", {"locked": {"elbow": 0.5}}),
+        (MESHED, "a mesh is not found.*--package other=FOLDER", {"packages": {"other": "meshes"}}),
+    ],
+)
+def test_what_a_message_advises_works(
+    tmp_path: Path, text: str, message: str, remedy: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("meshes").mkdir()
+    trimesh.creation.box((0.1, 0.1, 0.1)).export("meshes/box.stl")
+    request = Request(described(tmp_path, text))
+    with pytest.raises(ScenarioError, match=message):
+        import_robot(request)
+    if "packages" in remedy:
+        remedy = {"packages": {"other": tmp_path / "meshes"}}
+    assert import_robot(replace(request, **remedy)).arm.dim >= 1
+
+
+def test_a_pointer_of_git_lfs_is_told_and_pulling_it_helps(tmp_path: Path) -> None:
+    mesh = tmp_path / "box.stl"
+    mesh.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 684\n")
+    request = Request(described(tmp_path, MESHED.replace("package://other/", "")))
+    with pytest.raises(ScenarioError, match=r"box\.stl is a pointer of Git LFS.*git lfs pull"):
+        import_robot(request)
+    trimesh.creation.box((0.1, 0.1, 0.1)).export(mesh)
+    assert import_robot(request).arm.parts[0].name == "base"
 
 
 def test_names_that_the_description_does_not_have_are_refused(tmp_path: Path) -> None:
@@ -99,10 +150,19 @@ def test_meshes_are_found_in_packages(tmp_path: Path) -> None:
     folder = tmp_path / "share" / "arm" / "urdf"
     assert found_file("package://arm/meshes/a.stl", folder, {}) == mesh
     assert found_file("package://other/meshes/a.stl", folder, {"other": mesh.parents[1]}) == mesh
+    for address in ("package://other//meshes/a.stl", "model://other/meshes/a.stl"):
+        assert found_file(address, folder, {"other": mesh.parents[1]}) == mesh
     assert found_file("../meshes/a.stl", mesh.parent, {}).samefile(mesh)
     assert found_file(f"file://{mesh}", folder, {}) == mesh
     with pytest.raises(ScenarioError, match=r"a mesh is not found.*--package other=FOLDER"):
         found_file("package://other/meshes/a.stl", folder, {})
+    # A package has the name that its package.xml says, wherever it was cloned to.
+    (tmp_path / "share" / "arm" / "package.xml").write_text("<package><name>other</name></package>")
+    beside = tmp_path / "share" / "robot"
+    beside.mkdir()
+    (beside / "package.xml").touch()
+    for place in (folder, beside / "urdf"):
+        assert found_file("package://other/meshes/a.stl", place, {}) == mesh
 
 
 @pytest.mark.parametrize(

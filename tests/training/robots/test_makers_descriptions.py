@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from cspace.errors import ScenarioError
 from cspace.worlds.spatial.sensor import MAX_VOXELS, grid_of
@@ -71,6 +72,58 @@ def test_a_shape_of_no_size_is_left_out_with_its_link_and_line(tmp_path: Path) -
     assert [part.name for part in found.arm.parts] == ["l0", "l1", "l2"]
     meshed = text.replace('<box size="0 0 0"/>', '<mesh filename="nowhere.stl" scale="0 0 0"/>')
     assert any("a mesh of link l3 has no size" in note for note in imported(tmp_path, meshed).notes)
+
+
+def test_soft_limits_and_those_of_moveit_s_file_are_taken_and_told(tmp_path: Path) -> None:
+    soft = LIMIT + '<safety_controller soft_lower_limit="-1.5" soft_upper_limit="3" k_velocity="10"/>'
+    none = LIMIT + '<safety_controller k_velocity="10"/>'
+    rows = "  j3: {has_position_limits: true, min_position: -1, max_position: 1}\n  hand: {max_velocity: 1}\n"
+    (tmp_path / "joint_limits.yaml").write_text(f"joint_limits:\n{rows}")
+    found = imported(tmp_path, chain(soft, none))
+    assert [joint.limits_rad for joint in found.arm.joints] == [(-1.5, 2.0), (-2.0, 2.0), (-1.0, 1.0)]
+    assert {
+        "limits of joint_limits.yaml are taken: j3",
+        "the soft limits of safety_controller are taken: j1",
+    } <= {*found.notes}
+
+
+def test_elements_that_could_matter_and_are_not_used_are_named(tmp_path: Path) -> None:
+    dynamics = '<dynamics damping="1"/>'
+    text = chain(LIMIT + dynamics).replace(
+        "</robot>", '<transmission name="t"/><loop_joint name="a"/></robot>'
+    )
+    text = text.replace('<link name="l1">', '<link name="l1"><collision_checking/>')
+    assert imported(tmp_path, text).notes == ("two.urdf: not used, collision_checking, loop_joint",)
+
+
+SRDF = """<robot name="three"><disable_default_collisions link="l3"/>{}
+<group name="arm"/><link_sphere_approximation link="l0"/>
+<disable_collisions link1="l0" link2="ghost"/></robot>"""
+
+
+def test_collisions_are_disabled_by_default_and_enabled_again_as_in_moveit(tmp_path: Path) -> None:
+    def held_apart(enabled: str) -> tuple[tuple[str, str], ...]:
+        (tmp_path / "two.srdf").write_text(SRDF.format(enabled))
+        found = imported(tmp_path, chain(radius=0.17))
+        assert found.notes == (
+            "two.srdf: not used, link_sphere_approximation",
+            "two.srdf names links that are not there: ghost",
+        )
+        return found.arm.touching
+
+    assert held_apart("") == (("l0", "l2"),)
+    assert held_apart('<enable_collisions link1="l3" link2="l1"/>') == (("l0", "l2"), ("l1", "l3"))
+
+
+def test_a_housing_of_thin_walls_is_filled(tmp_path: Path) -> None:
+    outer, inner = (trimesh.creation.box(size) for size in ((0.65, 0.65, 0.3), (0.642, 0.642, 0.292)))
+    inner.invert()
+    trimesh.util.concatenate([outer, inner]).export(tmp_path / "housing.stl")
+    text = chain().replace('<sphere radius="0.06"/>', '<mesh filename="housing.stl"/>', 1)
+    found = imported(tmp_path, text)
+    assert "link l0 has thin walls: spheres cover its convex hull" in found.notes
+    assert found.fits["l0"].missed_m < 0.0025
+    assert found.fits["l0"].spheres < 400
 
 
 @pytest.mark.parametrize("mimic", ['<mimic joint="j2" multiplier="-1"/>', '<mimic joint="j2" offset="0.5"/>'])
@@ -149,7 +202,7 @@ def test_xacro_files_are_expanded_with_arguments_and_packages(tmp_path: Path) ->
         '<child link="b"/><origin xyz="0 0 1"/><limit lower="-1" upper="$(arg most)"/></joint></robot>'
     )
     path = described(tmp_path, text, "made.urdf.xacro")
-    with pytest.raises(ScenarioError, match=r"package parts is not found.*--package parts=FOLDER"):
+    with pytest.raises(ScenarioError, match=r"package parts is not found.*--package NAME=FOLDER"):
         import_robot(Request(path))
     found = import_robot(Request(path, packages={"parts": package}, arguments={"most": "0.5"}))
     assert found.arm.joints[0].limits_rad == (-1.0, 0.5)

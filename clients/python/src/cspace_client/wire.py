@@ -52,8 +52,10 @@ def _one_or_more(value: object) -> object:
 def _from_base64(value: object) -> object:
     if not isinstance(value, str):
         return value
+    # As a canvas, MIME encoders and base64url write it, too.
+    text = value.partition(",")[2] if value.startswith("data:") else value
     try:
-        return base64.b64decode(value, validate=True)
+        return base64.b64decode("".join(text.split()).replace("-", "+").replace("_", "/"), validate=True)
     except (binascii.Error, ValueError) as error:
         raise ValueError("not base64") from error
 

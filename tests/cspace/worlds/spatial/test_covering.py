@@ -32,3 +32,7 @@ def test_more_groups_are_smaller_and_as_many_as_spheres_are_these():
     assert sizes[0] > sizes[1] > sizes[2]
     whole = groups_of(PANDA.sphere_count)
     assert np.allclose(whole.spheres_m[whole.groups], PANDA.spheres_m(), atol=1e-9)
+
+
+def test_there_is_a_group_for_each_part_at_least_and_for_each_sphere_at_most():
+    assert [len(groups_of(count).links) for count in (1, 10**6)] == [len(PANDA.parts), PANDA.sphere_count]
