@@ -16,8 +16,7 @@ from services.names import ALIAS_CHALLENGER, TAG_MODEL, recorded_name
 from services.registry.models import ModelRegistry
 from training.config import PathTrainConfig
 from training.data.generate import generate
-from training.jobs.figures import path_curves
-from training.jobs.job import TAG_START, Job, kept_bundle, log_configuration, registered_name, world_tag
+from training.jobs.job import TAG_START, Job, kept_bundle, registered_name, world_tag
 from training.paths.bundling import trained_bundle
 from training.paths.writing import made_or_found, require_source, source_bundle
 from training.trials.launch import TrialOutcome, TrialRequest, run_trials
@@ -65,13 +64,11 @@ def run_job(job: Job[PathTrainConfig]) -> PathTrainResult:
         require_world(source, config.world)
         guides = None if config.guides is None else find_guides(config.guides, source.digest)
         dataset = _data(config, job.environment.data_folder)
-        log_configuration(run, config)
+        job.log_configuration()
         run.dataset(dataset.folder.name, dataset.digest, str(dataset.folder), "training")
         job.add_tags(world_tag(source.spec.world, named))
         arrays = path_arrays(source, dataset, config.points)
         outcomes = _train(job, dataset, arrays, guides)
-        histories = {outcome.name: outcome.history for outcome in outcomes}
-        run.figure(path_curves(histories), "path-losses")
         run.flush()
         bundles = _bundles(job, source, dataset, arrays, outcomes)
         versions = {

@@ -1,6 +1,5 @@
 """The trials of path models: their arrays, the local critics that guide them, and the training."""
 
-import json
 import logging
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +15,7 @@ from cspace.errors import ConfigError, JobError
 from cspace.world import World
 from services.progress import Progress
 from training.config import PathModel, PathTrainConfig, TrainConfig
-from training.jobs.environment import RECORD as JOB_RECORD
+from training.jobs.job import CONFIGURATION
 from training.models.checkpoint import seeded_initialisation, trained
 from training.models.lookups import Scenes, make_reader
 from training.models.networks import Critic
@@ -99,12 +98,10 @@ class Guides:
 def find_guides(folder: Path, digest: str) -> Guides:
     """The local critics of a job."""
     try:
-        train = TrainConfig.model_validate(
-            json.loads((folder / JOB_RECORD).read_text(encoding="utf-8"))["config"]
-        )
-    except (OSError, ValueError, KeyError) as error:
+        train = TrainConfig.model_validate_json((folder / CONFIGURATION).read_bytes())
+    except (OSError, ValueError) as error:
         raise ConfigError(
-            "guides is no job's folder", expected=f"a folder with {JOB_RECORD}", got=str(error)
+            "guides is no job's folder", expected=f"a folder with {CONFIGURATION}", got=str(error)
         ) from error
     checkpoints = tuple(sorted(folder.glob(f"local/*/{FINAL}")))
     if not checkpoints or train.local.critic_condition != "latent":
