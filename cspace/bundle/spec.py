@@ -16,7 +16,8 @@ from cspace.view_file import MAX_PICTURES
 from cspace.worlds import WorldField
 
 SCHEMA_VERSION = 6
-WAYS = "ways"
+ModelKind = Literal["generator", "mixture", "ways"]
+WAYS: Literal["ways"] = "ways"
 ENDPOINTS = ("start", "goal")
 PICTURE, MAP = "image", "map"
 # Default minimum confidence of calibrated plans; at it 97 % of the validation problems stay solved.
@@ -73,7 +74,7 @@ class BundleSpec:
     kind: Literal["configuration", "path"] = "configuration"
     # `generator` or `mixture`, both one graph with the same inputs and outputs; or `ways`, a path sampler
     # that searches and has no such graph
-    model_kind: Literal["generator", "mixture", "ways"] = "generator"
+    model_kind: ModelKind = "generator"
     looks_at_picture: bool = False  # whether the generator takes the picture itself beside its latent
     # Whether it takes what the map graph makes of the picture, once for all its requests
     looks_at_map: bool = False

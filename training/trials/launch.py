@@ -1,4 +1,4 @@
-"""Trials on the cluster: a Ray task each, with resources and retries; their files tell what is done."""
+"""Trials on the cluster: one Tuner a stage, with resources and retries; checkpoints tell what is done."""
 
 import logging
 import os
@@ -11,13 +11,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import ray
-from ray.exceptions import RayError
+from ray import tune
+from ray.tune.experiment import Trial
 
-from cspace.errors import JobError
+from cspace.errors import JobError, RegistryError
 from cspace.files import holding
 from cspace.simulator import derived_seed
-from services.evaluator.cluster import cancel, join
+from services.evaluator.cluster import join
+from services.registry.tracking import RunLog, Tracking
 from training.config import ResourceConfig
 from training.jobs.job import Job
 from training.models.checkpoint import read_checkpoint
@@ -32,7 +33,7 @@ BUSY_S = 120.0
 
 @dataclass(frozen=True, slots=True)
 class TrialRequest:
-    """A trial; it travels to its worker through the object store."""
+    """A trial; it its worker gets it by Tune."""
 
     folder: Path
     run_id: str = ""
@@ -99,10 +100,16 @@ class TrialOutcome:
         return last - first
 
 
-# The job's log is for its own progress; what the libraries print of theirs is switched off.
+# The job's log is for its own progress; what the libraries print of theirs is switched off. An interrupt ends
+# a job at once: what it loses lies behind the last checkpoints.
 QUIET = {
     "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true",
     "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false",
+    "RAY_AIR_NEW_OUTPUT": "0",
+    "RAY_CHDIR_TO_TRIAL_DIR": "0",
+    "TUNE_DISABLE_AUTO_CALLBACK_LOGGERS": "1",
+    "TUNE_DISABLE_SIGINT_HANDLER": "1",
+    "TUNE_WARN_EXCESSIVE_EXPERIMENT_CHECKPOINT_SYNC_THRESHOLD_S": "0",
 }
 
 
@@ -113,7 +120,8 @@ def connect() -> None:
     """
     for name, value in QUIET.items():
         os.environ.setdefault(name, value)
-    logging.getLogger("mlflow").setLevel(logging.ERROR)
+    for library in ("mlflow", "ray.tune", "ray.train"):
+        logging.getLogger(library).setLevel(logging.ERROR)
     join(runtime_env={"env_vars": QUIET})
     # After ray.init, which sets a handler of its own.
     if threading.current_thread() is threading.main_thread():
@@ -126,68 +134,65 @@ def run_trials(
     shared: Mapping[str, Any],
     resources: ResourceConfig,
 ) -> list[TrialOutcome]:
-    """Run the trials of a stage, as many at once as the cluster has room for.
+    """Run the trials of a stage by Ray Tune, as many at once as the cluster has room for.
 
-    In the folders of a job that was stopped, finished trials are not run again, and the others go on from
-    their checkpoints.
+    Trials that an earlier attempt of the job has finished are not run again, and the others go on from their
+    own checkpoints. ``Tuner.restore`` is not for this: a driver that was killed may not know the last
+    checkpoint, and what lies behind an older one would be counted twice.
 
     Returns:
         Outcomes in the order of ``trials``.
     """
-    left = [trial for trial in trials if not (trial.folder / FINAL).exists()]
+    left = {trial.name: trial for trial in trials if not (trial.folder / FINAL).exists()}
+    stage = trials[0].stage
     if len(left) < len(trials):
-        _LOG.info(
-            "%s: %d of %d trials are finished", trials[0].stage.name, len(trials) - len(left), len(trials)
-        )
+        _LOG.info("%s: %d of %d trials are finished", stage.name, len(trials) - len(left), len(trials))
     if left:
-        _run_all(trainable, left, shared, resources)
+        tuner = tune.Tuner(
+            tune.with_resources(
+                tune.with_parameters(_run_trial, trials=left, run=trainable, **shared),
+                resources.of_a_trial(),
+            ),
+            param_space={"trial": tune.grid_search(list(left))},
+            tune_config=tune.TuneConfig(
+                trial_name_creator=_name_of, trial_dirname_creator=_name_of, reuse_actors=False
+            ),
+            run_config=tune.RunConfig(
+                name=stage.name,
+                storage_path=str(stage.parent / "tune"),
+                failure_config=tune.FailureConfig(max_failures=resources.max_failures),
+                verbose=0,
+            ),
+        )
+        try:
+            grid = tuner.fit()
+        except KeyboardInterrupt:
+            for trial in left.values():
+                with suppress(RegistryError):
+                    RunLog(Tracking(trial.tracking_uri), trial.run_id).finish("KILLED")
+            raise
+        if grid.errors:
+            raise JobError(
+                f"{len(grid.errors)} of {len(trials)} trials failed",
+                expected=f"at most {resources.max_failures} faults each",
+                got=str(grid.errors[0]).strip().splitlines()[-1],
+                remedy=f"their checkpoints are under {stage}; submit the job again to go on from them",
+            )
     return [TrialOutcome(trial.folder / FINAL) for trial in trials]
 
 
-def _run_all(
-    trainable: Callable[..., None],
-    trials: Sequence[TrialRequest],
-    shared: Mapping[str, Any],
-    resources: ResourceConfig,
+def _name_of(trial: Trial) -> str:
+    return str(trial.config["trial"])
+
+
+def _run_trial(
+    config: Mapping[str, str],
+    trials: Mapping[str, TrialRequest],
+    run: Callable[..., None],
+    **shared: Any,
 ) -> None:
-    # A worker ends with its trial, and what torch has allocated with it.
-    task = ray.remote(max_calls=1)(_run_trial)
-    stored = {name: ray.put(value) for name, value in shared.items()}
-    references = [
-        task.options(
-            name=f"{trial.stage.name}/{trial.name}",
-            max_retries=resources.max_failures,
-            retry_exceptions=True,
-            **resources.of_a_task(),
-        ).remote(trainable, trial, **stored)
-        for trial in trials
-    ]
-    try:
-        ray.wait(references, num_returns=len(references))
-        failed = [text for reference in references for text in _failure(reference)]
-    finally:
-        with suppress(RayError, ConnectionError):
-            cancel(references)
-    if failed:
-        raise JobError(
-            f"{len(failed)} of {len(trials)} trials failed",
-            expected=f"at most {resources.max_failures} faults each",
-            got=failed[0].strip().splitlines()[-1],
-            remedy=f"their checkpoints are under {trials[0].stage}; submit the job again to go on from them",
-        )
-
-
-def _failure(reference: "ray.ObjectRef[Any]") -> list[str]:
-    """Why a task failed for good, in one text; nothing where it did not."""
-    try:
-        ray.get(reference)
-    except RayError as error:
-        return [str(error)]
-    return []
-
-
-def _run_trial(trainable: Callable[..., None], trial: TrialRequest, **shared: Any) -> None:
     """Run a trial in a worker, alone, unless another attempt has finished it meanwhile."""
+    trial = trials[config["trial"]]
     trial.folder.mkdir(parents=True, exist_ok=True)
     busy = JobError(
         f"the trial {trial.name} is run by another process",
@@ -196,5 +201,5 @@ def _run_trial(trainable: Callable[..., None], trial: TrialRequest, **shared: An
     )
     with holding(trial.folder / "lock", busy, BUSY_S):
         if not (trial.folder / FINAL).exists():
-            trainable(trial, **shared)
+            run(trial, **shared)
             (trial.folder / LAST).rename(trial.folder / FINAL)

@@ -1,4 +1,4 @@
-"""Trials as tasks of a real Ray: what is recorded, retried, and gone on with."""
+"""Trials by Tune on a real Ray: what is recorded, retried, and gone on with."""
 
 import os
 import signal
@@ -32,13 +32,11 @@ def trainable():
     """A trial that notes each attempt, does what is planned for it, and leaves a checkpoint of a step."""
 
     def train(trial, notes, plans):
-        import psutil
-
         from tests.training.models.builders import save, tiny_module
         from training.trials.launch import LAST
 
         with Path(notes, trial.name).open("a") as file:
-            file.write(" ".join(psutil.Process().cmdline()).strip() + "\n")
+            file.write("attempt\n")
         attempt = len(Path(notes, trial.name).read_text().splitlines())
         plan = plans.get(trial.name, ())
         if attempt <= len(plan) and plan[attempt - 1] == "raise":
@@ -75,8 +73,6 @@ class TestOnACluster:
         for outcome, trial in zip(outcomes, trials, strict=True):
             assert outcome.checkpoint == trial.folder / FINAL
             assert (outcome.metrics, outcome.times_s) == ({"attempt": 1.0}, (5.0, 5.0))
-        # A worker shows the name of its trial.
-        assert (tmp_path / "notes" / "one").read_text() == "ray::stage/one\n"
 
     def test_finished_trials_are_not_run_again(self, trials, tmp_path):
         first = run(trials[:2], tmp_path)

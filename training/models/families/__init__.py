@@ -23,6 +23,7 @@ from pathlib import Path
 from pkgutil import iter_modules
 from typing import Any, ClassVar, Generic, TypeVar
 
+from cspace.bundle.spec import ModelKind
 from cspace.errors import ConfigError
 from training.config import TrainConfig, TrialSettings
 from training.models.data import TrainingArrays
@@ -48,7 +49,7 @@ class Family(ABC, Generic[Config]):
 
     configuration: ClassVar[type[TrainConfig]]
     # In the bundle's specification.
-    model_kind: ClassVar[str] = "generator"
+    model_kind: ClassVar[ModelKind] = "generator"
 
     def __init__(self, config: Config, arrays: TrainingArrays) -> None:
         self.config, self.arrays = config, arrays
