@@ -17,7 +17,7 @@ from cspace.world import World
 from cspace.worlds import picture_of, simulator_of
 from services.evaluator.metrics import Head, Metric, Run, Task, measured, metrics_of
 from services.evaluator.metrics.geometry_score import POINTS, Clouds
-from services.evaluator.scenes import SAMPLES, Scene, ScoredSampler, Stage, unfiltered
+from services.evaluator.scenes import SAMPLES, Scene, Stage, unfiltered
 from services.evaluator.statistics import Interval, summary_rng
 from services.planner.ompl_planner import solve
 from services.planner.planning import between_ends
@@ -154,16 +154,12 @@ def run_unit(unit: Unit, setting: Setting, sampler: SampleSource) -> UnitResult:
     began = time.perf_counter()
     if sampler.with_ends and unit.task is not Task.PLANNING:
         raise EvaluationError("path models are evaluated by planning alone", got=str(unit.task))
-    measure = {
-        Task.PLANNING: _planning,
-        Task.RECONSTRUCTION: _reconstruction,
-        Task.TOPOLOGY: _topology,
-    }[unit.task]
+    tasks = {Task.PLANNING: _planning, Task.RECONSTRUCTION: _reconstruction, Task.TOPOLOGY: _topology}
     stage = Stage(setting.world, unit.split, setting.seed)
     rows = [
         row
         for index in range(unit.first, unit.first + unit.count)
-        for row in measure(Scene(stage, index, unit.family), setting, sampler)
+        for row in tasks[unit.task](Scene(stage, index, unit.family), setting, sampler)
     ]
     return UnitResult(unit, rows, time.perf_counter() - began)
 
@@ -184,7 +180,7 @@ def reconstruct(scene: Scene, sampler: SampleSource, samples: int = SAMPLES) -> 
         "real": scene.free(samples, scene.rng(2)),
     }
     rows: list[Row] = []
-    if isinstance(sampler, ScoredSampler):
+    if sampler.threshold is not None:
         query = SampleQuery(samples, scene.sampler_seed(CONFIDENT_STREAM), min_confidence=sampler.threshold)
         confident = sampler.answer(scene.image, query)
         if len(confident.samples) == samples:
@@ -203,7 +199,7 @@ def measure_samples(
         yield from _rows(Task.RECONSTRUCTION, given, scene.family, scene.index, sampler=name)
 
 
-def _head(scene: Scene, sampler: ScoredSampler, acceptance: float | None) -> Head:
+def _head(scene: Scene, sampler: SampleSource, acceptance: float | None) -> Head:
     tried = scene.space.to_float32(scene.space.sample_uniform(scene.rng(3), HEAD_SAMPLES))
     checker, near_contact_m = scene.checker, scene.measures.near_contact_m
     confidence, free = sampler.score(scene.image, tried), checker.valid_batch(tried)
@@ -267,9 +263,8 @@ def plan_problem(
         "uniform": None,
         "learned": learned_samples(problem, image, seed, sampler),
     }
-    if isinstance(sampler, ScoredSampler) or sampler.with_ends:
-        least = sampler.threshold if isinstance(sampler, ScoredSampler) else 0.0
-        accepted = learned_samples(problem, image, seed, sampler, least)
+    if sampler.threshold is not None or sampler.with_ends:
+        accepted = learned_samples(problem, image, seed, sampler, sampler.threshold or 0.0)
         if len(accepted) == LEARNED_SAMPLES:
             groups["confident"] = accepted
     return {
@@ -302,15 +297,7 @@ def planner_of(world: World) -> PlannerSettings:
     A limit in iterations makes a run independent of the machine's load, which the limit in time only guards.
     """
     measures = simulator_of(world).measures
-    return PlannerSettings(
-        planner="RRT",
-        range_rad=measures.range_rad,
-        resolution_rad=measures.resolution_rad,
-        goal_bias=0.05,
-        time_limit_s=10.0,
-        max_iterations=1000,
-        seed=1,
-    )
+    return PlannerSettings("RRT", measures.range_rad, measures.resolution_rad, max_iterations=1000)
 
 
 def planner_seed(seed: int, index: int, repeat: int) -> int:
@@ -363,14 +350,12 @@ class Evaluation:
 
     def estimate(self, measure: str, sampler: str, family: str, split: str = VALIDATION) -> Interval | None:
         """One estimate of samples or planning; None where it was not made."""
-        of = {"split": split, "family": family, "sampler": sampler, "measure": measure}
-        found = self.estimates
-        for column, value in of.items():
-            found = found[found[column] == value]
+        found = self.estimates.set_index(["split", "family", "sampler", "measure"])
+        found = found[found.index == (split, family, sampler, measure)]
         if found.empty:
             return None
-        row = found.iloc[0]
-        return Interval(float(row["value"]), float(row["low"]), float(row["high"]), int(row["n"]))
+        value, low, high, count = found.iloc[0][["value", "low", "high", "n"]]
+        return Interval(float(value), float(low), float(high), int(count))
 
 
 def estimates_of(

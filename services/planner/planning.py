@@ -14,9 +14,9 @@ from cspace.query import PlanQuery, SampleQuery
 from cspace.simulator import OWN, Problem
 from cspace.world import World
 from cspace.worlds import checker_of, default_world, picture_file_of, robot_digest, simulator_of
-from cspace_client import OutcomeSender, PictureWarning
+from cspace_client import FoundPlan, OutcomeSender, PictureWarning
 from services.names import label, model_name
-from services.planner.client import FoundPlan, SamplingClient, usual_api
+from services.planner.client import SamplingClient, usual_api
 from services.planner.ompl_planner import DEFAULT_UNIFORM_SHARE, solve
 from services.planner.result import CHECK_FACTOR, RRT_CONNECT, PlannerSettings, PlanResult, Reason
 from services.planner.samples import SampleBatch, SampleSource
