@@ -30,7 +30,11 @@ class SampleSource(Protocol):
 
     threshold: float | None = None
 
-    def score(self, image: NDArray[np.uint8], configurations: NDArray[np.float32]) -> NDArray[np.float32]:
+    def score(
+        self,
+        image: NDArray[np.uint8],  # noqa: ARG002 - of sources with a head
+        configurations: NDArray[np.float32],  # noqa: ARG002 - as above
+    ) -> NDArray[np.float32]:
         """P(free) of (n, d) configurations in rad, (n,), by the validity head."""
         raise SamplerError("the source has no validity head")
 
