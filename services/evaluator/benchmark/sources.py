@@ -46,8 +46,9 @@ class SourceSpec:
     @property
     def described(self) -> dict[str, Any]:
         """For manifest and report."""
-        over = "HTTP" if self.url is not None else "none: a bundle in the planner's process"
-        return {"model": self.model, "digest": self.digest, "with_ends": self.with_ends, "transport": over}
+        transport = "none: a bundle in the planner's process" if self.url is None else "HTTP"
+        named = {name: getattr(self, name) for name in ("model", "digest", "with_ends")}
+        return named | {"transport": transport}
 
     def check(self, digest: str) -> None:
         """Raises SamplerError where another model answered."""
