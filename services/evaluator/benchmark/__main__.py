@@ -15,7 +15,6 @@ from services.commands import ANY_SEED, COUNT, POSITIVE, report_error, within
 from services.evaluator.benchmark.job import REPORT, Request, executor, run_benchmark
 from services.evaluator.benchmark.sources import bundled, parse_named, served
 from services.evaluator.benchmark.variants import (
-    AIMS,
     GROUPS,
     LIMITS,
     PICTURES,
@@ -99,7 +98,6 @@ def parser() -> argparse.ArgumentParser:
 def _add_plan_options(plans: argparse._ArgumentGroup) -> None:
     seen, four = "by which each is seen, at most 4 (default: 1 2 3)", within(1, 4, int)
     plans.add_argument("--pictures", type=four, nargs="+", metavar="N", default=PICTURES, help=seen)
-    plans.add_argument("--aim", choices=AIMS, default=AIMS[0], help="what cameras look at (default: goal)")
     held = "of problems with a table alone: the robot holds what its goal grasps; planners know both"
     plans.add_argument("--held", action="store_true", help=held)
     fetched = "of test problems that python -m training.motionbench fetch wrote"
@@ -127,7 +125,6 @@ def make_request(options: argparse.Namespace) -> Request:
         options.seed,
         options.iterations or int(limits["max_iterations"]),
         options.time_limit or limits["time_limit_s"],
-        aim=options.aim,
         world=world,
         held=options.held,
     )
@@ -186,7 +183,7 @@ def _plan_problems(options: argparse.Namespace, setting: Setting, folder: Path |
         most = seen.count(family, setting.split)
         if most is not None and not problems:
             # Problems that do not ship fail here, before any run.
-            seen.problem(ProblemRequest(setting.split, setting.seed, setting.aim, folder), family, 0, 1)
+            seen.problem(ProblemRequest(setting.split, setting.seed, folder=folder), family, 0, 1)
         requested = options.problems or most or PLAN_PROBLEMS
         problems[family] = requested if most is None else min(requested, most)
     return problems
