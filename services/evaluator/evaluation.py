@@ -274,11 +274,7 @@ def plan_problem(
 
 
 def learned_samples(
-    problem: Problem,
-    image: NDArray[np.uint8],
-    seed: int,
-    sampler: SampleSource,
-    min_confidence: float = 0.0,
+    problem: Problem, image: NDArray[np.uint8], seed: int, sampler: SampleSource, min_confidence: float = 0.0
 ) -> NDArray[np.float32]:
     """The samples (n, d) rad for a run on a problem, given its picture; n is less where too few pass."""
     query = SampleQuery(LEARNED_SAMPLES, seed, min_confidence=min_confidence)

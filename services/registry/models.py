@@ -274,11 +274,7 @@ def _whole_models(client: MlflowClient, name: str, run: Run, digest: str) -> Ite
 
 
 def _logged_model(
-    client: MlflowClient,
-    name: str,
-    bundle_folder: Path,
-    run: Run,
-    tags: Mapping[str, str],
+    client: MlflowClient, name: str, bundle_folder: Path, run: Run, tags: Mapping[str, str]
 ) -> LoggedModel:
     """A bundle as a logged model of its run; one that an interrupted attempt has finished is taken over."""
     whole = list(_whole_models(client, name, run, tags[TAG_DIGEST]))
