@@ -70,6 +70,7 @@ _SCHEMA = (
     """CREATE TRIGGER IF NOT EXISTS deleted AFTER DELETE ON outcomes BEGIN
     UPDATE used SET bytes = bytes - LENGTH(old.row) WHERE client = old.client; END""",
 )
+_INSERT = "INSERT INTO outcomes (client, keep_until_s, row) VALUES (?, ?, ?)"
 _CLAIM = """
 UPDATE outcomes SET batch = ? WHERE number IN (
   SELECT number FROM (SELECT number, SUM(LENGTH(row)) OVER (ORDER BY number) AS total FROM outcomes)
@@ -224,10 +225,9 @@ class Spool:
                 used = Counter[str](dict(database.execute("SELECT client, bytes FROM used")))
                 for write in batch:
                     size = sum(len(line) for _, _, line in write.lines)
-                    share = used[write.client] + size <= CLIENT_SHARE * self._max_bytes
-                    if share and used.total() + size <= self._max_bytes:
-                        insert = "INSERT INTO outcomes (client, keep_until_s, row) VALUES (?, ?, ?)"
-                        database.executemany(insert, write.lines)
+                    fits = used[write.client] + size <= CLIENT_SHARE * self._max_bytes
+                    if fits and used.total() + size <= self._max_bytes:
+                        database.executemany(_INSERT, write.lines)
                         used[write.client] += size
                         kept.append(write)
                     else:

@@ -20,9 +20,9 @@ from cspace.simulator import Problem, Split
 from cspace.strict_json import parse_json
 from cspace.world import World
 from cspace.worlds import examples, named_world, simulator_of
-from cspace_client import OutcomeSender
+from cspace_client import DEFAULT_TIMEOUT_S, OutcomeSender
 from services.commands import ANY_SEED, COUNT, POSITIVE, SHARE, report_error
-from services.planner.client import DEFAULT_TIMEOUT_S, SamplingClient, usual_api
+from services.planner.client import SamplingClient, usual_api
 from services.planner.ompl_planner import DEFAULT_UNIFORM_SHARE
 from services.planner.planning import (
     DEFAULT_SAMPLES,

@@ -11,7 +11,7 @@ from cspace.errors import ConfigError, CspaceError, ScenarioError
 from cspace.query import MAX_SAMPLES
 from cspace.simulator import PartlySeen, ProblemRequest, Split
 from cspace.worlds import examples, named_world, partly_seen
-from services.commands import ANY_SEED, COUNT, POSITIVE, report_error, within
+from services.commands import ANY_SEED, COUNT, POSITIVE, number, report_error
 from services.evaluator.benchmark.job import REPORT, Request, executor, run_benchmark
 from services.evaluator.benchmark.sources import bundled, parse_named, served
 from services.evaluator.benchmark.variants import (
@@ -31,7 +31,7 @@ from services.evaluator.benchmark.variants import (
 from services.registry import connect, tracking_uri
 
 WORLDS = examples()
-ABOVE_0 = within(sys.float_info.min, 1.0)
+ABOVE_0 = number("above 0, at most 1", sys.float_info.min, 1.0)
 SPLITS = (Split.VALIDATION, Split.TEST)
 # Problems of each family where nothing else is asked for.
 PROBLEMS, UNSOLVABLE, PAPER_PROBLEMS, PLAN_PROBLEMS = 300, 30, 10, 30
@@ -80,7 +80,10 @@ def parser() -> argparse.ArgumentParser:
     what("--seed", type=ANY_SEED, default=0, help="of problems, planners and samplers")
     groups = f"names, or groups: {', '.join(Group)} (default: all of the protocol)"
     what("--variants", nargs="+", help=groups)
-    drawn, count = "learned ones for a run (default: %(default)s)", within(1, MAX_SAMPLES, int)
+    drawn, count = (
+        "learned ones for a run (default: %(default)s)",
+        number(f"1 to {MAX_SAMPLES}", 1, MAX_SAMPLES, int),
+    )
     what("--samples", type=count, default=SAMPLES, help=drawn)
     shares = "of learned samples, above 0 to 1; one variant for each (default: 0.7 1)"
     what("--shares", type=ABOVE_0, nargs="+", default=SHARES, metavar="SHARE", help=shares)
@@ -96,7 +99,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _add_plan_options(plans: argparse._ArgumentGroup) -> None:
-    seen, four = "by which each is seen, at most 4 (default: 1 2 3)", within(1, 4, int)
+    seen, four = "by which each is seen, at most 4 (default: 1 2 3)", number("1 to 4", 1, 4, int)
     plans.add_argument("--pictures", type=four, nargs="+", metavar="N", default=PICTURES, help=seen)
     held = "of problems with a table alone: the robot holds what its goal grasps; planners know both"
     plans.add_argument("--held", action="store_true", help=held)
