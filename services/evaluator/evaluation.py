@@ -337,8 +337,8 @@ class Evaluation:
 
     def estimate(self, measure: str, sampler: str, family: str, split: str = VALIDATION) -> Interval | None:
         """One estimate of samples or planning; None where it was not made."""
-        found = self.estimates.set_index(["split", "family", "sampler", "measure"])
-        found = found[found.index == (split, family, sampler, measure)]
+        of = pd.Series({"split": split, "family": family, "sampler": sampler, "measure": measure})
+        found = self.estimates[(self.estimates[of.index] == of).all(axis=1)]
         if found.empty:
             return None
         value, low, high, count = found.iloc[0][["value", "low", "high", "n"]]
