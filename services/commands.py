@@ -31,21 +31,24 @@ def confirmed(question: str) -> bool:
     return input(f"{question} [y/N] ").strip().lower() in {"y", "yes"}
 
 
-def within(low: float, high: float = math.inf, kind: Callable[[str], float] = float) -> Callable[[str], Any]:
+def number(expected: str, low: float, high: float = math.inf, kind: Callable[[str], float] = float) -> Any:
     """The type of an option that is a finite number of ``low`` to ``high``."""
 
-    def number(text: str) -> float:
-        value = kind(text)
+    def parse(text: str) -> float:
+        try:
+            value = kind(text)
+        except ValueError:
+            value = math.nan
         if not low <= value <= high or value == math.inf:
-            limits = f"{low:g} to {high:g}" if math.isfinite(high) else f"at least {low:g}"
-            raise argparse.ArgumentTypeError(f"expected {limits}, got {text[:80]}")
+            raise argparse.ArgumentTypeError(f"expected {expected}, got {text[:80]!r}")
         return value
 
-    return number
+    return parse
 
 
-COUNT, ANY_SEED = within(1, kind=int), within(0, 2**63 - 1, int)
-POSITIVE, SHARE, finite = within(sys.float_info.min), within(0.0, 1.0), within(-sys.float_info.max)
+COUNT, ANY_SEED = number("1 or more", 1, kind=int), number("0 to 2^63 - 1", 0, 2**63 - 1, int)
+POSITIVE, SHARE = number("a number above 0", sys.float_info.min), number("0 to 1", 0.0, 1.0)
+finite = number("a finite number", -sys.float_info.max)
 
 
 def report_result(result: Mapping[str, Any], rows: Mapping[str, str], folder: Path | None) -> None:

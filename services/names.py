@@ -21,7 +21,6 @@ VIEWS_FILE, VIEW, TAG_KEEP_UNTIL = "views.jsonl", "view", "keep_until_s"
 # Scene models: their runs, the registered model, and its weights among a run's files.
 SCENE_MODELS_EXPERIMENT, SCENE_MODEL_NAME = "cspace-scene-models", "scene-model"
 SCENE_MODEL_FILE = "scene_model.safetensors"
-SITE_PATTERN = r"[A-Za-z0-9._-]{1,64}"
 # The setting that names where artifacts lie that the tracking server does not hand out itself: ``s3://models``.
 ARTIFACT_STORE = "CSPACE_ARTIFACT_STORE"
 ALIAS_CHALLENGER = "challenger"

@@ -60,16 +60,17 @@ CLIENT_SHARE = 0.25
 CLOCK_S, WAIT_S, _MOST_WAITING = 86_400.0, 5.0, 32
 DATABASE, _KEY_FILE, _UPLOAD_LOCK = "outcomes.db", "receipts.key", ".upload.lock"
 # Numbers that grow, for a clock may be set back; the triggers keep the size of what each client fills.
-_SCHEMA = """
-CREATE TABLE IF NOT EXISTS outcomes
-  (number INTEGER PRIMARY KEY AUTOINCREMENT, client TEXT, keep_until_s INTEGER, batch TEXT, row BLOB);
-CREATE TABLE IF NOT EXISTS used (client TEXT PRIMARY KEY, bytes INTEGER);
-CREATE TRIGGER IF NOT EXISTS added AFTER INSERT ON outcomes BEGIN
-  INSERT INTO used VALUES (new.client, LENGTH(new.row))
-  ON CONFLICT (client) DO UPDATE SET bytes = bytes + excluded.bytes; END;
-CREATE TRIGGER IF NOT EXISTS deleted AFTER DELETE ON outcomes BEGIN
-  UPDATE used SET bytes = bytes - LENGTH(old.row) WHERE client = old.client; END;
-"""
+_SCHEMA = (
+    """CREATE TABLE IF NOT EXISTS outcomes
+    (number INTEGER PRIMARY KEY AUTOINCREMENT, client TEXT, keep_until_s INTEGER, batch TEXT, row BLOB)""",
+    "CREATE TABLE IF NOT EXISTS used (client TEXT PRIMARY KEY, bytes INTEGER)",
+    """CREATE TRIGGER IF NOT EXISTS added AFTER INSERT ON outcomes BEGIN
+    INSERT INTO used VALUES (new.client, LENGTH(new.row))
+    ON CONFLICT (client) DO UPDATE SET bytes = bytes + excluded.bytes; END""",
+    """CREATE TRIGGER IF NOT EXISTS deleted AFTER DELETE ON outcomes BEGIN
+    UPDATE used SET bytes = bytes - LENGTH(old.row) WHERE client = old.client; END""",
+)
+_INSERT = "INSERT INTO outcomes (client, keep_until_s, row) VALUES (?, ?, ?)"
 _CLAIM = """
 UPDATE outcomes SET batch = ? WHERE number IN (
   SELECT number FROM (SELECT number, SUM(LENGTH(row)) OVER (ORDER BY number) AS total FROM outcomes)
@@ -224,10 +225,9 @@ class Spool:
                 used = Counter[str](dict(database.execute("SELECT client, bytes FROM used")))
                 for write in batch:
                     size = sum(len(line) for _, _, line in write.lines)
-                    share = used[write.client] + size <= CLIENT_SHARE * self._max_bytes
-                    if share and used.total() + size <= self._max_bytes:
-                        insert = "INSERT INTO outcomes (client, keep_until_s, row) VALUES (?, ?, ?)"
-                        database.executemany(insert, write.lines)
+                    fits = used[write.client] + size <= CLIENT_SHARE * self._max_bytes
+                    if fits and used.total() + size <= self._max_bytes:
+                        database.executemany(_INSERT, write.lines)
                         used[write.client] += size
                         kept.append(write)
                     else:
@@ -260,9 +260,11 @@ def _database(folder: Path) -> Iterator[sqlite3.Connection]:
         os.close(os.open(path, os.O_RDWR | os.O_CREAT, 0o600))
     with closing(sqlite3.connect(path, WAIT_S, isolation_level=None)) as database:
         # What is deleted is gone from the file.
-        database.executescript(f"PRAGMA auto_vacuum = FULL; PRAGMA secure_delete = ON; {_SCHEMA}")
-        database.execute("BEGIN IMMEDIATE")
+        for statement in ("PRAGMA auto_vacuum = FULL", "PRAGMA secure_delete = ON", "BEGIN IMMEDIATE"):
+            database.execute(statement)
         try:
+            for statement in _SCHEMA:
+                database.execute(statement)
             yield database
         except BaseException:
             database.execute("ROLLBACK")

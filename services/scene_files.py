@@ -4,7 +4,7 @@
 """
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
@@ -55,25 +55,13 @@ def schema(kind: str = FIRST) -> dict[str, Any]:
 def read_scene_file(path: Path) -> SceneFile:
     """Read a scene file; ``robot`` may be the path of a robot's file, from the scene file's folder."""
     values = read_yaml_file(path, ScenarioError)
-    if isinstance(values, dict) and str(values.get("robot")).endswith(".json"):
-        with _naming(path):
-            values["robot"] = named_world(str(path.parent / values["robot"])).body.to_dict()
-    return _read(path, values)
-
-
-def read_scene_text(data: bytes, path: Path, kinds: Sequence[str] = tuple(KINDS)) -> SceneFile:
-    """Read what a scene file holds, UTF-8; ``path`` is what it is called in errors."""
-    return _read(path, read_yaml(data, str(path), ScenarioError), kinds)
-
-
-def _read(path: Path, values: Any, kinds: Sequence[str] = tuple(KINDS)) -> SceneFile:
-    kind = values.get("world", FIRST) if isinstance(values, Mapping) else FIRST
-    if kind not in kinds:
-        raise ScenarioError(
-            f"{path}: the world is unknown", expected=" or ".join(kinds), got=repr(kind)[:200]
-        )
-    part = _part(kind)
     with _naming(path):
+        kind = values.get("world", FIRST) if isinstance(values, dict) else FIRST
+        if kind not in KINDS:
+            raise ScenarioError("the world is unknown", expected=" or ".join(KINDS), got=repr(kind)[:200])
+        if isinstance(values, dict) and str(values.get("robot")).endswith(".json"):
+            values["robot"] = named_world(str(path.parent / values["robot"])).body.to_dict()
+        part = _part(kind)
         try:
             parsed = part.Values.model_validate_json(json.dumps(values, default=repr), strict=True)
         except ValidationError as error:

@@ -1,5 +1,1 @@
-"""Evaluates samplers: how well they reconstruct the free space, its topology, and what a planner gains.
-
-``scenes`` and ``measure`` ask samplers and apply the ``metrics``; ``evaluation`` estimates from the values;
-``gate`` decides; ``job`` is all of it for a registered version. ``benchmark`` is the planning benchmark.
-"""
+"""Evaluates samplers: the free space they reconstruct, its topology, and what a planner gains."""

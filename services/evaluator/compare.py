@@ -14,11 +14,10 @@ from pathlib import Path
 import pandas as pd
 
 from cspace.errors import ConfigError
-from cspace.files import replacing
 from services.evaluator.metrics import Task
 from services.evaluator.report import MEASURES_TABLE
 from services.registry import connect, tracking_uri
-from services.registry.entities import FoundRun, ModelReference
+from services.registry.entities import ModelReference
 from services.registry.models import ModelRegistry
 from services.registry.tracking import Tracking
 
@@ -34,7 +33,7 @@ class Compared:
     """One of those that are compared: version or run in words, its evaluation's run, and the estimates."""
 
     title: str
-    run: FoundRun
+    run_id: str
     rows: pd.DataFrame
 
 
@@ -54,7 +53,7 @@ def find(text: str, runs: Tracking, registry: ModelRegistry) -> Compared:
             if path is not None:
                 table = json.loads(path.read_bytes())
                 rows = pd.DataFrame(table["data"], columns=table["columns"])
-                return Compared(title, one, rows.astype({"n": "Int64"}))
+                return Compared(title, one.run_id, rows.astype({"n": "Int64"}))
     raise ConfigError(
         f"{text} was not evaluated",
         expected="a version with a finished evaluation, or the run of one",
@@ -74,26 +73,14 @@ def compare_table(compared: Sequence[Compared], *, everything: bool = False) -> 
     return table if everything else table[scenes | planning]
 
 
-def compare_csv(compared: Sequence[Compared]) -> str:
-    """All estimates in long form: one line each of every one compared."""
-    rows = [one.rows.assign(compared=one.title, run_id=one.run.run_id) for one in compared]
-    columns = ["compared", "run_id", *_KEY, "value", "low", "high", "n"]
-    return str(pd.concat(rows)[columns].to_csv(index=False, lineterminator="\n"))
-
-
 def write_comparison(compared: Sequence[Compared], folder: Path, *, everything: bool = False) -> None:
-    """``comparison.txt``, ``.md`` and ``.csv`` in a folder."""
+    """``comparison.md``, and all estimates in long form as ``comparison.csv``, in a folder."""
     table = compare_table(compared, everything=everything)
-    texts = {
-        "txt": table.to_string(index=False) + "\n",
-        "md": table.to_markdown(index=False, disable_numparse=True) + "\n",
-        "csv": compare_csv(compared),
-    }
-    for ending, text in texts.items():
-        path = folder / f"comparison.{ending}"
-        with replacing(path, str(path)) as beside:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            beside.write_text(text, encoding="utf-8")
+    rows = [one.rows.assign(compared=one.title, run_id=one.run_id) for one in compared]
+    columns = ["compared", "run_id", *_KEY, "value", "low", "high", "n"]
+    folder.mkdir(parents=True, exist_ok=True)
+    table.to_markdown(folder / "comparison.md", index=False, disable_numparse=True)
+    pd.concat(rows)[columns].to_csv(folder / "comparison.csv", index=False)
 
 
 def main(arguments: Sequence[str], environment: Mapping[str, str]) -> int:
@@ -105,7 +92,7 @@ def main(arguments: Sequence[str], environment: Mapping[str, str]) -> int:
     )
     parser.add_argument("what", nargs="+", help="name/version, name@alias, or a run's id")
     parser.add_argument("--all", action="store_true", help="every estimate (default: the deciding ones)")
-    parser.add_argument("--out", type=Path, metavar="FOLDER", help="keep it as text, Markdown and CSV")
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help="keep it as Markdown and CSV")
     options = parser.parse_args(arguments)
     found = [find(text, *connect(tracking_uri(environment))) for text in options.what]
     print(compare_table(found, everything=options.all).to_string(index=False))

@@ -1,7 +1,7 @@
 """An evaluation: units of work, measured one by one into one long table, and the estimates made of it."""
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -17,11 +17,11 @@ from cspace.world import World
 from cspace.worlds import picture_of, simulator_of
 from services.evaluator.metrics import Head, Metric, Run, Task, measured, metrics_of
 from services.evaluator.metrics.geometry_score import POINTS, Clouds
-from services.evaluator.scenes import SAMPLES, Scene, ScoredSampler, Stage, unfiltered
+from services.evaluator.scenes import SAMPLES, Scene, Stage, unfiltered
 from services.evaluator.statistics import Interval, summary_rng
 from services.planner.ompl_planner import solve
 from services.planner.planning import between_ends
-from services.planner.result import PlannerSettings, PlanResult, Reason, check_path
+from services.planner.result import PlannerSettings
 from services.planner.samples import SampleSource
 
 EVALUATED_SPLITS = (Split.VALIDATION, Split.TEST)
@@ -31,8 +31,6 @@ UNIFORM_SHARE = 0.3
 HEAD_SAMPLES = 2000
 # The stream of the confident samples, apart from those of the other measurements.
 CONFIDENT_STREAM = 20
-
-Solver = Callable[[Problem, PlannerSettings, NDArray[np.float32] | None, float], PlanResult]
 
 
 class Row(NamedTuple):
@@ -154,16 +152,12 @@ def run_unit(unit: Unit, setting: Setting, sampler: SampleSource) -> UnitResult:
     began = time.perf_counter()
     if sampler.with_ends and unit.task is not Task.PLANNING:
         raise EvaluationError("path models are evaluated by planning alone", got=str(unit.task))
-    measure = {
-        Task.PLANNING: _planning,
-        Task.RECONSTRUCTION: _reconstruction,
-        Task.TOPOLOGY: _topology,
-    }[unit.task]
+    tasks = {Task.PLANNING: _planning, Task.RECONSTRUCTION: _reconstruction, Task.TOPOLOGY: _topology}
     stage = Stage(setting.world, unit.split, setting.seed)
     rows = [
         row
         for index in range(unit.first, unit.first + unit.count)
-        for row in measure(Scene(stage, index, unit.family), setting, sampler)
+        for row in tasks[unit.task](Scene(stage, index, unit.family), setting, sampler)
     ]
     return UnitResult(unit, rows, time.perf_counter() - began)
 
@@ -184,7 +178,7 @@ def reconstruct(scene: Scene, sampler: SampleSource, samples: int = SAMPLES) -> 
         "real": scene.free(samples, scene.rng(2)),
     }
     rows: list[Row] = []
-    if isinstance(sampler, ScoredSampler):
+    if sampler.threshold is not None:
         query = SampleQuery(samples, scene.sampler_seed(CONFIDENT_STREAM), min_confidence=sampler.threshold)
         confident = sampler.answer(scene.image, query)
         if len(confident.samples) == samples:
@@ -203,7 +197,7 @@ def measure_samples(
         yield from _rows(Task.RECONSTRUCTION, given, scene.family, scene.index, sampler=name)
 
 
-def _head(scene: Scene, sampler: ScoredSampler, acceptance: float | None) -> Head:
+def _head(scene: Scene, sampler: SampleSource, acceptance: float | None) -> Head:
     tried = scene.space.to_float32(scene.space.sample_uniform(scene.rng(3), HEAD_SAMPLES))
     checker, near_contact_m = scene.checker, scene.measures.near_contact_m
     confidence, free = sampler.score(scene.image, tried), checker.valid_batch(tried)
@@ -256,44 +250,32 @@ def _planning(scene: Scene, setting: Setting, sampler: SampleSource) -> Iterator
 
 
 def plan_problem(
-    problem: Problem, seed: int, sampler: SampleSource, settings: PlannerSettings, solver: Solver = solve
+    problem: Problem, seed: int, sampler: SampleSource, settings: PlannerSettings
 ) -> dict[str, Run]:
     """Solve one problem with each kind of samples under one seed.
 
     ``confident`` samples are those that a validity head accepts, of path models without one further ones.
     """
     seeded, image = replace(settings, seed=seed), picture_of(problem.scenario)
-    groups: dict[str, NDArray[np.float32] | None] = {
-        "uniform": None,
-        "learned": learned_samples(problem, image, seed, sampler),
-    }
-    if isinstance(sampler, ScoredSampler) or sampler.with_ends:
-        least = sampler.threshold if isinstance(sampler, ScoredSampler) else 0.0
-        accepted = learned_samples(problem, image, seed, sampler, least)
+    learned = learned_samples(problem, image, seed, sampler)
+    groups: dict[str, NDArray[np.float32] | None] = {"uniform": None, "learned": learned}
+    if sampler.threshold is not None or sampler.with_ends:
+        accepted = learned_samples(problem, image, seed, sampler, sampler.threshold or 0.0)
         if len(accepted) == LEARNED_SAMPLES:
             groups["confident"] = accepted
+    found = {name: solve(problem, seeded, samples, UNIFORM_SHARE) for name, samples in groups.items()}
     return {
-        name: _run(problem, solver(problem, seeded, samples, UNIFORM_SHARE), settings.resolution_rad)
-        for name, samples in groups.items()
+        name: Run(one.solved, one.iterations, one.edge_checks, one.solve_time_s)
+        for name, one in found.items()
     }
 
 
 def learned_samples(
-    problem: Problem,
-    image: NDArray[np.uint8],
-    seed: int,
-    sampler: SampleSource,
-    min_confidence: float = 0.0,
+    problem: Problem, image: NDArray[np.uint8], seed: int, sampler: SampleSource, min_confidence: float = 0.0
 ) -> NDArray[np.float32]:
     """The samples (n, d) rad for a run on a problem, given its picture; n is less where too few pass."""
     query = SampleQuery(LEARNED_SAMPLES, seed, min_confidence=min_confidence)
     return sampler.answer(image, between_ends(query, problem) if sampler.with_ends else query).samples
-
-
-def _run(problem: Problem, result: PlanResult, resolution_rad: float) -> Run:
-    # Whatever the solver reports, the path is checked here.
-    checked = check_path(problem, result.path, resolution_rad) if result.solved else result.reason
-    return Run(checked == Reason.SOLVED, result.iterations, result.edge_checks, result.solve_time_s)
 
 
 def planner_of(world: World) -> PlannerSettings:
@@ -302,15 +284,7 @@ def planner_of(world: World) -> PlannerSettings:
     A limit in iterations makes a run independent of the machine's load, which the limit in time only guards.
     """
     measures = simulator_of(world).measures
-    return PlannerSettings(
-        planner="RRT",
-        range_rad=measures.range_rad,
-        resolution_rad=measures.resolution_rad,
-        goal_bias=0.05,
-        time_limit_s=10.0,
-        max_iterations=1000,
-        seed=1,
-    )
+    return PlannerSettings("RRT", measures.range_rad, measures.resolution_rad, max_iterations=1000)
 
 
 def planner_seed(seed: int, index: int, repeat: int) -> int:
@@ -363,14 +337,12 @@ class Evaluation:
 
     def estimate(self, measure: str, sampler: str, family: str, split: str = VALIDATION) -> Interval | None:
         """One estimate of samples or planning; None where it was not made."""
-        of = {"split": split, "family": family, "sampler": sampler, "measure": measure}
-        found = self.estimates
-        for column, value in of.items():
-            found = found[found[column] == value]
+        of = pd.Series({"split": split, "family": family, "sampler": sampler, "measure": measure})
+        found = self.estimates[(self.estimates[of.index] == of).all(axis=1)]
         if found.empty:
             return None
-        row = found.iloc[0]
-        return Interval(float(row["value"]), float(row["low"]), float(row["high"]), int(row["n"]))
+        value, low, high, count = found.iloc[0][["value", "low", "high", "n"]]
+        return Interval(float(value), float(low), float(high), int(count))
 
 
 def estimates_of(

@@ -11,7 +11,6 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from cspace.simulator import UNIFORM, Split
@@ -132,8 +131,7 @@ def _tables(evaluation: Evaluation, *, everything: bool) -> Iterator[tuple[str, 
                 for (family, sampler), group in mine.groupby(["family", "sampler"], sort=False)
             }
             if wide:
-                table = pd.DataFrame.from_dict(wide, orient="index")
-                table = table[list(dict.fromkeys(mine["measure"]))].fillna("-")
+                table = pd.DataFrame.from_dict(wide, orient="index").fillna("-")
                 yield split, task, table.rename_axis(["family", "samples"]).reset_index()
 
 
@@ -222,12 +220,6 @@ GRID = 160
 SHOWN_SAMPLES = 1000
 FREE_COLOUR, COLLISION_COLOUR, MISSED_COLOUR = "#1f77b4", "#d62728", "#ff9f1c"
 END_COLOUR = "#2ca02c"
-POINTS = (
-    ("sample", FREE_COLOUR, "o", 3),
-    ("sample in collision", COLLISION_COLOUR, "o", 4),
-    ("free, no sample within {} rad", MISSED_COLOUR, "s", 4),
-    ("start and goal of the family's problem", END_COLOUR, "X", 7),
-)
 
 
 def gallery(scenes: Sequence[Scene], sampler: SampleSource, title: str) -> Figure:
@@ -243,12 +235,10 @@ def gallery(scenes: Sequence[Scene], sampler: SampleSource, title: str) -> Figur
         _truth(row[1], scene)
         _samples(row[2], scene, sampler)
     figure.suptitle(title)
-    radius_rad = scenes[0].measures.coverage_radius_rad
-    handles = [
-        Line2D([], [], color=colour, marker=marker, markersize=size, ls="", label=label.format(radius_rad))
-        for label, colour, marker, size in POINTS
-    ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize=8, frameon=False)
+    found = [axes.get_legend_handles_labels() for axes in panels.flat]
+    handles = {name: handle for one in found for handle, name in zip(*one, strict=True)}
+    look: dict[str, Any] = {"loc": "outside lower center", "ncols": len(handles), "frameon": False}
+    figure.legend(list(handles.values()), list(handles), fontsize=8, markerscale=2.0, **look)
     return figure
 
 
@@ -270,21 +260,23 @@ def _truth(axes: Axes, scene: Scene) -> None:
     if scene.problem is not None:
         ends = np.stack([scene.problem.start, scene.problem.goal])
         look: dict[str, Any] = {"marker": "X", "color": END_COLOUR, "edgecolors": "white"}
-        axes.scatter(*_plane(ends), s=50, clip_on=False, zorder=3, **look)
+        label = "start and goal of the family's problem"
+        axes.scatter(*_plane(ends), s=50, clip_on=False, zorder=3, label=label, **look)
     _joint_axes(axes, scene)
 
 
 def _samples(axes: Axes, scene: Scene, sampler: SampleSource) -> None:
     samples = unfiltered(sampler, scene.image, SHOWN_SAMPLES, scene.sampler_seed())
-    free = scene.checker.valid_batch(samples)
+    free, radius_rad = scene.checker.valid_batch(samples), scene.measures.coverage_radius_rad
     held_out = scene.free(SHOWN_SAMPLES, scene.rng(0))
-    reached = covered(held_out, samples, scene.space, scene.measures.coverage_radius_rad)
+    reached = covered(held_out, samples, scene.space, radius_rad)
+    shown = [(samples[free], FREE_COLOUR, 2, "sample")]
+    shown.append((samples[~free], COLLISION_COLOUR, 5, "sample in collision"))
     if scene.space.dim == 2:
         free_map(axes, scene)
-        missed = held_out[~reached]
-        axes.scatter(missed[:, 0], missed[:, 1], s=9, marker="s", color=MISSED_COLOUR, linewidths=0)
-    for mask, colour, size in ((free, FREE_COLOUR, 2), (~free, COLLISION_COLOUR, 5)):
-        axes.scatter(*_plane(samples[mask]), s=size, color=colour, linewidths=0)
+        shown.insert(0, (held_out[~reached], MISSED_COLOUR, 9, f"free, no sample within {radius_rad} rad"))
+    for points, colour, size, label in shown:
+        axes.scatter(*_plane(points), s=size, color=colour, linewidths=0, label=label)
     shares = f"{free.mean():.1%} free, {reached.mean():.1%} covered"
     axes.set_title(f"{len(samples)} samples\n{shares}", fontsize=9)
     _joint_axes(axes, scene)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,38 +27,12 @@ Image = NDArray[np.uint8]
 PATH_CONFIDENCE = 0.5
 
 
-@runtime_checkable
-class ScoredSampler(SampleSource, Protocol):
-    """A source that has a confidence for any configuration."""
-
-    @property
-    def threshold(self) -> float:
-        """The confidence at which its samples are filtered, 0 to 1."""
-        ...
-
-    def score(self, image: Image, configurations: NDArray[np.float32]) -> NDArray[np.float32]:
-        """P(free) of (n, d) configurations in rad, (n,)."""
-        ...
-
-
-class ScoredBundleSampler(BundleSampler):
-    """A bundle with a validity head, and the threshold at which its samples are filtered."""
-
-    def __init__(self, bundle: Bundle, threshold: float) -> None:
-        super().__init__(bundle)
-        self.threshold = threshold
-
-    def score(self, image: Image, configurations: NDArray[np.float32]) -> NDArray[np.float32]:
-        """P(free) of (n, d) configurations in rad, (n,)."""
-        return self.bundle.score(image, configurations)
-
-
 def bundle_sampler(bundle: Bundle) -> BundleSampler:
     """A bundle with all that it can do; free samples are filtered as it recommends, those of paths alike."""
-    threshold = PATH_CONFIDENCE if bundle.spec.endpoints else bundle.spec.confidence_threshold
-    if threshold is None or not bundle.has_validity:
-        return BundleSampler(bundle)
-    return ScoredBundleSampler(bundle, threshold)
+    sampler = BundleSampler(bundle)
+    if bundle.has_validity:
+        sampler.threshold = PATH_CONFIDENCE if bundle.spec.endpoints else bundle.spec.confidence_threshold
+    return sampler
 
 
 def unfiltered(sampler: SampleSource, image: Image, n: int, seed: int) -> NDArray[np.float64]:
@@ -184,9 +158,7 @@ class Scene:
         """``count`` uniform free configurations, (count, d) rad."""
         found = self._draw(count, rng, free=True)
         if len(found) < count:
-            raise EvaluationError(
-                "a scenario has next to no free space", expected=f"{count} free", got=str(len(found))
-            )
+            raise EvaluationError("a scenario has next to no free space", got=f"{len(found)} of {count}")
         return found
 
     def collisions(self, count: int, rng: np.random.Generator) -> NDArray[np.float64]:

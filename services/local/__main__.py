@@ -11,14 +11,7 @@ from pathlib import Path
 
 from cspace.errors import ConfigError, CspaceError, PortTakenError, ServiceError
 from services.commands import aligned, confirmed
-from services.local.quickstart import (
-    TOURS,
-    addresses,
-    import_arm,
-    quickstart,
-    serve_untrained,
-    tour_of_arm,
-)
+from services.local.quickstart import TOURS, addresses, import_arm, quickstart, serve_untrained, tour_of_arm
 from services.local.settings import (
     BIN,
     HOST,

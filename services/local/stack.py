@@ -70,7 +70,8 @@ def up(settings: Settings, names: Sequence[str], report: Report) -> None:
         for name in absent:
             if name == "viewer":
                 server.clearProcessLogs(name)  # of addresses that are gone
-            with suppress(xmlrpc.client.Fault):  # one that ends at once is told below, with its log
+            # One that ends at once is told by _wait_healthy, with its log.
+            with suppress(xmlrpc.client.Fault):
                 server.startProcess(name, False)  # noqa: FBT003
             report(f"{name}: starting, log {log_file(settings, name)}")
         for name in names:

@@ -109,25 +109,17 @@ def request_samples(problem: Problem, source: SampleSource, request: SampleReque
     query = replace(request.query, robot=robot_digest(problem.scenario.world))
     query = between_ends(query, problem) if request.with_ends else query
     batch = source.answer(picture_file_of(problem.scenario), query, request.model)
-    dim = problem.space.dim
-    if len(batch.samples) and batch.samples.shape[1] != dim:
-        raise SamplerError(
-            f"the samples of {batch.model_name}/{batch.model_version} are for another robot",
-            expected=f"{dim} joints",
-            got=f"{batch.samples.shape[1]}",
-            remedy="name a model of this robot",
-        )
+    dim, got = problem.space.dim, batch.samples.shape[1]
+    if len(batch.samples) and got != dim:
+        what = f"the samples of {batch.model_name}/{batch.model_version} are for another robot"
+        remedy = "name a model of this robot"
+        raise SamplerError(what, expected=f"{dim} joints", got=str(got), remedy=remedy)
     return batch
 
 
 def between_ends(query: SampleQuery, problem: Problem) -> SampleQuery:
     """The query with the start and the goal of a problem, as path models are asked."""
     return replace(query, start=tuple(problem.start.tolist()), goal=tuple(problem.goal.tolist()))
-
-
-_HEADINGS = (
-    "planner", "outcome", "iterations", "edges", "states", "learned", "uniform", "length rad", "time ms",
-)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,15 +169,20 @@ def comparison_text(comparison: Comparison) -> str:
             f"(digest {batch.digest[:12]}, seed {batch.seed}) in {1e3 * batch.round_trip_s:.1f} ms{new}"
         )
     rows = [
-        (
-            name, str(result.reason), result.iterations, result.edge_checks, result.state_checks,
-            result.learned_drawn, result.uniform_drawn,
-            f"{result.length_rad:.2f}" if result.solved else "-", f"{1e3 * result.solve_time_s:.2f}",
-        )
-        for name, result in comparison.results.items()
-    ]  # fmt: skip
-    align = ("left", "left", *["right"] * 7)
-    table = tabulate(rows, _HEADINGS, tablefmt="plain", disable_numparse=True, colalign=align)
+        {
+            "planner": name,
+            "outcome": str(one.reason),
+            "iterations": one.iterations,
+            "edges": one.edge_checks,
+            "states": one.state_checks,
+            "learned": one.learned_drawn,
+            "uniform": one.uniform_drawn,
+            "length rad": round(one.length_rad, 2) if one.solved else None,
+            "time ms": round(1e3 * one.solve_time_s, 2),
+        }
+        for name, one in comparison.results.items()
+    ]
+    table = tabulate(rows, "keys", tablefmt="plain", missingval="-")
     head = [f"problem  {problem_line(comparison.problem)}", f"samples  {samples}"]
     return "\n".join([*head, *warning_lines(() if batch is None else batch.warnings), "", table])
 

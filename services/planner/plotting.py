@@ -35,10 +35,7 @@ _SAME_RAD = 1e-9
 
 
 def wrapped_segments(
-    space: JointSpace,
-    starts: NDArray[np.float64],
-    ends: NDArray[np.float64],
-    joints: tuple[int, int],
+    space: JointSpace, starts: NDArray[np.float64], ends: NDArray[np.float64], joints: tuple[int, int]
 ) -> NDArray[np.float64]:
     """Segments in the plane of two joints, with a shifted copy of each one that crosses a seam.
 
@@ -167,10 +164,7 @@ _STYLE: dict[Any, Any] = {
 
 
 def plot_plan(
-    problem: Problem,
-    result: PlanResult,
-    samples: NDArray[np.float32] | None = None,
-    title: str | None = None,
+    problem: Problem, result: PlanResult, samples: NDArray[np.float32] | None = None, title: str | None = None
 ) -> Figure:
     """The workspace and up to two planes of the configuration space; the default title is the outcome."""
     dim = problem.space.dim

@@ -98,11 +98,7 @@ class PlanResult(Counts):
 
 
 def check_path(problem: Problem, path: NDArray[np.float64], resolution_rad: float) -> Reason:
-    """Whether a path (k, d) rad leads from start to goal and is free at a tenth of the planner's resolution.
-
-    Returns:
-        ``Reason.SOLVED``, or what is wrong.
-    """
+    """Solved if a path (k, d) rad joins both ends, free at a tenth of the resolution; else what is wrong."""
     if len(path) < 2:
         return Reason.WRONG_ENDS
     ends = problem.space.distance(path[[0, -1]], np.stack([problem.start, problem.goal]))

@@ -11,7 +11,6 @@ from cspace.planning.paths import NOISE_RAD, AlongPaths
 from cspace.planning.rrt_connect import Growth, grow_connect, sampled_states
 from cspace.query import AlternativePath
 from cspace.simulator import EdgeTest, Problem
-from cspace.space import JointSpace
 from cspace.worlds import checker_of
 from services.planner.result import Counts, PlannerSettings, PlanResult, Reason, SearchTree, after, outcome
 
@@ -55,8 +54,7 @@ def solve_with_paths(
 ) -> PlanResult:
     """Solves a problem by one of the paths, or by RRT-Connect with configurations around them.
 
-    Returns:
-        The result, with the checks of the paths among its counts.
+    The checks of the paths are among the result's counts.
     """
     test = checker_of(problem.scenario).edge_test(settings.resolution_rad)
     began, edges, states = time.perf_counter(), 0, 0
@@ -70,20 +68,13 @@ def solve_with_paths(
                 return found
     spent = Counts(edge_checks=edges, state_checks=states, solve_time_s=time.perf_counter() - began)
     tried_first = outcome(problem, settings, None, Reason.NO_PATH, spent)
-    rng = np.random.default_rng(settings.seed)
-    around = samples_around([candidate.path for candidate in paths], problem.space, rng)
+    around = None
+    if paths:
+        rng = np.random.default_rng(settings.seed)
+        along = AlongPaths([candidate.path for candidate in paths], problem.space, rng)
+        around = along.take(len(NOISE_RAD) * along.turn_rows)[0]
     left_s = max(settings.time_limit_s - spent.solve_time_s, 1e-3)
     return after(tried_first, connect(problem, replace(settings, time_limit_s=left_s), around, UNIFORM_SHARE))
-
-
-def samples_around(
-    paths: Sequence[NDArray[np.float64]], space: JointSpace, rng: np.random.Generator
-) -> NDArray[np.float64] | None:
-    """Configurations about paths, (n, d) rad within the limits, in the order in which they are drawn."""
-    if not paths:
-        return None
-    along = AlongPaths(paths, space, rng)
-    return along.take(len(NOISE_RAD) * along.turn_rows)[0]
 
 
 def _checked(test: EdgeTest, candidate: AlternativePath) -> tuple[bool, int, int]:

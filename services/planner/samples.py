@@ -23,7 +23,20 @@ Picture = bytes | NDArray[np.uint8]
 
 
 class SampleSource(Protocol):
-    """Draws configurations for a picture."""
+    """Draws configurations for a picture.
+
+    ``threshold`` is the confidence at which samples are filtered; None where there is no validity head.
+    """
+
+    threshold: float | None = None
+
+    def score(
+        self,
+        image: NDArray[np.uint8],  # noqa: ARG002 - of sources with a head
+        configurations: NDArray[np.float32],  # noqa: ARG002 - as above
+    ) -> NDArray[np.float32]:
+        """P(free) of (n, d) configurations in rad, (n,), by the validity head."""
+        raise SamplerError("the source has no validity head")
 
     @property
     def with_ends(self) -> bool:
@@ -70,6 +83,10 @@ class BundleSampler(SampleSource):
     def with_ends(self) -> bool:
         """Whether it is a path model."""
         return bool(self.bundle.spec.endpoints)
+
+    def score(self, image: NDArray[np.uint8], configurations: NDArray[np.float32]) -> NDArray[np.float32]:
+        """P(free) of (n, d) configurations in rad, (n,)."""
+        return self.bundle.score(image, configurations)
 
     def answer(self, picture: Picture, query: SampleQuery, model: str | None = None) -> SampleBatch:
         """One batch; raises SamplerError where the request does not fit the bundle."""

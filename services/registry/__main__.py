@@ -42,32 +42,29 @@ def _parser() -> argparse.ArgumentParser:
     models = parser.add_subparsers(required=True, metavar="models").add_parser("models", help="versions")
     commands = models.add_subparsers(required=True, metavar="COMMAND")
 
-    def add(name: str, run: _Run, words: str, target: str = "version") -> argparse.ArgumentParser:
+    def add(name: str, run: _Run, words: str, what: str = "") -> argparse.ArgumentParser:
         command = commands.add_parser(name, help=words, description=words)
         command.set_defaults(run=run)
-        if target == "version":
-            command.add_argument("version", help="name, name@alias or name/version")
+        if what:
+            command.add_argument(
+                what, help="of the model" if what == "name" else "name, name@alias or name/version"
+            )
         return command
 
-    add("list", _list, "the models, or the versions of one", "").add_argument("name", nargs="?", default="")
-    add("show", _show, "a version with its tags and the decisions about it")
-    add("history", _history, "which version was the champion when", "").add_argument(
-        "name", help="of the model"
-    )
-    for one in (
-        add("promote", _promote, "make a version the champion, whatever the gate says"),
-        add("rollback", _roll_back, "make the champion before the present one champion again", ""),
-    ):
+    add("list", _list, "the models, or the versions of one").add_argument("name", nargs="?", default="")
+    add("show", _show, "a version with its tags and the decisions about it", "version")
+    add("history", _history, "which version was the champion when", "name")
+    promote = add("promote", _promote, "make a version the champion, whatever the gate says", "version")
+    back = add("rollback", _roll_back, "make the champion before the present one champion again", "name")
+    for one in (promote, back):
         one.add_argument("--reason", required=True, help="kept with the decision")
-    commands.choices["rollback"].add_argument("name", help="of the model")
-    add("delete", _delete, "delete a version that no alias names").add_argument(
-        "--yes", action="store_true", help="do not ask"
-    )
-    add("export", _export, "write a version's bundle").add_argument("folder", type=Path)
-    add("sign", _sign, "sign a version's bundle, for servers that want it").add_argument(
-        "--key", type=Path, required=True, help="PEM file of an elliptic curve's private key"
-    )
-    imported = add("import", _import, "register a bundle as the challenger", "")
+    delete = add("delete", _delete, "delete a version that no alias names", "version")
+    delete.add_argument("--yes", action="store_true", help="do not ask")
+    add("export", _export, "write a version's bundle", "version").add_argument("folder", type=Path)
+    sign = add("sign", _sign, "sign a version's bundle, for servers that want it", "version")
+    key = "PEM file of an elliptic curve's private key"
+    sign.add_argument("--key", type=Path, required=True, help=key)
+    imported = add("import", _import, "register a bundle as the challenger")
     imported.add_argument("folder", type=Path)
     imported.add_argument("name", help="of the model, which is created when it is new")
     return parser

@@ -120,7 +120,6 @@ class FoundRun:
     parent_run_id: str | None
     tags: Mapping[str, str]
     metrics: Mapping[str, float]
-    started_ms: int
 
 
 # MLflow's limits of a parameter's name and value.

@@ -18,7 +18,6 @@ from mlflow import MlflowClient
 from mlflow.artifacts import download_artifacts
 from mlflow.entities import LoggedModel, LoggedModelOutput, LoggedModelStatus, Metric, Run
 from mlflow.entities.model_registry import ModelVersion as MlflowVersion
-from mlflow.exceptions import MlflowException
 
 from cspace.bundle import BundleSpec
 from cspace.bundle.files import SPEC_FILE, read_files
@@ -26,7 +25,7 @@ from cspace.errors import BundleIntegrityError, ModelNotFoundError, RegistryErro
 from services.names import ALIAS_CHAMPION, ARTIFACT_STORE, TAG_DIGEST, world_tags
 from services.registry.entities import ModelReference, ModelVersion, Shown
 from services.registry.errors import check_reachable, mapped, without_user_info
-from services.registry.tracking import MAX_BATCH, MAX_DIGEST, all_pages
+from services.registry.tracking import MAX_BATCH, MAX_DIGEST, all_pages, ignored
 
 # Where the bundle lies inside the saved model.
 BUNDLE_PATH = "artifacts/bundle"
@@ -64,11 +63,8 @@ class ModelRegistry:
         """
         files = read_files(bundle_folder)
         if files.digest != digest:
-            raise BundleIntegrityError(
-                "the bundle is not the one that is to be registered",
-                expected=f"digest {digest}",
-                got=files.digest,
-            )
+            expected, got = f"digest {digest}", files.digest
+            raise BundleIntegrityError("another bundle is to be registered", expected=expected, got=got)
         spec = BundleSpec.from_json(files.contents[SPEC_FILE])
         all_tags = {**tags, **world_tags(spec.world), TAG_DIGEST: digest}
 
@@ -209,15 +205,9 @@ class ModelRegistry:
             folder.parent.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as beside:
                 address = f"{source}/{BUNDLE_PATH}"
-                got = Path(
-                    download_artifacts(
-                        address, dst_path=beside, tracking_uri=self._uri, registry_uri=self._uri
-                    )
-                )
+                got = Path(download_artifacts(address, dst_path=beside, tracking_uri=self._uri))
                 if not got.is_dir() or not any(got.iterdir()):
-                    raise ModelNotFoundError(
-                        f"{version} holds no bundle", expected=BUNDLE_PATH, got="a model of another kind"
-                    )
+                    raise ModelNotFoundError(f"{version} holds no bundle", expected=BUNDLE_PATH)
                 got.rename(folder)
         return folder
 
@@ -267,11 +257,8 @@ def _version(found: MlflowVersion) -> ModelVersion:
 
 
 def _create_model(client: MlflowClient, name: str) -> None:
-    try:
+    with ignored("RESOURCE_ALREADY_EXISTS"):
         client.create_registered_model(name)
-    except MlflowException as error:
-        if error.error_code != "RESOURCE_ALREADY_EXISTS":
-            raise
 
 
 def _whole_models(client: MlflowClient, name: str, run: Run, digest: str) -> Iterator[LoggedModel]:
@@ -287,11 +274,7 @@ def _whole_models(client: MlflowClient, name: str, run: Run, digest: str) -> Ite
 
 
 def _logged_model(
-    client: MlflowClient,
-    name: str,
-    bundle_folder: Path,
-    run: Run,
-    tags: Mapping[str, str],
+    client: MlflowClient, name: str, bundle_folder: Path, run: Run, tags: Mapping[str, str]
 ) -> LoggedModel:
     """A bundle as a logged model of its run; one that an interrupted attempt has finished is taken over."""
     whole = list(_whole_models(client, name, run, tags[TAG_DIGEST]))

@@ -9,8 +9,8 @@ import json
 import tempfile
 import time
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from types import TracebackType
@@ -97,22 +97,22 @@ class Tracking:
         key: str | None = None,
     ) -> "RunLog":
         """Start a run, or go on with that of the same key; ``{id}`` in a name becomes the start of its id."""
-        parent = {} if parent_run_id is None else {_PARENT: parent_run_id}
-        keyed = {} if key is None else {TAG_KEY: key}
-        all_tags = {**(tags or {}), **parent, **keyed}
-        return self.ask(f"starting the run {name}", partial(self._start, experiment, name, all_tags, key))
+        more = {_PARENT: parent_run_id, TAG_KEY: key}
+        all_tags = {**(tags or {}), **{name: value for name, value in more.items() if value is not None}}
 
-    def _start(self, experiment: str, name: str, tags: dict[str, str], key: str | None) -> "RunLog":
-        experiment_id = self._experiment_id(experiment)
-        query = f"tags.`{TAG_KEY}` = '{key}'"
-        found = [] if key is None else self.client.search_runs([experiment_id], query, max_results=1)
-        run = found[0] if found else self.client.create_run(experiment_id, run_name=name, tags=tags)
-        run_id, name = str(run.info.run_id), str(run.info.run_name)
-        if ID in name:
-            self.client.update_run(run_id, name=name.replace(ID, run_id[:ID_LENGTH]))
-        log = RunLog(self, run_id)
-        log.open()
-        return log
+        def start() -> RunLog:
+            experiment_id = self._experiment_id(experiment)
+            query = f"tags.`{TAG_KEY}` = '{key}'"
+            found = [] if key is None else self.client.search_runs([experiment_id], query, max_results=1)
+            run = found[0] if found else self.client.create_run(experiment_id, run_name=name, tags=all_tags)
+            run_id, title = str(run.info.run_id), str(run.info.run_name)
+            if ID in title:
+                self.client.update_run(run_id, name=title.replace(ID, run_id[:ID_LENGTH]))
+            log = RunLog(self, run_id)
+            log.open()
+            return log
+
+        return self.ask(f"starting the run {name}", start)
 
     def resume(self, run_id: str) -> "RunLog":
         """Go on with a run that was started before, by this or by another process."""
@@ -180,18 +180,13 @@ class Tracking:
     def _experiment_id(self, name: str) -> str:
         found: Experiment | None = self.client.get_experiment_by_name(name)
         if found is None:
-            try:
+            # Another trial may be quicker.
+            with ignored("RESOURCE_ALREADY_EXISTS"):
                 self.client.create_experiment(name)
-            except MlflowException as error:
-                # Another trial may have been quicker.
-                if error.error_code != "RESOURCE_ALREADY_EXISTS":
-                    raise
             found = self.client.get_experiment_by_name(name)
         if found is None or found.lifecycle_stage != "active":
-            raise RegistryError(
-                f"the experiment {name} was deleted",
-                remedy="restore it in the MLflow UI, or remove it for good with `mlflow gc`",
-            )
+            remedy = "restore it in the MLflow UI, or remove it for good with `mlflow gc`"
+            raise RegistryError(f"the experiment {name} was deleted", remedy=remedy)
         experiment_id = str(found.experiment_id)
         # The page of an experiment that others have made is filled in; outcomes are no trainings.
         page = {} if name == OUTCOMES_EXPERIMENT else experiment_page(experiment_id)
@@ -296,13 +291,8 @@ class RunLog:
 
     def dataset(self, name: str, digest: str, source: str, context: str) -> None:
         """Log a data set as an input, with the whole digest in its profile: MLflow cuts the field."""
-        entity = Dataset(
-            name=name,
-            digest=digest[:MAX_DIGEST],
-            source_type="local",
-            source=json.dumps({"uri": source}),
-            profile=json.dumps({"sha256": digest}),
-        )
+        where, whole = json.dumps({"uri": source}), json.dumps({"sha256": digest})
+        entity = Dataset(name, digest[:MAX_DIGEST], "local", where, profile=whole)
         inputs = [DatasetInput(entity, [InputTag("mlflow.data.context", context)])]
 
         def log() -> None:
@@ -343,6 +333,16 @@ class RunLog:
         return self._tracking.ask(f"{action} of run {self.run_id}", opened)
 
 
+@contextmanager
+def ignored(error_code: str) -> Iterator[None]:
+    """Go on after one of MLflow's errors."""
+    try:
+        yield
+    except MlflowException as error:
+        if error.error_code != error_code:
+            raise
+
+
 def all_pages(search: Callable[..., PagedList[Item]], *arguments: Any, **options: Any) -> list[Item]:
     """Everything that one of the client's searches finds."""
     found: list[Item] = get_results_from_paginated_fn(  # type: ignore[no-untyped-call]
@@ -354,10 +354,8 @@ def all_pages(search: Callable[..., PagedList[Item]], *arguments: Any, **options
 def _found(run: Run) -> FoundRun:
     if run.info.lifecycle_stage != "active":
         raise RegistryError(f"the run {run.info.run_id} was deleted", remedy="restore it in the MLflow UI")
-    info, tags, metrics = run.info, dict(run.data.tags), dict(run.data.metrics)
-    return FoundRun(
-        str(info.run_id), str(info.run_name), tags.get(_PARENT), tags, metrics, int(info.start_time)
-    )
+    tags, metrics = dict(run.data.tags), dict(run.data.metrics)
+    return FoundRun(str(run.info.run_id), str(run.info.run_name), tags.get(_PARENT), tags, metrics)
 
 
 def experiment_page(experiment_id: str) -> Mapping[str, str]:

@@ -130,8 +130,7 @@ class FakeTracking(Tracking):
             raise RegistryError(f"there is no run {run_id}")
         run = self.runs[run_id]
         metrics = {name: points[-1][1] for name, points in run.history.items()}
-        number = list(self.runs).index(run_id)
-        return FoundRun(run_id, run.name, run.parent_run_id, run.tags, metrics, number)
+        return FoundRun(run_id, run.name, run.parent_run_id, run.tags, metrics)
 
     def children(self, run_id: str) -> tuple[FoundRun, ...]:
         runs = reversed(self.runs.values())

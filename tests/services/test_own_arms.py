@@ -14,7 +14,7 @@ from services.local.quickstart import import_arm, serve_untrained, tour_of_arm
 from services.local.settings import Settings
 from services.names import label
 from services.planner.__main__ import main, make_parser, sample_request
-from services.scene_files import read_scene_file, read_scene_text
+from services.scene_files import read_scene_file
 from tests.training.robots.descriptions import TWO_LINKS
 from training.config import TrainConfig
 from training.data.__main__ import main as data_command
@@ -69,11 +69,6 @@ def test_a_scene_file_names_a_robots_file_beside_it(file: Path) -> None:
     scene.write_text("world: spatial\nobstacles: []\nrobot: gone.json\n")
     with pytest.raises(ScenarioError, match=r"scene\.yaml: the robot is unknown"):
         read_scene_file(scene)
-
-
-def test_a_scene_that_came_over_the_network_opens_no_file(file: Path) -> None:
-    with pytest.raises(ScenarioError, match="the robot is unknown"):
-        read_scene_text(f"world: spatial\nrobot: {file}\n".encode(), Path("scene"))
 
 
 def test_data_of_an_arm_have_the_usual_amounts_of_arms(

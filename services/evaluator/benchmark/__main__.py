@@ -11,11 +11,10 @@ from cspace.errors import ConfigError, CspaceError, ScenarioError
 from cspace.query import MAX_SAMPLES
 from cspace.simulator import ProblemRequest, Split
 from cspace.worlds import examples, named_world, partly_seen
-from services.commands import ANY_SEED, COUNT, POSITIVE, report_error, within
+from services.commands import ANY_SEED, COUNT, POSITIVE, number, report_error
 from services.evaluator.benchmark.job import REPORT, Request, executor, run_benchmark
 from services.evaluator.benchmark.sources import bundled, parse_named, served
 from services.evaluator.benchmark.variants import (
-    AIMS,
     GROUPS,
     LIMITS,
     PICTURES,
@@ -32,7 +31,7 @@ from services.evaluator.benchmark.variants import (
 from services.registry import connect, tracking_uri
 
 WORLDS = examples()
-ABOVE_0 = within(sys.float_info.min, 1.0)
+ABOVE_0 = number("above 0, at most 1", sys.float_info.min, 1.0)
 SPLITS = (Split.VALIDATION, Split.TEST)
 # Problems of each family where nothing else is asked for.
 PROBLEMS, UNSOLVABLE, PAPER_PROBLEMS, PLAN_PROBLEMS = 300, 30, 10, 30
@@ -81,7 +80,10 @@ def parser() -> argparse.ArgumentParser:
     what("--seed", type=ANY_SEED, default=0, help="of problems, planners and samplers")
     groups = f"names, or groups: {', '.join(Group)} (default: all of the protocol)"
     what("--variants", nargs="+", help=groups)
-    drawn, count = "learned ones for a run (default: %(default)s)", within(1, MAX_SAMPLES, int)
+    drawn, count = (
+        "learned ones for a run (default: %(default)s)",
+        number(f"1 to {MAX_SAMPLES}", 1, MAX_SAMPLES, int),
+    )
     what("--samples", type=count, default=SAMPLES, help=drawn)
     shares = "of learned samples, above 0 to 1; one variant for each (default: 0.7 1)"
     what("--shares", type=ABOVE_0, nargs="+", default=SHARES, metavar="SHARE", help=shares)
@@ -97,9 +99,8 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _add_plan_options(plans: argparse._ArgumentGroup) -> None:
-    seen, four = "by which each is seen, at most 4 (default: 1 2 3)", within(1, 4, int)
+    seen, four = "by which each is seen, at most 4 (default: 1 2 3)", number("1 to 4", 1, 4, int)
     plans.add_argument("--pictures", type=four, nargs="+", metavar="N", default=PICTURES, help=seen)
-    plans.add_argument("--aim", choices=AIMS, default=AIMS[0], help="what cameras look at (default: goal)")
     held = "of problems with a table alone: the robot holds what its goal grasps; planners know both"
     plans.add_argument("--held", action="store_true", help=held)
     fetched = "of test problems that python -m training.motionbench fetch wrote"
@@ -127,7 +128,6 @@ def make_request(options: argparse.Namespace) -> Request:
         options.seed,
         options.iterations or int(limits["max_iterations"]),
         options.time_limit or limits["time_limit_s"],
-        aim=options.aim,
         world=world,
         held=options.held,
     )
@@ -186,7 +186,7 @@ def _plan_problems(options: argparse.Namespace, setting: Setting, folder: Path |
         most = seen.count(family, setting.split)
         if most is not None and not problems:
             # Problems that do not ship fail here, before any run.
-            seen.problem(ProblemRequest(setting.split, setting.seed, setting.aim, folder), family, 0, 1)
+            seen.problem(ProblemRequest(setting.split, setting.seed, folder=folder), family, 0, 1)
         requested = options.problems or most or PLAN_PROBLEMS
         problems[family] = requested if most is None else min(requested, most)
     return problems

@@ -15,7 +15,15 @@ from numpy.typing import NDArray
 from cspace.errors import EvaluationError
 from cspace.planning.cost import calibration_error
 from services.evaluator.benchmark.variants import UNIFORM_CONNECT, Group, Variant
-from services.evaluator.statistics import Floats, Interval, bootstrap_interval, clopper_pearson, point
+from services.evaluator.statistics import (
+    Floats,
+    Interval,
+    bootstrap_interval,
+    clopper_pearson,
+    difference_interval,
+    point,
+    ratio_of_sums_interval,
+)
 
 WITHIN = 1000
 DEEP_M = 0.01
@@ -148,20 +156,15 @@ def against(paired: Paired, variant: Variant, uniform: Sequence[str], rng: np.ra
     columns = {"iterations": "iterations", "edge_checks": "edge_checks", "states": "state_checks"}
     for what, column in columns.items():
         yield from ratios(f"{what}_ratio", paired.typical(name, column), paired.typical(base, column), rng)
-    lengths = np.stack([paired.typical(one, "length_rad") for one in (name, base)], axis=1)
-    lengths = lengths[np.isfinite(lengths).all(axis=1)]
-    if len(lengths):
-        yield "length_ratio", bootstrap(lengths, _ratio_of_sums, rng)
+    lengths = np.stack([paired.typical(one, "length_rad") for one in (name, base)])
+    lengths = lengths[:, np.isfinite(lengths).all(axis=0)]
+    if lengths.size:
+        yield "length_ratio", ratio_of_sums_interval(lengths[0], lengths[1], rng)
     for checks, (what, others) in product(("edge", "state"), (("base", [base]), ("best", uniform))):
         if others:
             spent = np.stack([_spent(paired, one, checks) for one in (name, *others)], axis=1)
             found = bootstrap(spent, lambda rows: break_even_us(rows.sum(axis=-3)), rng)
             yield f"break_even_{checks}_{what}_from_us", found
-
-
-def _ratio_of_sums(rows: Floats) -> Floats:
-    mine, other = np.moveaxis(rows.sum(axis=-2), -1, 0)
-    return np.asarray(mine / other)
 
 
 def safety(paired: Paired, variant: Variant, rng: np.random.Generator) -> Measures:
@@ -180,7 +183,7 @@ def safety(paired: Paired, variant: Variant, rng: np.random.Generator) -> Measur
         both = own["solved"].to_numpy() & base["solved"].to_numpy()
         if both.any():
             mine, others = ((one["clearance_m"] <= 0.0).to_numpy()[both].astype(float) for one in (own, base))
-            yield "more", bootstrap(mine - others, lambda rows: rows[..., 0].mean(axis=-1), rng)
+            yield "more", difference_interval(mine, others, rng)
     for column in ("search", "score", "request"):
         yield from quantiles(f"{column}_ms", 1e3 * paired.values(variant.name, f"{column}_s"))
     curve = confidence_curve(own)

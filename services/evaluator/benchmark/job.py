@@ -42,6 +42,9 @@ from services.registry.entities import ID
 from services.registry.tracking import Tracking
 
 Row = dict[str, Any]
+Show = Callable[[str], None]
+Execute = Callable[[Sequence[Unit], Setting, Sequence[SourceSpec]], Iterator[list[Row]]]
+Shared = tuple[Setting, tuple[SourceSpec, ...]]
 # Columns with their pandas types; docs/benchmark.md describes them.
 COLUMNS = {
     "protocol": "str", "source": "str", "family": "str", "problem": "int64", "pictures": "int64",
@@ -59,48 +62,38 @@ LOOK_RAD = 0.01
 _STATES, _REPEATS = 5000, 5
 
 
-class Worker:
-    """Runs units in one process; the models stay open as long as it exists."""
+@lru_cache(maxsize=1)
+def _models(setting: Setting, specs: tuple[SourceSpec, ...]) -> dict[str, Model]:
+    """Models that stay open as long as the process."""
+    return opened(specs, setting.world, ExitStack(), plans=setting.protocol is Protocol.PLANS)
 
-    def __init__(self, setting: Setting, specs: Sequence[SourceSpec]) -> None:
-        self._setting, self._open = setting, ExitStack()
-        plans = setting.protocol is Protocol.PLANS
-        self._models = opened(specs, setting.world, self._open, plans=plans)
 
-    def run(self, unit: Unit) -> list[Row]:
-        """The rows of a unit; nothing in them depends on another unit."""
-        setting, problem = self._setting, self._setting.problem(unit)
-        if problem is None:
-            nothing = {"status": NO_PROBLEM, "solved": False}
-            return [self._row(unit, variant, run) | nothing for variant, run in unit.todo]
-        case = _Case(problem, unit, setting, self._models)
-        rows = []
-        # Each unit has its own order, so that no variant is always the one that finds the caches warm.
-        first = setting.planner(unit.todo[0][0], unit.index, unit.todo[0][1]).seed
-        for position in np.random.default_rng([first, 1]).permutation(len(unit.todo)):
-            variant, run = unit.todo[position]
-            rows.append(self._row(unit, variant, run) | case.solve(variant, run))
-        return rows
+def run_unit(unit: Unit, shared: Shared) -> list[Row]:
+    """The rows of a unit; nothing in them depends on another unit."""
+    setting, problem = shared[0], shared[0].problem(unit)
+    if problem is None:
+        nothing = {"status": NO_PROBLEM, "solved": False}
+        return [_row(setting, unit, variant, run) | nothing for variant, run in unit.todo]
+    case, rows = _Case(problem, unit, setting, _models(*shared)), []
+    # Each unit has its own order, so that no variant is always the one that finds the caches warm.
+    first = setting.planner(unit.todo[0][0], unit.index, unit.todo[0][1]).seed
+    for position in np.random.default_rng([first, 1]).permutation(len(unit.todo)):
+        variant, run = unit.todo[position]
+        rows.append(_row(setting, unit, variant, run) | case.solve(variant, run))
+    return rows
 
-    def _row(self, unit: Unit, variant: Variant, run: int) -> Row:
-        setting, source = self._setting, ""
-        if setting.protocol is Protocol.PLANS:
-            sources = partly_seen(setting.world).sources
-            source = next((name for name, families in sources.items() if unit.family in families), "")
-        case = {
-            "protocol": setting.protocol.value,
-            "source": source,
-            "family": unit.family,
-            "problem": unit.index,
-        }
-        case |= {
-            "pictures": unit.pictures,
-            "run": run,
-            "seed": setting.planner(variant, unit.index, run).seed,
-        }
-        of = {"variant": variant.name, "group": variant.group.value, "learned_share": variant.share}
-        of |= {name: getattr(variant, name) for name in ("planner", "sampler", "samples")}
-        return dict.fromkeys(COLUMNS) | case | of | {"request_s": 0.0, "search_s": 0.0, "score_s": 0.0}
+
+def _row(setting: Setting, unit: Unit, variant: Variant, run: int) -> Row:
+    source = ""
+    if setting.protocol is Protocol.PLANS:
+        sources = partly_seen(setting.world).sources
+        source = next((name for name, families in sources.items() if unit.family in families), "")
+    row: Row = {"protocol": setting.protocol.value, "source": source, "family": unit.family}
+    row |= {"problem": unit.index, "pictures": unit.pictures, "run": run}
+    row |= {"seed": setting.planner(variant, unit.index, run).seed, "variant": variant.name}
+    row |= {"group": variant.group.value, "learned_share": variant.share}
+    row |= {name: getattr(variant, name) for name in ("planner", "sampler", "samples")}
+    return dict.fromkeys(COLUMNS) | row | {"request_s": 0.0, "search_s": 0.0, "score_s": 0.0}
 
 
 class _Case:
@@ -208,9 +201,6 @@ def _state_check_s(problem: Problem) -> float:
     return min(taken) / _STATES
 
 
-Show = Callable[[str], None]
-Execute = Callable[[Sequence[Unit], Setting, Sequence[SourceSpec]], Iterator[list[Row]]]
-Shared = tuple[Setting, tuple[SourceSpec, ...]]
 PARQUET, REPORT, RUNS, MANIFEST, FIGURES = (
     "runs.parquet", "report.md", "runs.jsonl", "manifest.json", "figures",
 )  # fmt: skip
@@ -349,14 +339,6 @@ class RunStore:
         """Keep the runs of a unit."""
         with self._path.open("a", encoding="utf-8") as file:
             file.write("".join(json.dumps(row, allow_nan=False) + "\n" for row in rows))
-
-
-_worker_of = lru_cache(maxsize=1)(Worker)
-
-
-def run_unit(unit: Unit, shared: Shared) -> list[Row]:
-    """One unit in this process, whose models stay open between units."""
-    return _worker_of(*shared).run(unit)
 
 
 def executor(environment: Mapping[str, str], count: int) -> Execute:

@@ -15,14 +15,7 @@ from matplotlib.figure import Figure
 from cspace.errors import EvaluationError
 from cspace.simulator import Taken as Unseen
 from cspace.worlds import partly_seen
-from services.evaluator.benchmark.estimates import (
-    WITHIN,
-    Paired,
-    against,
-    confidence_curve,
-    exact,
-    safety,
-)
+from services.evaluator.benchmark.estimates import WITHIN, Paired, against, confidence_curve, exact, safety
 from services.evaluator.benchmark.variants import NO_PROBLEM, Group, Protocol, Setting, Variant
 from services.evaluator.statistics import Interval
 from services.planner.plotting import INK

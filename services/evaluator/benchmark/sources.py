@@ -18,8 +18,9 @@ from cspace.query import DEFAULT_PATHS, AlternativePath, Plan, PlanQuery, Sample
 from cspace.simulator import UNIFORM, Problem, Split
 from cspace.world import World
 from cspace.worlds import picture_file_of, robot_digest, simulator_of
+from cspace_client import FoundPlan
 from services.evaluator.scenes import PackedBundle
-from services.planner.client import FoundPlan, SamplingClient
+from services.planner.client import SamplingClient
 from services.planner.planning import between_ends
 from services.planner.samples import BundleSampler, SampleBatch
 
@@ -45,8 +46,9 @@ class SourceSpec:
     @property
     def described(self) -> dict[str, Any]:
         """For manifest and report."""
-        over = "HTTP" if self.url is not None else "none: a bundle in the planner's process"
-        return {"model": self.model, "digest": self.digest, "with_ends": self.with_ends, "transport": over}
+        transport = "none: a bundle in the planner's process" if self.url is None else "HTTP"
+        named = {name: getattr(self, name) for name in ("model", "digest", "with_ends")}
+        return named | {"transport": transport}
 
     def check(self, digest: str) -> None:
         """Raises SamplerError where another model answered."""

@@ -25,7 +25,6 @@ from services.planner.result import (
 SAMPLES = 300
 SHARES = (0.7, 1.0)
 PICTURES = (1, 2, 3)
-AIMS = ("goal", "scene")
 # Status of a problem whose start or goal collides; it is left out.
 NO_PROBLEM = "start or goal collides"
 NAMES = {RRT: "RRT", RRT_STAR: "RRT*", RRT_CONNECT: "RRT-Connect", SAMPLED_CONNECT: "own RRT-Connect"}
@@ -142,7 +141,7 @@ def pick(variants: Sequence[Variant], wanted: Sequence[str]) -> tuple[Variant, .
 class Setting:
     """What all runs of a folder have in common; ``plan_limit_s`` is for plans without exact checks.
 
-    ``aim`` is what cameras look at. With ``held`` the robot holds what goals grasp, and planners know it.
+    With ``held`` the robot holds what goals grasp, and planners know it.
     """
 
     protocol: Protocol
@@ -150,7 +149,6 @@ class Setting:
     seed: int
     max_iterations: int
     time_limit_s: float
-    aim: str = AIMS[0]
     plan_limit_s: float = 2.0
     world: World = field(default_factory=default_world)
     held: bool = False
@@ -164,7 +162,7 @@ class Setting:
         """A unit's problem; None where an end of it collides."""
         if self.protocol is not Protocol.PLANS:
             return simulator_of(self.world).problem(unit.family, self.split, self.seed, unit.index)
-        request = ProblemRequest(self.split, self.seed, self.aim, unit.folder, self.held)
+        request = ProblemRequest(self.split, self.seed, folder=unit.folder, held=self.held)
         found: Problem | None = partly_seen(self.world).problem(
             request, unit.family, unit.index, max(1, unit.pictures)
         )

@@ -286,11 +286,7 @@ TurnedTimes = tuple[Floats, ...]
 
 
 def turned_living_times(
-    configurations: NDArray[np.floating[Any]],
-    space: JointSpace,
-    rng: np.random.Generator,
-    *,
-    draws: int,
+    configurations: NDArray[np.floating[Any]], space: JointSpace, rng: np.random.Generator, *, draws: int
 ) -> TurnedTimes:
     """Mean living times of (N, d) configurations: on the four enlarged disks for d = 2, else as they are.
 
@@ -309,10 +305,7 @@ def largest_score(first: TurnedTimes, second: TurnedTimes) -> float:
 
 
 def complement_score(
-    first: TurnedTimes,
-    second: TurnedTimes,
-    first_complement: TurnedTimes,
-    second_complement: TurnedTimes,
+    first: TurnedTimes, second: TurnedTimes, first_complement: TurnedTimes, second_complement: TurnedTimes
 ) -> float:
     """GS-C of two clouds with their complements; 0 is equal."""
     both = largest_score(first, second) + largest_score(first_complement, second_complement)

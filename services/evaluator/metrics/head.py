@@ -6,12 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from services.evaluator.metrics import Head, Task, metric
-from services.evaluator.statistics import (
-    Floats,
-    Interval,
-    bootstrap_interval,
-    ratio_of_sums_interval,
-)
+from services.evaluator.statistics import Floats, Interval, bootstrap_interval, ratio_of_sums_interval
 
 BINS = 15
 # Of the table of bins, which is wide.

@@ -1,14 +1,11 @@
 """Versions and runs side by side, by their evaluations."""
 
-import csv
-import io
-
 import pandas as pd
 import pytest
 
 from cspace.bundle import Bundle
 from cspace.errors import ConfigError, ModelNotFoundError, RegistryError
-from services.evaluator.compare import compare_csv, compare_table, find, write_comparison
+from services.evaluator.compare import compare_table, find, write_comparison
 from services.evaluator.evaluation import ESTIMATE_COLUMNS
 from services.evaluator.report import shown
 from tests.bundles import write_tiny_bundle
@@ -73,7 +70,7 @@ def test_a_run_is_compared_by_its_own_evaluation_or_its_job_s(tracking, registry
     version = registered(tracking, registry, tmp_path / "a")
     run_id = evaluated(tracking, version, ROWS)
     runs = tracking
-    assert {find(one, runs, registry).run.run_id for one in (run_id, version.run_id)} == {run_id}
+    assert {find(one, runs, registry).run_id for one in (run_id, version.run_id)} == {run_id}
 
 
 def test_what_was_never_evaluated_is_told_with_what_to_do(tracking, registry, tmp_path):
@@ -86,18 +83,16 @@ def test_what_was_never_evaluated_is_told_with_what_to_do(tracking, registry, tm
         find("0" * 32, tracking, registry)
 
 
-def test_it_is_kept_as_text_as_markdown_and_as_csv(tracking, registry, tmp_path):
+def test_it_is_kept_as_markdown_and_as_csv(tracking, registry, tmp_path):
     version = registered(tracking, registry, tmp_path / "a")
     run_id = evaluated(tracking, version, ROWS)
-    found = [find("m/1", tracking, registry)]
-    write_comparison(found, tmp_path / "out")
-    text, table = ((tmp_path / "out" / f"comparison.{end}").read_text() for end in ("txt", "md"))
+    write_comparison([find("m/1", tracking, registry)], tmp_path / "out")
+    text = (tmp_path / "out" / "comparison.md").read_text()
+    assert text.startswith("| split ")
     assert "0.9000 [0.8800, 0.9200]" in text
-    assert table.startswith("| split ")
-    assert (tmp_path / "out" / "comparison.csv").read_text() == compare_csv(found)
-    rows = list(csv.DictReader(io.StringIO(compare_csv(found))))
-    assert [(row["run_id"], row["family"], row["low"], row["n"]) for row in rows] == [
-        (run_id, "uniform", "0.88", "60"),
-        (run_id, "narrow", "0.7", "5"),
-        (run_id, "", "0.9", "30"),
+    rows = pd.read_csv(tmp_path / "out" / "comparison.csv", keep_default_na=False, dtype=str)
+    assert rows[["run_id", "family", "low", "n"]].to_numpy().tolist() == [
+        [run_id, "uniform", "0.88", "60"],
+        [run_id, "narrow", "0.7", "5"],
+        [run_id, "", "0.9", "30"],
     ]

@@ -15,6 +15,7 @@ from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.problems import Family, draw_problem
 from cspace.worlds.planar.world import Disc, PlanarWorld, Scenario
+from services.evaluator import evaluation
 from services.evaluator.evaluation import (
     EVALUATED_SPLITS,
     MAX_HEADLINE,
@@ -39,7 +40,6 @@ from services.evaluator.evaluation import (
 from services.evaluator.gate import gated_metrics
 from services.evaluator.metrics import Task, metrics_of
 from services.evaluator.scenes import PackedBundle, Scene, Stage, bundle_sampler, unfiltered
-from services.planner.result import PlanResult
 from services.planner.samples import BundleSampler
 from tests.bundles import picture, tiny_graphs, tiny_spec, write_tiny_bundle
 from tests.fakes.uniform_sampler import ScoredUniformSampler, UniformSampler
@@ -204,55 +204,20 @@ def test_a_packed_bundle_arrives_as_it_was_and_is_verified(tmp_path):
         PackedBundle(packed.digest, packed.files | {"generator.onnx": b"other"}).load()
 
 
-# One disc on the y axis: turning the first joint through a quarter circle collides, through the others it
-# does not.
-BLOCKED = Scenario(TWO_LINK, (Disc(0.0, 3.0),))
-START, GOAL, MIDWAY = np.array([0.0, 0.0]), np.array([-3.0, 0.0]), np.array([3.0, 0.0])
+def test_runs_share_problem_and_seed_and_a_head_adds_one_with_samples_that_pass(monkeypatch):
+    calls, solve = [], evaluation.solve
+    monkeypatch.setattr(evaluation, "solve", lambda *given: calls.append(given) or solve(*given))
+    scenario = Scenario(TWO_LINK, (Disc(0.0, 3.0),))
+    problem = Problem(scenario, np.array([0.0, 0.0]), np.array([-3.0, 0.0]), Family.UNIFORM, 0.1)
 
+    def planned(sampler):
+        calls.clear()
+        return plan_problem(problem, 77, sampler, planner_of(PlanarWorld())), calls
 
-def planned(path, sampler=UNIFORM, *, solved=True):
-    """The runs of a planner that gives this path, and what it was asked."""
-    calls = []
-
-    def solver(*given):
-        calls.append(given)
-        rows = np.asarray(path, dtype=np.float64).reshape(-1, 2)
-        return PlanResult(
-            solved=solved,
-            path=rows,
-            length_rad=3.0,
-            iterations=10,
-            edge_checks=20,
-            solve_time_s=0.01,
-            learned_drawn=4,
-            uniform_drawn=6,
-            reason="iteration limit",
-        )
-
-    problem = Problem(BLOCKED, START, GOAL, Family.UNIFORM, 0.1)
-    return plan_problem(problem, 77, sampler, planner_of(PlanarWorld()), solver), calls
-
-
-@pytest.mark.parametrize(
-    ("path", "success"),
-    [
-        ([START, GOAL], True),
-        ([START, GOAL + np.array([9e-7, 0.0])], True),
-        ([START, GOAL + np.array([2e-6, 0.0])], False),
-        ([START + 0.1, GOAL], False),
-        ([START], False),
-        ([START, MIDWAY, GOAL], False),
-    ],
-)
-def test_a_path_is_a_success_that_meets_both_ends_and_no_obstacle(path, success):
-    assert planned(path)[0]["learned"].success is success
-    assert not planned(path, solved=False)[0]["learned"].success
-
-
-def test_runs_share_problem_and_seed_and_a_head_adds_one_with_samples_that_pass():
     head = ScoredUniformSampler(TWO_LINK.space, lambda q: q[:, 0] < 0.0, 0.5)
-    runs, calls = planned([START, GOAL], head)
+    runs, _ = planned(head)
     assert list(runs) == ["uniform", "learned", "confident"]
+    assert runs["uniform"].success
     assert [call[1].seed for call in calls] == [77] * 3
     uniform, learned, confident = (call[2] for call in calls)
     assert uniform is None
@@ -261,4 +226,4 @@ def test_runs_share_problem_and_seed_and_a_head_adds_one_with_samples_that_pass(
     assert (confident[:, 0] < 0.0).all()
     # Where too few pass there is none.
     strict = ScoredUniformSampler(TWO_LINK.space, lambda q: q[:, 0] < 0.0, 2.0)
-    assert "confident" not in planned([START, GOAL], strict)[0]
+    assert "confident" not in planned(strict)[0]

@@ -10,7 +10,7 @@ from cspace.errors import SamplerError
 from cspace.worlds.planar.problems import Family
 from services.evaluator import __main__ as evaluator
 from services.evaluator.benchmark import __main__ as command
-from services.evaluator.benchmark.job import RUNS, Request, Worker, processes, run_benchmark
+from services.evaluator.benchmark.job import RUNS, Request, processes, run_benchmark, run_unit
 from services.evaluator.benchmark.sources import bundled
 from services.evaluator.benchmark.variants import Protocol, Unit, pick, table
 from tests.fakes.benchmark import run_here
@@ -46,11 +46,9 @@ def numbers(folder) -> list[dict]:
 
 
 def test_every_variant_solves_the_same_problem_with_the_same_seed(setting, path_folder):
-    worker = Worker(setting, (bundled("way", path_folder),))
     variants = pick(TABLE, VARIANTS)
-    rows = {
-        row["variant"]: row for row in worker.run(Unit(Family.NARROW, 0, tuple((one, 0) for one in variants)))
-    }
+    unit = Unit(Family.NARROW, 0, tuple((one, 0) for one in variants))
+    rows = {row["variant"]: row for row in run_unit(unit, (setting, (bundled("way", path_folder),)))}
     assert set(rows) == {one.name for one in variants}
     assert len({row["seed"] for row in rows.values()}) == 1
     for row in rows.values():
