@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from cspace.bundle.verification import load_verified
+from cspace.bundle import load_verified
 from cspace.errors import ConfigError
 from cspace.files import replacing
 from cspace.worlds import robot_digest

@@ -17,9 +17,9 @@ from pathlib import Path
 
 from pydantic import BaseModel, ValidationError
 
+from cspace.bundle import load_verified
 from cspace.bundle.files import read_files
 from cspace.bundle.spec import BundleSpec
-from cspace.bundle.verification import load_verified
 from cspace.errors import BundleIntegrityError, ConfigError, ModelNotFoundError, RegistryError
 from cspace.files import read_bounded, replacing, write_json
 from cspace.strict_json import refused
