@@ -73,7 +73,7 @@ class BundleSpec:
     kind: Literal["configuration", "path"] = "configuration"
     # `generator` or `mixture`, both one graph with the same inputs and outputs; or `ways`, a path sampler
     # that searches and has no such graph
-    model_kind: Literal["generator", "mixture", "ways"] = "generator"
+    model_kind: Annotated[str, Field(pattern="^(generator|mixture|ways)$")] = "generator"
     looks_at_picture: bool = False  # whether the generator takes the picture itself beside its latent
     # Whether it takes what the map graph makes of the picture, once for all its requests
     looks_at_map: bool = False
