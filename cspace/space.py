@@ -239,6 +239,11 @@ class JointSpace:
         return said
 
 
+def is_range(low: float, high: float) -> bool:
+    """Whether single precision tells the angles of a limited joint apart, rad."""
+    return -MAX_LIMIT_RAD <= low < high <= MAX_LIMIT_RAD and high - low >= MIN_RANGE_RAD
+
+
 def circles(dim: int) -> JointSpace:
     """The torus: ``dim`` joints without limits."""
     return JointSpace((-np.pi,) * dim, (np.pi,) * dim, (True,) * dim)

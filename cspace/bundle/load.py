@@ -141,15 +141,11 @@ class Bundle:
         found = self._graphs.encoder.run({"image": pixels}, {"mu": size, "sigma": size})
         encoding = Encoding(found["mu"][0], found["sigma"][0])
         novelty = self._novelty_of(image, pixels, found["mu"])
-        made = self._map_of(pixels)
-        sensor = self.spec.world.sensor
+        graph, sensor = self._graphs.map, self.spec.world.sensor
+        made = None
+        if graph is not None:
+            made = graph.run({"image": pixels}, {"map": graph.fixed_shape("map")})["map"]
         return Picture(self.digest, image, sensor, encoding, novelty, made, read.known, read.pictures)
-
-    def _map_of(self, pixels: NDArray[np.float32]) -> NDArray[np.float32] | None:
-        graph = self._graphs.map
-        if graph is None:
-            return None
-        return graph.run({"image": pixels}, {"map": graph.fixed_shape("map")})["map"]
 
     def _novelty_of(
         self, image: NDArray[np.uint8], pixels: NDArray[np.float32], mu: NDArray[np.float32]
@@ -313,8 +309,7 @@ class Bundle:
             answer = self.golden_answer(case.image, case.query)
         except InputError as error:
             raise BundleIntegrityError("the golden case does not fit its bundle", got=str(error)) from error
-        case.compare_encoding(encoding.mu, encoding.sigma)
-        case.compare(answer.samples, answer.confidence, self.spec.world.space)
+        case.compare(encoding.mu, encoding.sigma, answer.samples, answer.confidence, self.spec.world.space)
 
 
 GOLDEN_SEED = 20_240_229

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, StrictBool
 
 from cspace.errors import ScenarioError
-from cspace.space import MAX_LIMIT_RAD, MIN_RANGE_RAD, JointSpace
+from cspace.space import MIN_RANGE_RAD, JointSpace, is_range
 from cspace.strict_json import Record, read_object, validated, written
 from cspace.world import Levers
 from cspace.worlds.planar.camera import Camera, Length
@@ -28,18 +28,10 @@ class PlanarArm(Record):
     self_collision: Annotated[StrictBool, Field(exclude_if=lambda collides: not collides)] = False
 
     def __post_init__(self) -> None:
-        self._check_limits()
-        self._check_self_collision()
-
-    def _check_limits(self) -> None:
-        limits = self.joint_limits_rad
-        if limits is None:
-            return
-        if len(limits) != self.dim or not all(lim is None or _is_range(*lim) for lim in limits):
+        limits = self.joint_limits_rad or (None,) * self.dim
+        if len(limits) != self.dim or not all(lim is None or is_range(*lim) for lim in limits):
             expected = f"{self.dim} entries, each None or low < high, {MIN_RANGE_RAD} rad or more"
             raise ScenarioError("the joint limits do not fit", expected=expected, got=str(limits))
-
-    def _check_self_collision(self) -> None:
         width_m = 2.0 * self.half_width_m
         if self.self_collision and min(self.link_lengths_m[1:-1], default=np.inf) <= width_m:
             raise ScenarioError(
@@ -87,10 +79,6 @@ class PlanarArm(Record):
         if (kind := members.pop("kind")) != _KIND:
             raise ScenarioError("the robot is unknown", expected=_KIND, got=repr(kind)[:200])
         return read_object(cls, members, "the robot", ScenarioError)
-
-
-def _is_range(low: float, high: float) -> bool:
-    return -MAX_LIMIT_RAD <= low < high <= MAX_LIMIT_RAD and high - low >= MIN_RANGE_RAD
 
 
 def link_offsets_m(joints: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:

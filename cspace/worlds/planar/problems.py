@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property, lru_cache
@@ -191,10 +191,7 @@ class PathFinder:
                 return None
             cells.append(int(parents[cells[-1]]))
         corners = centres(self._space, shape)[cells[1:-1]]
-        return shortcut(np.concatenate([[first], corners, [last]]), self._edges_free)
-
-    def _edges_free(self, starts: NDArray[np.float64], ends: NDArray[np.float64]) -> NDArray[np.bool_]:
-        return self._checker.edge_batch(starts, ends, RESOLUTION_RAD)
+        return _shortcut(np.concatenate([[first], corners, [last]]), self._checker)
 
 
 def _graph(grid: FreeGrid) -> Any:
@@ -221,19 +218,12 @@ def _graph(grid: FreeGrid) -> Any:
     return coo_array((values, (rows, columns)), shape=(near.size, near.size)).tocsr()
 
 
-def shortcut(
-    path: NDArray[np.float64],
-    edges_free: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.bool_]],
-) -> NDArray[np.float64] | None:
-    """The path without the corners that are not needed, from the start on always to the farthest in sight.
-
-    ``path``: (k, d) rad. ``edges_free``: (n, d) and (n, d) to which edges are free, (n,). Returns (k', d)
-    rad, every edge of which is free; None where a corner has no free edge to any after it.
-    """
+def _shortcut(path: NDArray[np.float64], checker: CollisionChecker) -> NDArray[np.float64] | None:
+    """The path (k, d) rad, from the start on always to the farthest corner that a free edge leads to."""
     kept, at = [0], 0
     while at < len(path) - 1:
         ahead = path[at + 1 :]
-        free = edges_free(np.broadcast_to(path[at], ahead.shape), ahead)
+        free = checker.edge_batch(np.broadcast_to(path[at], ahead.shape), ahead, RESOLUTION_RAD)
         if not free.any():
             return None
         at += 1 + int(np.flatnonzero(free)[-1])
@@ -348,12 +338,8 @@ def _sides(
 
 def resolves_narrow(robot: PlanarArm) -> bool:
     """Whether a robot's grid is as fine as narrow passages."""
-    return _cell_rad(robot) <= NARROW_RAD[1]
-
-
-def _cell_rad(robot: PlanarArm) -> float:
-    widest_rad = float(np.max(np.subtract(robot.space.upper, robot.space.lower)))
-    return widest_rad / cells_per_joint(robot.dim)
+    widest_rad = np.max(np.subtract(robot.space.upper, robot.space.lower))
+    return bool(widest_rad / cells_per_joint(robot.dim) <= NARROW_RAD[1])
 
 
 def require_resolution(robot: PlanarArm) -> None:

@@ -24,10 +24,8 @@ MAX_PLACE_M = 100.0
 
 
 def check_pose(pose: Pose, what: str, error: type[CspaceError] = ScenarioError) -> None:
-    """Refuse rows that are no pose: of 4 x 4 finite numbers, a rotation, and a place within 100 m."""
-    matrix = _matrix(pose)
-    if matrix is None:
-        raise error(f"{what} has no pose", expected="4 x 4 finite numbers", got=repr(pose)[:200])
+    """Refuse 4 x 4 finite numbers that are no rotation and a place within 100 m."""
+    matrix = np.array(pose)
     turn, place = matrix[:3, :3], matrix[:3, 3]
     # Before any product, which could overflow.
     bounded = np.abs(turn).max() <= 1.0 + _ROTATION_TOLERANCE
@@ -145,14 +143,6 @@ def quaternion_of(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
 def turn_deg(rotation: NDArray[np.float64]) -> float:
     """How far a rotation (3, 3) turns."""
     return float(np.degrees(np.arccos(np.clip((np.trace(rotation) - 1.0) / 2.0, -1.0, 1.0))))
-
-
-def _matrix(pose: Any) -> NDArray[np.float64] | None:
-    try:
-        matrix = np.asarray(pose, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        return None
-    return matrix if matrix.shape == (4, 4) and np.isfinite(matrix).all() else None
 
 
 # Of one transform of a robot, m.

@@ -5,7 +5,7 @@ import json
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,7 +82,10 @@ class DepthView:
 
 def write_view(view: DepthView) -> bytes:
     """The view file of a view."""
-    cameras = [_camera_values(camera) for camera in view.cameras]
+    kept = (*PINHOLE, "pose")
+    cameras = [
+        {name: value for name, value in camera.to_dict().items() if name in kept} for camera in view.cameras
+    ]
     known = None if view.known is None else json.dumps(view.known.to_dict()).encode()
     return pack_view([encode_depth(picture) for picture in view.pictures], cameras, view.state, known=known)
 
@@ -110,7 +113,7 @@ def read_view(data: bytes | View, arm: SerialArm, check_cancelled: CheckCancelle
         camera, distortion = read_pinhole(values, pictures[number].shape)
         pictures[number] = undistorted(pictures[number], camera, distortion, check_cancelled)
         cameras.append(camera)
-    on_link = tuple(number for number, values in enumerate(given) if _is_on_link(values))
+    on_link = tuple(at for at, values in enumerate(given) if isinstance(values, Mapping) and _LINK in values)
     return DepthView(tuple(pictures), tuple(cameras), state, on_link, known)
 
 
@@ -125,10 +128,6 @@ def cameras_in_base(cameras: Sequence[object], state: States, arm: SerialArm) ->
     """Cameras of plain values; one whose ``link`` names a frame of the arm gets its pose in the base."""
     states = _for_each(state, len(cameras))
     return [_in_base(*one, arm) for one in zip(range(len(cameras)), cameras, states, strict=True)]
-
-
-def _is_on_link(camera: object) -> bool:
-    return isinstance(camera, Mapping) and _LINK in camera
 
 
 def _in_base(number: int, camera: object, state: State | None, arm: SerialArm) -> object:
@@ -184,10 +183,6 @@ def _configuration(values: object, space: JointSpace) -> State | None:
             remedy="send where the arm was when the pictures were taken, or leave it out if it is in none",
         )
     return tuple(space.admitted(angles, "the state does not fit the robot", ImageError).tolist())
-
-
-def _camera_values(camera: DepthCamera) -> dict[str, Any]:
-    return {name: value for name, value in camera.to_dict().items() if name in (*PINHOLE, "pose")}
 
 
 METRES = 1.0
