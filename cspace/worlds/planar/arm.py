@@ -121,14 +121,6 @@ def _reaches(
     beside = np.zeros_like(along)
     for link in range(links):
         along[:link, link] = lengths[:link, None, None]
-        along[link, link] = lengths[link] * _shares(points_per_link)
+        along[link, link] = lengths[link] * np.linspace(0.0, 1.0, points_per_link, dtype=np.float32)
         beside[link, link] = sides[:, None]
     return along.reshape(links, -1), beside.reshape(links, -1)
-
-
-def _shares(count: int) -> NDArray[np.float32]:
-    """0 to 1 in equal steps, from both ends in single precision."""
-    index = np.arange(count, dtype=np.float32)
-    step = np.float32(1.0) / np.float32(max(1, count - 1))
-    from_end = np.float32(1.0) - step * (np.float32(count - 1) - index)
-    return np.where(index < count // 2, step * index, from_end) if count > 1 else np.zeros(1, np.float32)
