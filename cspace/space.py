@@ -64,8 +64,7 @@ class JointSpace:
     lower: tuple[float, ...]  # lower end of each joint, rad; -pi where periodic
     upper: tuple[float, ...]  # upper end of each joint, rad; pi where periodic
     periodic: tuple[bool, ...]  # whether the joint is a circle
-    # Of the joints, for messages; none where they are numbered from 1
-    names: tuple[str, ...] = field(default=(), compare=False)
+    names: tuple[str, ...] = field(default=(), compare=False)  # for messages; else numbered from 1
 
     @property
     def dim(self) -> int:

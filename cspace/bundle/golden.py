@@ -24,7 +24,7 @@ _QUERY = ("count", "seed", "epsilon_sigma", "start", "goal")
 class GoldenCase:
     """Inputs with their expected outputs; None where the model has no such thing."""
 
-    image: NDArray[np.uint8]  # uint8 (P, P, 3), or as the world's pictures are
+    image: NDArray[np.uint8]  # (P, P, 3), or as the world's pictures are
     query: SampleQuery
     mu: NDArray[np.float32]  # (L,)
     sigma: NDArray[np.float32]  # (L,)

@@ -22,8 +22,7 @@ class PlanarArm(Record):
 
     link_lengths_m: Annotated[tuple[Length, ...], Field(min_length=1)] = (2.0, 2.0)
     half_width_m: Length = 0.1
-    # None when all joints are circles; else per joint None or (low, high), at any turn
-    joint_limits_rad: JointLimits | None = None
+    joint_limits_rad: JointLimits | None = None  # (low, high), at any turn; None for circles
     # Whether capsules of links that are not neighbours collide with each other
     self_collision: Annotated[StrictBool, Field(exclude_if=lambda collides: not collides)] = False
 

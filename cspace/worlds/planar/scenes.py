@@ -149,7 +149,7 @@ class KnownDiscs:
     arm: PlanarArm
     names: tuple[str, ...]
     discs: NDArray[np.float64]  # (D, 3) x, y, radius in m
-    seen: NDArray[np.uint8]  # uint8 (P, P, 3), what the picture shows beside them
+    seen: NDArray[np.uint8]  # (P, P, 3), what the picture shows beside them
 
     @classmethod
     def read(cls, text: bytes, arm: PlanarArm, seen: NDArray[np.uint8]) -> "KnownDiscs":

@@ -281,8 +281,7 @@ class Grouping:
     """Groups of an arm's S spheres, G of them, in the order of the parts."""
 
     links: NDArray[np.int64]  # (G,) the link of each group
-    # (G, 4) centre in the link's frame and radius of a sphere that holds the group
-    spheres_m: NDArray[np.float64]
+    spheres_m: NDArray[np.float64]  # (G, 4) in the link's frame, each of which holds a group
     groups: NDArray[np.int64]  # (S,) the group of each of the arm's spheres
 
     @property

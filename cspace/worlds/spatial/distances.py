@@ -83,8 +83,7 @@ def clearance_m(obstacles: Obstacles, centres_m: ArrayLike, radii_m: ArrayLike) 
 class DistanceGrid(NamedTuple):
     """Signed distances at the centres of voxels, as the kernels take them."""
 
-    # (X, Y, Z) m, cut off at `farthest`; without voxels there is nothing anywhere
-    values: NDArray[np.float32]
+    values: NDArray[np.float32]  # (X, Y, Z) m, cut off at `farthest`; nothing without voxels
     low: NDArray[np.float64]  # (3,) lowest corner in the base frame, m
     voxel: float  # side of a voxel, m
     farthest: float  # what stands for all that is farther away, m

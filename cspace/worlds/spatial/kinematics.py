@@ -164,8 +164,7 @@ class Solving:
     starts: int = 16
     iterations: int = 60
     place_m: float = 0.001
-    # Largest angle between the tool's rotation, or its z axis, and what is asked for
-    turn_rad: float = 0.0174
+    turn_rad: float = 0.0174  # largest angle between the tool's rotation, or z axis, and its goal's
     distinct_rad: float = 0.1
 
 

@@ -157,8 +157,7 @@ class Frame:
     """A frame in its parent's."""
 
     xyz_m: tuple[Offset, Offset, Offset] = (0.0, 0.0, 0.0)  # its origin
-    # Roll, pitch and yaw about the parent's fixed x, y and z axes, in this order, as in URDF
-    rpy_rad: tuple[Offset, Offset, Offset] = (0.0, 0.0, 0.0)
+    rpy_rad: tuple[Offset, Offset, Offset] = (0.0, 0.0, 0.0)  # about the parent's fixed axes, as in URDF
 
     def matrix(self) -> NDArray[np.float64]:
         """(4, 4), from this frame's coordinates to its parent's."""

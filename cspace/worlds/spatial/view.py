@@ -45,14 +45,10 @@ States = State | tuple[State | None, ...] | None
 class DepthView:
     """Depth pictures of one scene."""
 
-    # One to four, (H, W) uint16 mm along the optical axis, 0 = no reading
-    pictures: tuple[NDArray[np.uint16], ...]
+    pictures: tuple[NDArray[np.uint16], ...]  # 1 to 4, (H, W) mm along the optical axis, 0 = no reading
     cameras: tuple[DepthCamera, ...]
-    # (d,) rad, where the arm was when they were taken; None where it is in no picture; or one or the other
-    # for each picture
-    state: States = None
-    # Numbers of the pictures whose cameras came with a pose in the frame of a link; here it is in the base's
-    on_link: tuple[int, ...] = ()
+    state: States = None  # (d,) rad, of all pictures or of each; None where the arm is in none
+    on_link: tuple[int, ...] = ()  # of which pictures the cameras came with a pose in a link's frame
     known: PlanningScene | None = None  # of the scene beside the pictures; None without anything
 
     @property
