@@ -194,11 +194,7 @@ class JointSpace:
         return np.where(self.periodic, (exact >= -np.pi) & (exact < np.pi), limited)
 
     def narrowed(self, limits: Sequence[Sequence[float] | None]) -> "JointSpace":
-        """The space whose joints keep to narrower ranges.
-
-        ``limits``: for each joint low and high, rad, or None where it stays as it is. A circle with a range
-        is a limited joint: its angles are the numbers from low to high, at any turn.
-        """
+        """The space whose joints keep to (low, high) rad each, at any turn, or as they are where None."""
         if len(limits) != self.dim:
             expected = f"{self.dim} entries, each [low, high] in rad, or null for the joint's own"
             raise InputError("limits do not fit the robot", expected=expected, got=f"{len(limits)} entries")

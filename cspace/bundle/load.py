@@ -324,11 +324,7 @@ _GRAPH_FILES = {file.removesuffix(".onnx"): file for file in (ENCODER_FILE, *OPT
 def write_bundle(
     folder: Path, spec: BundleSpec, graphs: Mapping[str, bytes], golden: GoldenCase | None = None
 ) -> Path:
-    """Write a bundle beside its place, load it there as any reader would, and rename it.
-
-    ``graphs``: ``encoder``, and as the description asks for ``generator``, ``validity``, ``novelty``, ``map``
-    and ``belief``, to ONNX bytes. ``golden``: computed from a fixed picture and seed when None.
-    """
+    """Write a bundle beside its place, load it there as any reader would, and rename it."""
     folder = Path(folder)
     contents = {SPEC_FILE: spec.to_json(), **{_GRAPH_FILES[name]: data for name, data in graphs.items()}}
     contents[GOLDEN_FILE] = (golden or _compute_golden(folder, contents)).to_npz()

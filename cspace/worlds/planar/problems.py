@@ -195,10 +195,7 @@ class PathFinder:
 
 
 def _graph(grid: FreeGrid) -> Any:
-    """Free cells and their neighbours, those that touch in a corner too, by the cost of the way between them.
-
-    A rad costs 1 where the clearance is beyond :data:`MARGIN_RAD`, up to 2 at contact.
-    """
+    """Free cells and their neighbours by the cost of the way between: a rad costs 1 to 2, by clearance."""
     near = 1.0 + np.maximum(0.0, 1.0 - grid.clearance_rad / MARGIN_RAD)
     wraps, shape = grid.scenario.robot.space.periodic, grid.free.shape
     numbers, axes = np.arange(near.size).reshape(shape), tuple(range(near.ndim))

@@ -172,12 +172,7 @@ class PlanarSimulator(Simulator):
 
     @property
     def measures(self) -> Measures:
-        """Measured with two links; others have the same.
-
-        A margin is about ten times the spread between training seeds for precision and coverage, twice for
-        EDr, and six of sixty problems for planning success; the factor by which checks are saved is known to
-        about a third.
-        """
+        """Measured with two links; margins are beyond the spread between training seeds."""
         return Measures(
             coverage_radius_rad=0.2,
             near_contact_m=0.1,

@@ -259,10 +259,7 @@ Sets = tuple[tuple[NDArray[np.int64], NDArray[np.int64]], ...]
 
 
 def touching_sets(arm: SerialArm) -> Sets:
-    """Pairs of sets of spheres, each of numbers (a,) and (b,), all of whose pairs can touch.
-
-    Parts that can touch the same others are in one set, so that each pair of spheres is in one pair of sets.
-    """
+    """Pairs of sets of spheres, numbers (a,) and (b,), all of whose pairs can touch; each pair is in one."""
     ranges = zip(arm.parts, arm.sphere_ranges().tolist(), strict=True)
     own = {part.name: np.arange(*span) for part, span in ranges}
     partners = {name: tuple(sorted(b for a, b in arm.touching if a == name)) for name in own}

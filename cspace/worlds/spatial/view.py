@@ -206,10 +206,7 @@ def read_depth(
 
 
 def rounded_mm(depth: NDArray[np.float32] | NDArray[np.uint16], depth_scale_m: float) -> NDArray[np.uint16]:
-    """Depths (...) in a unit of ``depth_scale_m`` as uint16 mm; 0 for NaN, infinity and what is below 0.5 mm.
-
-    What is farther than 16 bits can tell stays a reading that is out of range, so that a wrong unit shows.
-    """
+    """Depths (...) in a unit as uint16 mm, out of range beyond 16 bits; 0 for what is no number above 0.5."""
     with np.errstate(invalid="ignore", over="ignore"):
         scaled = np.floor(depth.astype(np.float64) * (1000.0 * depth_scale_m) + 0.5)
     read = (scaled >= 1.0) & np.isfinite(scaled)
