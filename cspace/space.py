@@ -102,8 +102,6 @@ class JointSpace:
         else to the limit that is nearer round the circle.
         """
         wrapped = wrap(configurations)
-        if self.is_torus:
-            return wrapped
         values, low, high = (
             np.asarray(part, np.float64) for part in (configurations, self.lower, self.upper)
         )
@@ -117,8 +115,6 @@ class JointSpace:
 
     def to_float32(self, configurations: ArrayLike) -> NDArray[np.float32]:
         """As :meth:`bound` in float32 that still lies inside as real numbers (clipped after the cast)."""
-        if self.is_torus:
-            return to_float32(configurations)
         low, high = (
             np.where(self.periodic, side, _towards(ends, towards))
             for side, ends, towards in (
