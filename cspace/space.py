@@ -40,23 +40,6 @@ def difference(start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:
     return wrap(np.asarray(end, dtype=np.float64) - np.asarray(start, dtype=np.float64))
 
 
-def embed(angles: ArrayLike) -> NDArray[np.float64]:
-    """(..., d) angles to (..., 2 d): the cosines of all joints, then their sines."""
-    angles = np.asarray(angles, dtype=np.float64)
-    return np.concatenate([np.cos(angles), np.sin(angles)], axis=-1)
-
-
-def unembed(embedded: ArrayLike) -> NDArray[np.float64]:
-    """(..., 2 d) cosines and sines back to (..., d) angles in [-pi, pi); lengths do not matter."""
-    cosines, sines = np.split(np.asarray(embedded, dtype=np.float64), 2, axis=-1)
-    return wrap(np.arctan2(sines, cosines))
-
-
-def to_float32(angles: ArrayLike) -> NDArray[np.float32]:
-    """Wrapped angles as float32 that still lie in [-pi, pi) as real numbers (clipped after the cast)."""
-    return np.clip(wrap(angles).astype(np.float32), -FLOAT32_PI_BELOW, FLOAT32_PI_BELOW)
-
-
 @dataclass(frozen=True, slots=True)
 class JointSpace:
     """A robot's joint space: circles for periodic joints, intervals for the others."""
@@ -128,7 +111,8 @@ class JointSpace:
         """(..., d) to cosines of all circles, then their sines, then the other joints as they are in rad."""
         configurations = np.asarray(configurations, dtype=np.float64)
         circles = np.asarray(self.periodic)
-        return np.concatenate([embed(configurations[..., circles]), configurations[..., ~circles]], axis=-1)
+        angles, others = configurations[..., circles], configurations[..., ~circles]
+        return np.concatenate([np.cos(angles), np.sin(angles), others], axis=-1)
 
     def difference(self, start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:
         """The straight way from ``start`` to ``end``, round the shorter side of each circle; (..., d) rad."""
