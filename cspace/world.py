@@ -227,7 +227,6 @@ class GridArm:
     voxel_m: float
     distance_step_m: float
     no_reading: int  # code of the second channel; 0 is seen free, what is between is behind a surface
-    out_of_view: int
 
 
 class World(ABC):

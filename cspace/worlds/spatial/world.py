@@ -43,7 +43,6 @@ from cspace.worlds.spatial.sensor import (
     DISTANCE_STEP_M,
     NETWORK_MULTIPLE,
     NO_READING,
-    OUT_OF_VIEW,
     DepthSensor,
     grid_of,
 )
@@ -180,7 +179,6 @@ class SpatialWorld(World):
             voxel_m=grid.voxel_m,
             distance_step_m=DISTANCE_STEP_M,
             no_reading=NO_READING,
-            out_of_view=OUT_OF_VIEW,
         )
 
     def check_scenes(self, arrays: Arrays, count: int) -> None:
