@@ -284,7 +284,8 @@ class Bundle:
         graph, grid = self._graphs.belief, getattr(self.spec.world.sensor, "grid", None)
         if graph is None or grid is None:
             raise InputError(
-                "the model cannot tell what it takes the scene to be", expected="one with belief.onnx"
+                "the model cannot tell what it takes the scene to be",
+                expected="a model of an arm that sees with depth cameras",
             )
         return graph, grid
 
