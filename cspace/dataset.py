@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cspace.errors import DamagedFileError, DatasetError, StorageError
 from cspace.files import make_output_folder, map_npy, read_bounded, replacing
 from cspace.space import JointSpace
-from cspace.strict_json import adapter_of, json_text, parse_json, read_object, validated
+from cspace.strict_json import adapter_of, json_text, read_json, read_object, validated
 from cspace.world import World
 from cspace.worlds import WorldField
 
@@ -67,11 +67,7 @@ def _read_members(path: Path) -> dict[str, Any]:
     """The members of the manifest's JSON as this schema has them, without their version."""
     remedy = "see docs/data.md for the format, python -m training.data import for own data"
     data = read_bounded(path, MAX_MANIFEST_BYTES, DatasetError, remedy=remedy)
-    try:
-        values = parse_json(data)
-    except ValueError as error:
-        raise DatasetError(f"{path} is not JSON", expected="a manifest", got=str(error)[:200]) from error
-    members = read_object(dict[str, Any], values, str(path), DatasetError)
+    members = read_json(data, str(path), DatasetError)
     version = members.pop("schema_version", None)
     if version != SCHEMA_VERSION:
         raise DatasetError(

@@ -11,7 +11,7 @@ from pydantic import Field, PositiveInt
 from cspace.bundle.files import SPEC_FILE
 from cspace.errors import BundleIntegrityError
 from cspace.space import Standardisation
-from cspace.strict_json import Share, adapter_of, json_text, parse_json, read_object, validated
+from cspace.strict_json import Share, adapter_of, json_text, read_json, read_object, validated
 from cspace.view_file import MAX_PICTURES
 from cspace.worlds import WorldField
 
@@ -174,13 +174,7 @@ _LOOKS = {"looks_at_picture": PICTURE, "looks_at_map": MAP}
 
 def _members(data: bytes) -> dict[str, Any]:
     """The members of a description without the version of its schema."""
-    try:
-        values: Any = parse_json(data)
-    except ValueError as error:
-        raise BundleIntegrityError(
-            "the bundle's description is not JSON", expected="UTF-8 JSON", got=str(error)[:200]
-        ) from error
-    members = read_object(dict[str, Any], values, SPEC_FILE, BundleIntegrityError)
+    members = read_json(data, SPEC_FILE, BundleIntegrityError)
     if (version := members.pop("schema_version", None)) != SCHEMA_VERSION:
         raise BundleIntegrityError(
             "the bundle's schema is another",
