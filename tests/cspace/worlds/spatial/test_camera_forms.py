@@ -160,14 +160,12 @@ REFUSED_PICTURES = {
     "nothing": (b"", "no depth picture"),
     "a JPEG": (b"\xff\xd8\xff\xe0" + bytes(100), "float32 of shape"),
     "npy of float64": (npy(METRES.astype(np.float64)), r"float64.*astype\(np.float32\)"),
-    "npy of three axes": (npy(METRES[None]), "no depth picture"),
     "npy of objects": (npy(np.array([[{}]], dtype=object)), "no depth picture"),
     "npy cut": (npy(METRES)[:-1], "no depth picture"),
     "npy too small": (npy(METRES[:9]), "out of range"),
     "TIFF of 16 bits": (tiff(DEPTH), "is no depth picture"),
     "TIFF of RGB": (tiff(np.zeros((48, 64, 3), np.uint8)), "is no depth picture"),
     "TIFF cut": (tiff(METRES)[:-200], "damaged|no depth picture"),
-    "TIFF of one strip that is cut": (tiff(METRES)[:2000], "no depth picture"),
     "TIFF too large": (altered(tiff(METRES), 256, 2049), "out of range"),
     "TIFF of two pictures": (
         tiff(METRES, save_all=True, append_images=[Image.fromarray(METRES)]),
@@ -196,7 +194,6 @@ REFUSED_CAMERAS = {
         "distortion model 'rational_polynomial'",
     ),
     "a lens that folds": ({"camera_info": INFO | {"d": [-5.0, 0.0, 0.0, 0.0, 0.0]}}, "folds the picture"),
-    "coefficients without end": ({"camera_info": INFO | {"d": [1e300] * 5}}, "folds the picture"),
     "another size": (
         {"camera_info": INFO | {"width": 128, "height": 96}},
         "height 48 and width 64.*got height 96",
@@ -223,10 +220,6 @@ REFUSED_CAMERAS = {
     "a quaternion of another norm": (
         CAMERA_VALUES | {"pose": {"translation": [0.0] * 3, "quaternion_xyzw": [0.0, 0.0, 0.0, 0.99]}},
         "norm of 1",
-    ),
-    "three numbers": (
-        CAMERA_VALUES | {"pose": {"translation": [0.0] * 3, "quaternion_xyzw": [0.0, 0.0, 1.0]}},
-        "has no pose",
     ),
     "a place beyond sight": (
         CAMERA_VALUES | {"pose": {"translation": [0.0, 0.0, 1e300], "quaternion_xyzw": [0.0, 0.0, 0.0, 1.0]}},
