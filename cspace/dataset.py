@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cspace.errors import DamagedFileError, DatasetError, StorageError
 from cspace.files import make_output_folder, map_npy, read_bounded, replacing
 from cspace.space import JointSpace
-from cspace.strict_json import adapter_of, json_text, parse_json, read_object, validated
+from cspace.strict_json import adapter_of, json_text, read_json, read_object, validated
 from cspace.world import World
 from cspace.worlds import WorldField
 
@@ -67,11 +67,7 @@ def _read_members(path: Path) -> dict[str, Any]:
     """The members of the manifest's JSON as this schema has them, without their version."""
     remedy = "see docs/data.md for the format, python -m training.data import for own data"
     data = read_bounded(path, MAX_MANIFEST_BYTES, DatasetError, remedy=remedy)
-    try:
-        values = parse_json(data)
-    except ValueError as error:
-        raise DatasetError(f"{path} is not JSON", expected="a manifest", got=str(error)[:200]) from error
-    members = read_object(dict[str, Any], values, str(path), DatasetError)
+    members = read_json(data, str(path), DatasetError)
     version = members.pop("schema_version", None)
     if version != SCHEMA_VERSION:
         raise DatasetError(
@@ -225,14 +221,17 @@ def write_dataset(
     for name, parts in (("free", free), ("collision", collision)):
         if parts is not None:
             arrays |= _rows(name, parts, world.space)
-            _check_count(f"{name}_offsets", len(parts), len(images))
+            if len(parts) != len(images):
+                got = f"{len(parts)} and {len(images)}"
+                raise DatasetError(f"{name}_offsets do not fit", expected="as many as images", got=got)
     arrays |= {
         name: np.concatenate(parts).astype(ATTRIBUTES[name]) for name, parts in (attributes or {}).items()
     }
     if paths is not None:
         waypoints = _rows("paths", [path for _, path in paths], world.space)
         owners = np.array([scenario for scenario, _ in paths], dtype=np.int64)
-        _check_count("path_scenario", max(owners.tolist(), default=-1) + 1, len(images), at_most=True)
+        if (owners >= len(images)).any():
+            raise DatasetError("path_scenario does not fit", expected=f"below {len(images)}")
         arrays |= {
             "paths": waypoints["paths"],
             "path_offsets": waypoints["paths_offsets"],
@@ -240,7 +239,18 @@ def write_dataset(
         }
     counted = (name for name in arrays if not name.endswith("_offsets") and name not in ATTRIBUTES)
     counts = {name: len(arrays[name]) for name in counted}
-    _write(Path(folder), arrays, Manifest(world, counts, generator, {}))
+    folder = Path(folder)
+    if folder.exists():
+        raise StorageError("the data set's folder exists", expected="a new folder", got=str(folder))
+    require_room(folder, sum(array.nbytes for array in arrays.values()))
+    with replacing(folder, f"the data set {folder}") as beside:
+        make_output_folder(beside)
+        files = {}
+        for name, array in arrays.items():
+            np.save(beside / f"{name}.npy", array, allow_pickle=False)
+            files[f"{name}.npy"] = file_digest(beside / f"{name}.npy")
+        manifest = Manifest(world, counts, generator, files)
+        (beside / MANIFEST_FILE).write_text(manifest.to_json(), encoding="utf-8")
     return open_dataset(folder, verify=False)
 
 
@@ -251,11 +261,6 @@ def _check_pictures(name: str, images: NDArray[Any], shape: tuple[int, ...]) -> 
             expected=f"uint8 (n, {', '.join(map(str, shape))}), n above 0",
             got=f"{images.dtype} {images.shape}",
         )
-
-
-def _check_count(name: str, got: int, scenarios: int, *, at_most: bool = False) -> None:
-    if got > scenarios or (got < scenarios and not at_most):
-        raise DatasetError(f"{name} do not fit the pictures", expected=f"{scenarios} scenarios", got=str(got))
 
 
 def require_room(folder: Path, needed_bytes: int) -> None:
@@ -271,20 +276,6 @@ def require_room(folder: Path, needed_bytes: int) -> None:
         )
 
 
-def _write(folder: Path, arrays: Arrays, manifest: Manifest) -> None:
-    if folder.exists():
-        raise StorageError("the data set's folder exists", expected="a new folder", got=str(folder))
-    require_room(folder, sum(array.nbytes for array in arrays.values()))
-    with replacing(folder, f"the data set {folder}") as beside:
-        make_output_folder(beside)
-        files = {}
-        for name, array in arrays.items():
-            np.save(beside / f"{name}.npy", array, allow_pickle=False)
-            files[f"{name}.npy"] = file_digest(beside / f"{name}.npy")
-        whole = Manifest(manifest.world, manifest.counts, manifest.generator, files)
-        (beside / MANIFEST_FILE).write_text(whole.to_json(), encoding="utf-8")
-
-
 def _rows(name: str, parts: Sequence[NDArray[Any]], space: JointSpace) -> dict[str, NDArray[Any]]:
     """Parts of different length as one array and its offsets."""
     arrays, dim = [np.asarray(part) for part in parts], space.dim
@@ -293,7 +284,5 @@ def _rows(name: str, parts: Sequence[NDArray[Any]], space: JointSpace) -> dict[s
         raise DatasetError(f"{name} does not fit the robot", expected=f"arrays (n, {dim})", got=str(wrong[0]))
     offsets = np.cumsum([0, *(len(array) for array in arrays)], dtype=np.int64)
     joined = np.concatenate(arrays) if arrays else np.empty((0, dim))
-    if not np.isfinite(joined).all():
-        raise DatasetError(f"{name} holds values that are not finite", expected="angles in rad")
     taken = space.admitted(joined, f"{name} holds configurations outside the robot's limits", DatasetError)
     return {name: space.to_float32(taken), f"{name}_offsets": offsets}

@@ -102,11 +102,17 @@ def discard(path: Path) -> None:
 
 def read_npy(data: bytes, types: tuple[str, ...], axes: int) -> NDArray[Any]:
     """An untrusted ``.npy`` file of one of the types, as ``<f4``, and of so many axes; else a ValueError."""
+    stream = io.BytesIO(data)
     try:
-        found = np.load(io.BytesIO(data), allow_pickle=False)
+        found = np.load(stream, allow_pickle=False)
     except (EOFError, MemoryError) as error:
         raise ValueError(str(error) or "an array that does not end") from error
-    if not isinstance(found, np.ndarray) or found.dtype.str not in types or found.ndim != axes:
+    if (
+        not isinstance(found, np.ndarray)
+        or found.dtype.str not in types
+        or found.ndim != axes
+        or stream.read(1)
+    ):
         raise ValueError(f"an array of type {getattr(found, 'dtype', None)} and shape {np.shape(found)}")
     return found
 

@@ -22,7 +22,7 @@ _caching: Any = numba.core.caching
 _Dispatcher: Any = numba.core.dispatcher.Dispatcher
 _settings: Any = numba.config
 # A full disk leaves files that end too early.
-_CUT_OFF = (EOFError, pickle.UnpicklingError)
+_UNREADABLE = (OSError, EOFError, pickle.UnpicklingError)
 _CONSTANTS = (bool, int, float, str, tuple, np.ndarray)
 
 
@@ -81,19 +81,14 @@ class KernelCache(_caching.FunctionCache):  # type: ignore[misc]
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """What was saved; None where there is nothing that can be read."""
-        with suppress(OSError, *_CUT_OFF):
+        with suppress(*_UNREADABLE):
             return super().load_overload(sig, target_context)
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Save what was compiled, where that is possible."""
-        with suppress(OSError):
-            try:
-                super().save_overload(sig, data)
-            except _CUT_OFF:
-                # Its list of what is there is damaged: a new one.
-                self.flush()
-                super().save_overload(sig, data)
+        with suppress(*_UNREADABLE):
+            super().save_overload(sig, data)
 
     @property
     def stamp(self) -> bytes:

@@ -35,8 +35,7 @@ class Problem:
     start: NDArray[np.float64]  # (d,) rad
     goal: NDArray[np.float64]  # (d,) rad
     family: str = OWN
-    # Largest clearance at which start and goal stay connected; 0 without a path, NaN where nobody looked
-    bottleneck_rad: float = math.nan
+    bottleneck_rad: float = math.nan  # largest clearance that joins start and goal; 0 without a path, or NaN
     seed: int = 0
     rejected: int = 0  # draws before it that were not of the family
 
@@ -212,8 +211,7 @@ class Measures:
 
     coverage_radius_rad: float
     near_contact_m: float
-    # Longest step of a planner's tree, the sum over the joints; it decides how strong the uniform baseline is
-    range_rad: float
+    range_rad: float  # longest step of a planner's tree, the sum over the joints
     resolution_rad: float
     # Of what as many real samples cover; a sampler of configurations that covers less is not promoted. None
     # where samples cover nothing that could be told by balls.

@@ -42,23 +42,6 @@ def difference(start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:
     return wrap(np.asarray(end, dtype=np.float64) - np.asarray(start, dtype=np.float64))
 
 
-def embed(angles: ArrayLike) -> NDArray[np.float64]:
-    """(..., d) angles to (..., 2 d): the cosines of all joints, then their sines."""
-    angles = np.asarray(angles, dtype=np.float64)
-    return np.concatenate([np.cos(angles), np.sin(angles)], axis=-1)
-
-
-def unembed(embedded: ArrayLike) -> NDArray[np.float64]:
-    """(..., 2 d) cosines and sines back to (..., d) angles in [-pi, pi); lengths do not matter."""
-    cosines, sines = np.split(np.asarray(embedded, dtype=np.float64), 2, axis=-1)
-    return wrap(np.arctan2(sines, cosines))
-
-
-def to_float32(angles: ArrayLike) -> NDArray[np.float32]:
-    """Wrapped angles as float32 that still lie in [-pi, pi) as real numbers (clipped after the cast)."""
-    return np.clip(wrap(angles).astype(np.float32), -FLOAT32_PI_BELOW, FLOAT32_PI_BELOW)
-
-
 @dataclass(frozen=True, slots=True)
 class JointSpace:
     """A robot's joint space: circles for periodic joints, intervals for the others."""
@@ -66,8 +49,7 @@ class JointSpace:
     lower: tuple[float, ...]  # lower end of each joint, rad; -pi where periodic
     upper: tuple[float, ...]  # upper end of each joint, rad; pi where periodic
     periodic: tuple[bool, ...]  # whether the joint is a circle
-    # Of the joints, for messages; none where they are numbered from 1
-    names: tuple[str, ...] = field(default=(), compare=False)
+    names: tuple[str, ...] = field(default=(), compare=False)  # for messages; else numbered from 1
 
     @property
     def dim(self) -> int:
@@ -105,8 +87,6 @@ class JointSpace:
         else to the limit that is nearer round the circle.
         """
         wrapped = wrap(configurations)
-        if self.is_torus:
-            return wrapped
         values, low, high = (
             np.asarray(part, np.float64) for part in (configurations, self.lower, self.upper)
         )
@@ -120,8 +100,6 @@ class JointSpace:
 
     def to_float32(self, configurations: ArrayLike) -> NDArray[np.float32]:
         """As :meth:`bound` in float32 that still lies inside as real numbers (clipped after the cast)."""
-        if self.is_torus:
-            return to_float32(configurations)
         low, high = (
             np.where(self.periodic, side, _towards(ends, towards))
             for side, ends, towards in (
@@ -135,7 +113,8 @@ class JointSpace:
         """(..., d) to cosines of all circles, then their sines, then the other joints as they are in rad."""
         configurations = np.asarray(configurations, dtype=np.float64)
         circles = np.asarray(self.periodic)
-        return np.concatenate([embed(configurations[..., circles]), configurations[..., ~circles]], axis=-1)
+        angles, others = configurations[..., circles], configurations[..., ~circles]
+        return np.concatenate([np.cos(angles), np.sin(angles), others], axis=-1)
 
     def difference(self, start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:
         """The straight way from ``start`` to ``end``, round the shorter side of each circle; (..., d) rad."""
@@ -205,11 +184,7 @@ class JointSpace:
         return np.where(self.periodic, (exact >= -np.pi) & (exact < np.pi), limited)
 
     def narrowed(self, limits: Sequence[Sequence[float] | None]) -> "JointSpace":
-        """The space whose joints keep to narrower ranges.
-
-        ``limits``: for each joint low and high, rad, or None where it stays as it is. A circle with a range
-        is a limited joint: its angles are the numbers from low to high, at any turn.
-        """
+        """The space whose joints keep to (low, high) rad each, at any turn, or as they are where None."""
         if len(limits) != self.dim:
             expected = f"{self.dim} entries, each [low, high] in rad, or null for the joint's own"
             raise InputError("limits do not fit the robot", expected=expected, got=f"{len(limits)} entries")
@@ -247,6 +222,11 @@ class JointSpace:
         if not self.is_torus:
             said |= {name: list(getattr(self, name)) for name in ("lower", "upper", "periodic")}
         return said
+
+
+def is_range(low: float, high: float) -> bool:
+    """Whether single precision tells the angles of a limited joint apart, rad."""
+    return -MAX_LIMIT_RAD <= low < high <= MAX_LIMIT_RAD and high - low >= MIN_RANGE_RAD
 
 
 def circles(dim: int) -> JointSpace:

@@ -114,6 +114,15 @@ def read_object(kind: type[Kind], values: object, where: str, error: type[Cspace
         raise refused(problem, error, where) from problem
 
 
+def read_json(data: bytes, where: str, error: type[CspaceError]) -> dict[str, Any]:
+    """The members of an untrusted JSON object of a bounded size."""
+    try:
+        values = parse_json(data)
+    except ValueError as problem:
+        raise error(f"{where} is not JSON", expected="UTF-8 JSON", got=str(problem)[:200]) from problem
+    return read_object(dict[str, Any], values, where, error)
+
+
 def written(value: object) -> dict[str, Any]:
     """A dataclass as plain values for JSON."""
     return cast("dict[str, Any]", to_jsonable_python(value))

@@ -39,9 +39,8 @@ class View:
 
     pictures: Sequence[bytes]
     cameras: Sequence[object] = ()
-    # Likewise, for all pictures or a list with one for each; None where the robot is in no picture
-    state: object = None
-    depth_scale_m: object = None  # likewise, metres per unit of the pictures; None for mm
+    state: object = None  # a configuration for all pictures, or a list of one or None for each
+    depth_scale_m: object = None  # metres per unit of the pictures; None for mm
     known: bytes | None = None  # JSON of a planning scene; None without one
 
     @classmethod

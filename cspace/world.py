@@ -96,8 +96,7 @@ class Finding:
     seen: str
     effect: str
     remedy: str
-    # Numbers of the pictures that it is about, from 0; none where it is about all
-    pictures: tuple[int, ...] = ()
+    pictures: tuple[int, ...] = ()  # numbers of those that it is about, from 0; none where of all
 
     @property
     def message(self) -> str:
@@ -153,7 +152,7 @@ class Known(Protocol):
 class Examined:
     """Pictures that were read, and what is to be said of them."""
 
-    images: Image  # uint8 (b, ...)
+    images: Image  # (b, ...)
     findings: tuple[Finding, ...] = ()
     without_state: bool = False  # whether it is not known where the robot stands in them
     known: Known | None = None  # beside the pictures; None where they are all
@@ -223,13 +222,11 @@ class GridArm:
     touching: tuple[tuple[NDArray[np.int64], NDArray[np.int64]], ...]
     group_spheres_m: NDArray[np.float64]  # (G, 4), each of which holds a group of spheres
     group_links: NDArray[np.int64]  # (G,) their frames
-    # (G, most) numbers of the spheres in each group, the first repeated behind the last
-    members: NDArray[np.int64]
+    members: NDArray[np.int64]  # (G, most) spheres of each group, the first repeated behind the last
     low_m: NDArray[np.float64]  # (3,) lowest corner of the grid in the base frame
     voxel_m: float
     distance_step_m: float
     no_reading: int  # code of the second channel; 0 is seen free, what is between is behind a surface
-    out_of_view: int
 
 
 class World(ABC):
@@ -240,8 +237,7 @@ class World(ABC):
     body: Body
     sensor: Sensor
     scenes: Any  # where they come from: a family, or given ones; None where nobody knows
-    # Names of a data set's arrays that hold scenes, where their geometry is known
-    scene_files: ClassVar[tuple[str, ...]]
+    scene_files: ClassVar[tuple[str, ...]]  # a data set's arrays that hold scenes
 
     @property
     def space(self) -> JointSpace:

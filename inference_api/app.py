@@ -15,7 +15,8 @@ from anyio import to_thread
 from fastapi import FastAPI
 from fastapi.middleware.cors import CORSMiddleware
 
-from cspace.bundle import Bundle, verification
+from cspace.bundle import Bundle
+from cspace.bundle.load import verify
 from inference_api.auth import ApiKeys, RequireKey
 from inference_api.kernels import SearchKernels
 from inference_api.limits import (
@@ -163,7 +164,7 @@ def _model_store(settings: ApiSettings, registry: "ModelRegistry | None") -> Mod
             settings, lambda: registry, lambda folder, digest: Bundle.load(folder, digest=digest)
         )
     uri = settings.registry_uri
-    return ModelStore(settings, cache(lambda: _mlflow(uri)) if uri else None, verification.verify)
+    return ModelStore(settings, cache(lambda: _mlflow(uri)) if uri else None, verify)
 
 
 def _mlflow(uri: str) -> "ModelRegistry":

@@ -17,7 +17,7 @@ from pydantic import ValidationError
 from pydantic.json_schema import GenerateJsonSchema
 
 from cspace.errors import InputError, ScenarioError
-from cspace.files import read_yaml, read_yaml_file
+from cspace.files import read_yaml_file
 from cspace.simulator import Problem
 from cspace.strict_json import refused
 from cspace.world import Scene, World

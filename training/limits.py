@@ -12,8 +12,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from cspace.bundle import Bundle, graphs_of, write_bundle
-from cspace.bundle.verification import load_verified
+from cspace.bundle import Bundle, graphs_of, load_verified, write_bundle
 from cspace.errors import BundleError, CspaceError, InputError
 from cspace.world import World
 from cspace.worlds import add_world_options, described_world

@@ -15,7 +15,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from cspace.bundle.verification import load_verified
+from cspace.bundle import load_verified
 from cspace.errors import CspaceError, InputError
 from services.commands import report_error
 from services.names import model_name, recorded_name

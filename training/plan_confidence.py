@@ -13,8 +13,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from cspace.bundle import Bundle
-from cspace.bundle.verification import load_verified
+from cspace.bundle import Bundle, load_verified
 from cspace.errors import BundleError, ConfigError, CspaceError, InputError
 from services.commands import report_error
 from training.clusters.calibration import (

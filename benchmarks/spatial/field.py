@@ -27,8 +27,8 @@ from scipy.ndimage import distance_transform_edt
 
 from benchmarks.command import arguments
 from benchmarks.machine import machine
+from cspace.bundle import load_verified
 from cspace.bundle.runtime import Graph
-from cspace.bundle.verification import load_verified
 from cspace.planning.paths import spaced
 from cspace.planning.search import SearchLimits, find_paths
 from cspace.simulator import Problem, ProblemRequest, Split

@@ -1,7 +1,7 @@
 """The deployable artefact: a folder of ONNX graphs with their description, sums and golden case."""
 
 from cspace.bundle.golden import GoldenCase
-from cspace.bundle.load import Bundle, graphs_of, write_bundle
+from cspace.bundle.load import Bundle, graphs_of, load_verified, write_bundle
 from cspace.bundle.samples import Belief, Encoding, Picture, SampleSet
 from cspace.bundle.spec import SCHEMA_VERSION, BundleSpec, Provenance, RandomInput
 from cspace.query import MAX_EPSILON, MAX_SEED, SampleQuery
@@ -21,5 +21,6 @@ __all__ = [
     "SampleQuery",
     "SampleSet",
     "graphs_of",
+    "load_verified",
     "write_bundle",
 ]

@@ -109,7 +109,7 @@ def check_graph(name: str, data: bytes) -> None:
 
     A graph passes if ``onnx.checker`` takes it, if it is all in its file, and if it has operators of ONNX's
     standard set alone that compute tensors from tensors. What it costs is shown by the golden case, in a
-    process with limits of time and memory (:mod:`cspace.bundle.verification`).
+    process with limits of time and memory (:func:`cspace.bundle.load_verified`).
     """
     # A second and 40 MiB, which a server does without.
     import onnx  # noqa: PLC0415

@@ -24,7 +24,7 @@ _QUERY = ("count", "seed", "epsilon_sigma", "start", "goal")
 class GoldenCase:
     """Inputs with their expected outputs; None where the model has no such thing."""
 
-    image: NDArray[np.uint8]  # uint8 (P, P, 3), or as the world's pictures are
+    image: NDArray[np.uint8]  # (P, P, 3), or as the world's pictures are
     query: SampleQuery
     mu: NDArray[np.float32]  # (L,)
     sigma: NDArray[np.float32]  # (L,)
@@ -61,18 +61,17 @@ class GoldenCase:
                 remedy="export the bundle again",
             ) from error
 
-    def compare_encoding(self, mu: NDArray[np.float32], sigma: NDArray[np.float32]) -> None:
-        """Hold a latent against the expected one."""
-        _close("mu", self.mu, mu)
-        _close("sigma", self.sigma, sigma)
-
     def compare(
         self,
+        mu: NDArray[np.float32],
+        sigma: NDArray[np.float32],
         samples: NDArray[np.float32],
         confidence: NDArray[np.float32] | None,
         space: JointSpace,
     ) -> None:
-        """Hold answers against the expected ones, circles the shorter way round."""
+        """Hold a latent and answers against the expected ones, circles the shorter way round."""
+        _close("mu", self.mu, mu)
+        _close("sigma", self.sigma, sigma)
         _close("samples", self.samples, samples, space)
         if (self.confidence is None) != (confidence is None):
             raise GoldenMismatchError("the golden case and the bundle disagree on a validity head")

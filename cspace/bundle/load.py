@@ -1,5 +1,6 @@
 """The deployable artefact: load it, verify it, sample from it, write it; no torch, no pickle."""
 
+import math
 import time
 from collections.abc import Mapping, Sequence
 from copy import copy
@@ -10,6 +11,7 @@ from typing import Any, Unpack, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from cspace import bounded
 from cspace.bundle.files import (
     ENCODER_FILE,
     GOLDEN_FILE,
@@ -22,7 +24,7 @@ from cspace.bundle.files import (
     sums_of,
 )
 from cspace.bundle.golden import GoldenCase, endpoints, scene
-from cspace.bundle.runtime import PLACES_CHUNK_ROWS, Graph, chunked, open_graphs
+from cspace.bundle.runtime import PLACES_CHUNK_ROWS, Graph, chunked, container_bytes, open_graphs
 from cspace.bundle.samples import (
     Belief,
     Encoding,
@@ -34,7 +36,7 @@ from cspace.bundle.samples import (
 )
 from cspace.bundle.sampling import Head, sampler_of
 from cspace.bundle.spec import MAP, PICTURE, WAYS, BundleSpec
-from cspace.errors import BundleIntegrityError, InputError, StorageError
+from cspace.errors import BundleError, BundleIntegrityError, InputError, StorageError
 from cspace.files import replacing
 from cspace.plan import plan
 from cspace.query import Plan, PlanQuery, QueryOptions, SampleQuery
@@ -91,7 +93,7 @@ class Bundle:
     ) -> "Bundle":
         """Read a bundle, verify its sums, schema and graphs, and replay its golden case.
 
-        A bundle of others is verified in a process of its own (:mod:`cspace.bundle.verification`).
+        A bundle of others is verified in a process of its own by :func:`load_verified`.
 
         ``digest``: that the bundle has to have; any when None. ``check``: False where the graphs of this
         digest were checked, or come with the program. ``replay``: whether the golden case is replayed; as
@@ -139,15 +141,11 @@ class Bundle:
         found = self._graphs.encoder.run({"image": pixels}, {"mu": size, "sigma": size})
         encoding = Encoding(found["mu"][0], found["sigma"][0])
         novelty = self._novelty_of(image, pixels, found["mu"])
-        made = self._map_of(pixels)
-        sensor = self.spec.world.sensor
+        graph, sensor = self._graphs.map, self.spec.world.sensor
+        made = None
+        if graph is not None:
+            made = graph.run({"image": pixels}, {"map": graph.fixed_shape("map")})["map"]
         return Picture(self.digest, image, sensor, encoding, novelty, made, read.known, read.pictures)
-
-    def _map_of(self, pixels: NDArray[np.float32]) -> NDArray[np.float32] | None:
-        graph = self._graphs.map
-        if graph is None:
-            return None
-        return graph.run({"image": pixels}, {"map": graph.fixed_shape("map")})["map"]
 
     def _novelty_of(
         self, image: NDArray[np.uint8], pixels: NDArray[np.float32], mu: NDArray[np.float32]
@@ -286,7 +284,8 @@ class Bundle:
         graph, grid = self._graphs.belief, getattr(self.spec.world.sensor, "grid", None)
         if graph is None or grid is None:
             raise InputError(
-                "the model cannot tell what it takes the scene to be", expected="one with belief.onnx"
+                "the model cannot tell what it takes the scene to be",
+                expected="a model of an arm that sees with depth cameras",
             )
         return graph, grid
 
@@ -311,8 +310,7 @@ class Bundle:
             answer = self.golden_answer(case.image, case.query)
         except InputError as error:
             raise BundleIntegrityError("the golden case does not fit its bundle", got=str(error)) from error
-        case.compare_encoding(encoding.mu, encoding.sigma)
-        case.compare(answer.samples, answer.confidence, self.spec.world.space)
+        case.compare(encoding.mu, encoding.sigma, answer.samples, answer.confidence, self.spec.world.space)
 
 
 GOLDEN_SEED = 20_240_229
@@ -327,11 +325,7 @@ _GRAPH_FILES = {file.removesuffix(".onnx"): file for file in (ENCODER_FILE, *OPT
 def write_bundle(
     folder: Path, spec: BundleSpec, graphs: Mapping[str, bytes], golden: GoldenCase | None = None
 ) -> Path:
-    """Write a bundle beside its place, load it there as any reader would, and rename it.
-
-    ``graphs``: ``encoder``, and as the description asks for ``generator``, ``validity``, ``novelty``, ``map``
-    and ``belief``, to ONNX bytes. ``golden``: computed from a fixed picture and seed when None.
-    """
+    """Write a bundle beside its place, load it there as any reader would, and rename it."""
     folder = Path(folder)
     contents = {SPEC_FILE: spec.to_json(), **{_GRAPH_FILES[name]: data for name, data in graphs.items()}}
     contents[GOLDEN_FILE] = (golden or _compute_golden(folder, contents)).to_npz()
@@ -358,3 +352,40 @@ def _compute_golden(folder: Path, contents: Mapping[str, bytes]) -> GoldenCase:
     query = SampleQuery(GOLDEN_COUNT, GOLDEN_SEED, GOLDEN_EPSILON, start, goal, min_confidence=0.0)
     encoding, answer = bundle.encode(image), bundle.golden_answer(image, query)
     return GoldenCase(image, query, encoding.mu, encoding.sigma, answer.samples, answer.confidence)
+
+
+# A bundle's graphs may compute for hours or eat memory, and neither can be interrupted within a process.
+VERIFY_S = 30.0
+# Beyond what the worker holds with its libraries; in a container at most this share of its limit.
+MEMORY_BYTES, CONTAINER_SHARE = 2**30, 0.25
+
+
+def verify(folder: Path, digest: str | None = None, limit_s: float = VERIFY_S) -> str:
+    """The digest of a bundle whose sums, digest, graphs and golden case hold in a worker process."""
+    limits = bounded.Limits(memory_bytes(), math.ceil(limit_s), limit_s)
+    found: str = bounded.call(
+        checked_digest,
+        str(folder.absolute()),
+        digest,
+        limits=limits,
+        what="the bundle",
+        error=BundleError,
+        remedy="export it again",
+    )
+    return found
+
+
+def checked_digest(folder: str, digest: str | None) -> str:
+    """The digest of a bundle that loads with all checks; to be called in a worker."""
+    return Bundle.load(Path(folder), digest=digest).digest
+
+
+def load_verified(folder: Path, digest: str | None = None) -> Bundle:
+    """Verify a bundle in a worker process, then open it here."""
+    return Bundle.load(folder, digest=verify(folder, digest), check=False)
+
+
+def memory_bytes() -> int:
+    """What a worker may take beyond its libraries."""
+    container = container_bytes()
+    return MEMORY_BYTES if container is None else min(MEMORY_BYTES, int(container * CONTAINER_SHARE))

@@ -32,10 +32,8 @@ class Picture:
     image: NDArray[np.uint8]  # uint8, decoded
     sensor: Sensor
     encoding: Encoding
-    # How unlike the training scenarios it is, 0 to 1; None for a bundle that does not tell
-    novelty: float | None = None
-    # Float32, what the bundle's map graph makes of it; None for a bundle without
-    map: NDArray[np.float32] | None = None
+    novelty: float | None = None  # 0 to 1, how unlike the training scenarios it is, where a bundle tells
+    map: NDArray[np.float32] | None = None  # what the bundle's map graph makes of it, where it has one
     known: Known | None = None
     pictures: int = 1
 
@@ -57,7 +55,7 @@ class Belief:
 
     low_m: tuple[float, float, float]
     cell_m: float
-    # Float32 (X, Y, Z), the probability that a ball of the cell's width in its middle touches something
+    # (X, Y, Z), the probability that a ball of the cell's width in its middle touches something
     occupied: NDArray[np.float32]
 
 
@@ -75,12 +73,12 @@ class ProposalCounts:
 class Sampled:
     """What a sampler gives."""
 
-    samples: NDArray[np.float32]  # float32 (n', d) rad
-    # Float32 (n', k), the validity head's confidence, then the unseen share where it gives that; no columns
+    samples: NDArray[np.float32]  # (n', d) rad
+    # (n', k), the validity head's confidence, then the unseen share where it gives that; no columns
     # where the head was not asked
     scores: NDArray[np.float32]
     acceptance: float = 1.0
-    ways: NDArray[np.int64] | None = None  # int64 (n',), see :class:`SampleSet`
+    ways: NDArray[np.int64] | None = None  # (n',), see :class:`SampleSet`
     proposals: ProposalCounts | None = None
 
     def only(self, kept: NDArray[np.bool_]) -> "Sampled":
@@ -93,18 +91,14 @@ class Sampled:
 class SampleSet:
     """Configurations for one picture."""
 
-    # Float32 (n', d) rad, circles in [-pi, pi), others within their limits, as real numbers
-    samples: NDArray[np.float32]
-    confidence: NDArray[np.float32] | None  # float32 (n',), None without a validity head
+    samples: NDArray[np.float32]  # (n', d) rad, circles in [-pi, pi), others within their limits
+    confidence: NDArray[np.float32] | None  # (n',), None without a validity head
     shortfall: int
     acceptance: float  # share of what was drawn that reached the confidence asked for; 1 where none was
     encode_ms: float  # time in the encoder; 0 for a picture that was prepared
     generate_ms: float
-    # Float32 (n',), share of the robot where no picture shows what is there; None where that is not told
-    unseen: NDArray[np.float32] | None = None
-    # Int64 (n',), the path that each sample lies along, 0 for the one with the lowest cost; None for samples
-    # that do not lie along paths
-    ways: NDArray[np.int64] | None = None
+    unseen: NDArray[np.float32] | None = None  # (n',), share of the robot that no picture shows
+    ways: NDArray[np.int64] | None = None  # (n',), the path that each sample lies along, 0 for the best
     proposals: ProposalCounts | None = None  # by kind; None for samples along paths
 
 

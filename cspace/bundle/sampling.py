@@ -124,7 +124,7 @@ class RandomNumbers:
 
     latents: NDArray[np.float32]  # z = mu + (sigma + epsilon) * eta, float32 (m, L)
     random_inputs: dict[str, NDArray[np.float32]]  # name to float32 (m, *shape)
-    kept: NDArray[np.bool_]  # bool (m, K), which samples of each latent belong to the answer
+    kept: NDArray[np.bool_]  # (m, K), which samples of each latent belong to the answer
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,8 +132,8 @@ class Proposals:
     """Which samples of a turn are uniform, and these."""
 
     learned: list[int]
-    uniform: NDArray[np.bool_]  # bool (m,), the samples in their order
-    angles: NDArray[np.float32]  # float32 (u, d) rad, the uniform ones
+    uniform: NDArray[np.bool_]  # (m,), the samples in their order
+    angles: NDArray[np.float32]  # (u, d) rad, the uniform ones
 
     def mixed_with(self, learned: NDArray[np.float32]) -> NDArray[np.float32]:
         """All samples (m, d) in their order, from (m - u, d) generated ones."""

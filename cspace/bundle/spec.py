@@ -11,7 +11,7 @@ from pydantic import Field, PositiveInt
 from cspace.bundle.files import SPEC_FILE
 from cspace.errors import BundleIntegrityError
 from cspace.space import Standardisation
-from cspace.strict_json import Share, adapter_of, json_text, parse_json, read_object, validated
+from cspace.strict_json import Share, adapter_of, json_text, read_json, read_object, validated
 from cspace.view_file import MAX_PICTURES
 from cspace.worlds import WorldField
 
@@ -32,8 +32,7 @@ class RandomInput:
     """One random input of the generator graph, drawn for every latent."""
 
     name: Annotated[str, Field(min_length=1)]
-    # `uniform` in [low, high) or `normal` with mean 0 and variance 1
-    distribution: Literal["uniform", "normal"]
+    distribution: Literal["uniform", "normal"]  # in [low, high), or of mean 0 and variance 1
     shape: tuple[PositiveInt, ...]
     low: float | None = None  # lower end of a uniform input, None for a normal one
     high: float | None = None  # upper end of a uniform input, None for a normal one
@@ -67,8 +66,7 @@ class Provenance:
 class BundleSpec:
     """The contract between a bundle's graphs and whoever samples from them."""
 
-    # Whose configurations are sampled, and how it is seen; its pixels are the encoder's input size
-    world: WorldField
+    world: WorldField  # its pixels are the encoder's input size
     latent_dim: PositiveInt
     # `configuration` (free configurations) or `path` (conditioned on start and goal)
     kind: Literal["configuration", "path"] = "configuration"
@@ -76,17 +74,12 @@ class BundleSpec:
     # that searches and has no such graph
     model_kind: ModelKind = "generator"
     looks_at_picture: bool = False  # whether the generator takes the picture itself beside its latent
-    # Whether it takes what the map graph makes of the picture, once for all its requests
-    looks_at_map: bool = False
+    looks_at_map: bool = False  # whether it takes what the map graph makes of the picture
     samples_per_latent: PositiveInt = 1
-    # What the generator takes beside the latent, in the order in which it is drawn
-    random_inputs: tuple[RandomInput, ...] = ()
-    # Of the angles inside the graph, for information; the graph's output is in rad
-    standardisation: Standardisation | None = None
-    # The validity head's threshold that training recommends, None without one
-    confidence_threshold: Share | None = None
-    # For each score of the novelty graph its rising quantiles over known pictures; None without one
-    novelty_quantiles: _Quantiles | None = None
+    random_inputs: tuple[RandomInput, ...] = ()  # beside the latent, in the order of the draws
+    standardisation: Standardisation | None = None  # of the angles inside the graph, for information
+    confidence_threshold: Share | None = None  # that training recommends for the validity head
+    novelty_quantiles: _Quantiles | None = None  # rising, over known pictures, for each score
     # (a, b) for one picture, for two and so on, the last for more: a path of cost D is free with exp(-exp(a +
     # b log D)), b above 0; see :mod:`cspace.planning`. None for (0, 1).
     plan_calibration: (
@@ -182,13 +175,7 @@ _LOOKS = {"looks_at_picture": PICTURE, "looks_at_map": MAP}
 
 def _members(data: bytes) -> dict[str, Any]:
     """The members of a description without the version of its schema."""
-    try:
-        values: Any = parse_json(data)
-    except ValueError as error:
-        raise BundleIntegrityError(
-            "the bundle's description is not JSON", expected="UTF-8 JSON", got=str(error)[:200]
-        ) from error
-    members = read_object(dict[str, Any], values, SPEC_FILE, BundleIntegrityError)
+    members = read_json(data, SPEC_FILE, BundleIntegrityError)
     if (version := members.pop("schema_version", None)) != SCHEMA_VERSION:
         raise BundleIntegrityError(
             "the bundle's schema is another",

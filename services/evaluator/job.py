@@ -11,8 +11,7 @@ from typing import Any, cast
 
 import pandas as pd
 
-from cspace.bundle import Bundle
-from cspace.bundle.verification import load_verified
+from cspace.bundle import Bundle, load_verified
 from cspace.dataset import open_dataset
 from cspace.errors import (
     BundleError,

@@ -22,11 +22,10 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from cspace.bundle import Bundle
+from cspace.bundle import Bundle, load_verified
 from cspace.bundle.files import GOLDEN_FILE
 from cspace.bundle.golden import GoldenCase
 from cspace.bundle.load import graphs_of, write_bundle
-from cspace.bundle.verification import load_verified
 from cspace.errors import ConfigError, CspaceError, EvaluationError, InputError, ModelNotFoundError
 from cspace.planning.calibration import fit_calibration
 from cspace.planning.cost import confidence_of_cost

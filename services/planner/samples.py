@@ -8,9 +8,8 @@ from typing import Protocol, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.bundle import Bundle
+from cspace.bundle import Bundle, load_verified
 from cspace.bundle.samples import fitted
-from cspace.bundle.verification import load_verified
 from cspace.errors import BundleError, InputError, SamplerError, SamplerUnavailableError, ServiceError
 from cspace.query import MAX_SAMPLES, QueryOptions, SampleQuery, random_seed
 from cspace.world import Examined

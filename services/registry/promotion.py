@@ -16,9 +16,9 @@ from pathlib import Path
 
 from pydantic import TypeAdapter, ValidationError
 
+from cspace.bundle import load_verified
 from cspace.bundle.files import read_files
 from cspace.bundle.spec import BundleSpec
-from cspace.bundle.verification import load_verified
 from cspace.errors import BundleIntegrityError, ConfigError, ModelNotFoundError, RegistryError
 from cspace.worlds import robot_digest
 from services.names import (

@@ -13,7 +13,7 @@ import pytest
 from cspace import bounded
 from cspace.bundle import Bundle
 from cspace.bundle.files import read_files
-from cspace.bundle.verification import load_verified, verify
+from cspace.bundle.load import load_verified, verify
 from cspace.errors import (
     BundleError,
     BundleIntegrityError,
@@ -72,7 +72,7 @@ def test_a_bundle_that_takes_memory_takes_none_of_this_process(tmp_path: Path) -
 PARENT = """
 import os, sys, threading
 from pathlib import Path
-from cspace.bundle.verification import verify
+from cspace.bundle.load import verify
 threading.Timer(2.0, os._exit, (7,)).start()
 verify(Path(sys.argv[1]), limit_s=600.0)
 """

@@ -10,7 +10,6 @@ from cspace.bundle import Bundle, write_bundle
 from cspace.bundle.files import SPEC_FILE, SUMS_FILE, sums_of
 from cspace.errors import BundleIntegrityError, GoldenMismatchError, InputError
 from cspace.planning.paths import STEP_RAD
-from cspace.planning.search import FoundPaths
 from cspace.simulator import Split
 from cspace.worlds import examples, seen_checkers, simulator_of
 from tests.bundles import picture, tiny_graphs, tiny_spec, write_tiny_bundle
@@ -74,15 +73,6 @@ def test_a_confidence_to_reach_drops_samples_and_keeps_the_order_of_ways(bundle,
     assert np.all(found.confidence >= np.float32(least))
     assert 0.0 < found.acceptance < 1.0
     assert len(found.ways) == len(found.samples) == 200 - found.shortfall
-
-
-def test_where_no_way_is_found_there_are_no_samples(bundle, problem, monkeypatch):
-    def nothing(*args, **kwargs):
-        return FoundPaths([], late=False, checker=None)
-
-    monkeypatch.setattr("cspace.plan.find_paths", nothing)
-    found = bundle.sample(picture(1), 30, 7, **ends(problem))
-    assert (found.samples.shape, found.shortfall, found.ways.shape) == ((0, 2), 30, (0,))
 
 
 def test_both_ends_are_needed(bundle, problem):

@@ -108,10 +108,8 @@ def test_what_rounding_moved_beyond_a_limit_is_taken_as_the_limit(rows):
     ("row", "limits", "value"),
     [
         ([2.8975, 0.0], "shoulder from -2.9671 to 2.8973 rad", "shoulder at 2.8975 rad"),
-        ([-90.0, 0.0], "shoulder from", "shoulder at -90 rad"),
         ([0.0, 90.0], "wrist from -18.849556 to 18.849556 rad, three turns", "wrist at 90 rad"),
         ([np.nan, 0.0], "shoulder from", "shoulder at nan rad"),
-        ([0.0, np.inf], "wrist from", "wrist at inf rad"),
     ],
 )
 def test_what_lies_outside_is_refused_by_its_joints_name(row, limits, value):

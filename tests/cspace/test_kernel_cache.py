@@ -58,15 +58,6 @@ def test_kernels_are_read_where_nothing_can_be_written_and_the_others_stay_in_me
 
 
 @pytest.mark.slow
-def test_a_kernel_that_a_full_disk_cut_off_is_compiled_again(folder: Path) -> None:
-    kernels = folder / "kernels"
-    call(folder, kernels)
-    for saved in (*kernels.rglob("*.nbc"), *kernels.rglob("*.nbi")):
-        saved.write_bytes(saved.read_bytes()[:20])
-    assert call(folder, kernels) == [2, 0, 2]
-
-
-@pytest.mark.slow
 def test_kernels_that_a_factory_makes_are_found_again_by_the_kernels_that_they_hold(folder: Path) -> None:
     kernels = folder / "kernels"
     (folder / "outer.py").write_text(

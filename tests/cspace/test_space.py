@@ -12,13 +12,10 @@ from cspace.space import (
     Standardisation,
     circles,
     difference,
-    embed,
-    unembed,
     wrap,
 )
 
 any_angle = st.floats(-1e4, 1e4)
-pairs = arrays(np.float64, (4, 2), elements=any_angle)
 MIXED = JointSpace((-pi, -1.0), (pi, 2.0), (True, False))
 
 
@@ -35,11 +32,6 @@ def test_distance_goes_the_shorter_way_round():
     assert circles(2).distance([0.0, 0.0], [3.0, 4.0]) == pytest.approx(sqrt(9.0 + (2 * pi - 4.0) ** 2))
     assert difference(3.0, -3.0) == pytest.approx(2 * pi - 6.0)
     assert difference(-3.0, 3.0) == pytest.approx(6.0 - 2 * pi)
-
-
-@given(pairs)
-def test_embedding_and_back_is_wrapping(angles):
-    np.testing.assert_allclose(circles(2).distance(unembed(embed(angles)), angles), 0.0, atol=1e-8)
 
 
 def test_limited_joints_neither_wrap_nor_go_round():

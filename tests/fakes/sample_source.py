@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from cspace.errors import SamplerError, SamplerUnavailableError
 from cspace.files import encode_png
 from cspace.query import MAX_SAMPLES, SampleQuery
-from cspace.space import to_float32
+from cspace.space import circles
 from services.planner.samples import Picture, SampleBatch, SampleSource
 
 MODEL = "pretrained"
@@ -53,7 +53,8 @@ class FakeSampleSource(SampleSource):
         if query.start is not None or query.goal is not None:
             raise SamplerError("A field is wrong", expected="no start and goal for a model of configurations")
         rng = np.random.default_rng(query.seed)
-        samples = to_float32(self.draw(rng, query.n))
+        drawn = self.draw(rng, query.n)
+        samples = circles(drawn.shape[1]).to_float32(drawn)
         confidence = rng.random(query.n, dtype=np.float32)
         passed = confidence >= (query.min_confidence or 0.0)
         kept = samples[passed]

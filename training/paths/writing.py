@@ -5,10 +5,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from cspace.bundle import Bundle, BundleSpec, RandomInput, write_bundle
+from cspace.bundle import Bundle, BundleSpec, RandomInput, load_verified, write_bundle
 from cspace.bundle.files import ENCODER_FILE, MAP_FILE, NOVELTY_FILE, VALIDITY_FILE
 from cspace.bundle.spec import WAYS
-from cspace.bundle.verification import load_verified
 from cspace.errors import BundleError, ConfigError
 from services.registry.entities import ModelReference
 from services.registry.models import ModelRegistry

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, StrictBool
 
 from cspace.errors import ScenarioError
-from cspace.space import MAX_LIMIT_RAD, MIN_RANGE_RAD, JointSpace
+from cspace.space import MIN_RANGE_RAD, JointSpace, is_range
 from cspace.strict_json import Record, read_object, validated, written
 from cspace.world import Levers
 from cspace.worlds.planar.camera import Camera, Length
@@ -22,24 +22,15 @@ class PlanarArm(Record):
 
     link_lengths_m: Annotated[tuple[Length, ...], Field(min_length=1)] = (2.0, 2.0)
     half_width_m: Length = 0.1
-    # None when all joints are circles; else per joint None or (low, high), at any turn
-    joint_limits_rad: JointLimits | None = None
+    joint_limits_rad: JointLimits | None = None  # (low, high), at any turn; None for circles
     # Whether capsules of links that are not neighbours collide with each other
     self_collision: Annotated[StrictBool, Field(exclude_if=lambda collides: not collides)] = False
 
     def __post_init__(self) -> None:
-        self._check_limits()
-        self._check_self_collision()
-
-    def _check_limits(self) -> None:
-        limits = self.joint_limits_rad
-        if limits is None:
-            return
-        if len(limits) != self.dim or not all(lim is None or _is_range(*lim) for lim in limits):
+        limits = self.joint_limits_rad or (None,) * self.dim
+        if len(limits) != self.dim or not all(lim is None or is_range(*lim) for lim in limits):
             expected = f"{self.dim} entries, each None or low < high, {MIN_RANGE_RAD} rad or more"
             raise ScenarioError("the joint limits do not fit", expected=expected, got=str(limits))
-
-    def _check_self_collision(self) -> None:
         width_m = 2.0 * self.half_width_m
         if self.self_collision and min(self.link_lengths_m[1:-1], default=np.inf) <= width_m:
             raise ScenarioError(
@@ -89,10 +80,6 @@ class PlanarArm(Record):
         return read_object(cls, members, "the robot", ScenarioError)
 
 
-def _is_range(low: float, high: float) -> bool:
-    return -MAX_LIMIT_RAD <= low < high <= MAX_LIMIT_RAD and high - low >= MIN_RANGE_RAD
-
-
 def link_offsets_m(joints: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:
     """From the nearest point on each link's axis (k, d + 1, 2) m to places (n, 2) m, (k, d, n, 2) m."""
     begins = joints[:, :-1, None]
@@ -133,14 +120,6 @@ def _reaches(
     beside = np.zeros_like(along)
     for link in range(links):
         along[:link, link] = lengths[:link, None, None]
-        along[link, link] = lengths[link] * _shares(points_per_link)
+        along[link, link] = lengths[link] * np.linspace(0.0, 1.0, points_per_link, dtype=np.float32)
         beside[link, link] = sides[:, None]
     return along.reshape(links, -1), beside.reshape(links, -1)
-
-
-def _shares(count: int) -> NDArray[np.float32]:
-    """0 to 1 in equal steps, from both ends in single precision."""
-    index = np.arange(count, dtype=np.float32)
-    step = np.float32(1.0) / np.float32(max(1, count - 1))
-    from_end = np.float32(1.0) - step * (np.float32(count - 1) - index)
-    return np.where(index < count // 2, step * index, from_end) if count > 1 else np.zeros(1, np.float32)

@@ -1,6 +1,5 @@
 """The camera above the plane: untrusted PNG bytes to RGB arrays, and these to network input."""
 
-from collections.abc import Iterator
 from itertools import pairwise
 from typing import Annotated, Any
 
@@ -58,7 +57,9 @@ def _average(picture: Image.Image, pixels: int, check_cancelled: CheckCancelled 
     side = picture.width
     weights = _overlap(side, pixels)
     rows = np.empty((pixels, side, 3), dtype=np.float32)
-    for left, right in _bands(side, _BAND):
+    # In widths about equal: a narrow rest might round otherwise.
+    count = -(-side // _BAND)
+    for left, right in pairwise(side * index // count for index in range(count + 1)):
         band = _to_rgb(picture.crop((left, 0, right, side))).astype(np.float32)
         rows[:, left:right] = np.tensordot(weights, band, axes=(1, 0))
         if check_cancelled is not None:
@@ -66,12 +67,6 @@ def _average(picture: Image.Image, pixels: int, check_cancelled: CheckCancelled 
     both: NDArray[np.float32] = np.tensordot(weights, rows, axes=(1, 1)).transpose(1, 0, 2)
     rounded = np.clip(np.floor(both + np.float32(0.5)), 0, 255)
     return np.asarray(rounded, dtype=np.uint8)
-
-
-def _bands(side: int, width: int) -> Iterator[tuple[int, int]]:
-    """First columns and those behind the last, in widths about equal: a narrow rest might round otherwise."""
-    count = -(-side // width)
-    return pairwise(side * index // count for index in range(count + 1))
 
 
 def _overlap(source: int, target: int) -> NDArray[Any]:

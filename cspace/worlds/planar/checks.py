@@ -85,8 +85,7 @@ class SceneArrays(NamedTuple):
     links: NDArray[np.float64]  # (d,) m
     half_width: float  # m
     discs: NDArray[np.float64]  # (D, 3) x, y, radius, m
-    # (K, 2) links that collide with each other; None where none do, which loses no time on it
-    pairs: NDArray[np.int64] | None
+    pairs: NDArray[np.int64] | None  # (K, 2) links that collide with each other; None saves the time
     lower: NDArray[np.float64]  # (d,) rad
     upper: NDArray[np.float64]  # (d,) rad
     periodic: NDArray[np.bool_]  # (d,) which joints are circles

@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property, lru_cache
@@ -16,7 +16,6 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 
 from cspace.errors import ScenarioError
 from cspace.simulator import NARROW, UNIFORM, Problem, Split, scenario_rng
-from cspace.space import JointSpace
 from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
 from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.scenes import DiscScenes, Scenes
@@ -35,26 +34,6 @@ def distance_to_false(
     found = ndimage.distance_transform_edt(wide, sampling=spacing)
     own = tuple(slice(one, one + size) for one, size in zip(beside, inside.shape, strict=True))
     return np.asarray(found[own], dtype=np.float64)
-
-
-def spacing(space: JointSpace, cells: tuple[int, ...]) -> NDArray[np.float64]:
-    """Size of a cell along each joint, (d,) rad."""
-    return np.asarray(np.subtract(space.upper, space.lower) / cells, dtype=np.float64)
-
-
-def centres(space: JointSpace, cells: tuple[int, ...]) -> NDArray[np.float64]:
-    """The centres of all cells in their order, (n, d) rad."""
-    index = np.stack(np.meshgrid(*map(np.arange, cells), indexing="ij"), axis=-1).reshape(-1, len(cells))
-    return np.asarray(np.asarray(space.lower) + (index + 0.5) * spacing(space, cells))
-
-
-def cells_of(
-    space: JointSpace, cells: tuple[int, ...], configurations: ArrayLike
-) -> tuple[NDArray[np.int64], ...]:
-    """The cells that hold configurations (..., d) rad, or are nearest, as an index: d arrays (...)."""
-    offset = (space.wrap(configurations) - np.asarray(space.lower)) / spacing(space, cells)
-    found: NDArray[np.int64] = np.clip(np.floor(offset).astype(np.int64), 0, np.asarray(cells) - 1)
-    return tuple(np.moveaxis(found, -1, 0))
 
 
 # Cells a joint for two joints; more joints get as many cells in all.
@@ -77,13 +56,21 @@ class FreeGrid:
     @cached_property
     def spacing_rad(self) -> NDArray[np.float64]:
         """Size of a cell along each joint, (d,)."""
-        return spacing(self.scenario.robot.space, self._shape)
+        space = self.scenario.robot.space
+        return np.subtract(space.upper, space.lower) / self.cells
+
+    @cached_property
+    def centres(self) -> NDArray[np.float64]:
+        """The centres of all cells in their order, (n, d) rad."""
+        index = np.stack(np.meshgrid(*[np.arange(self.cells)] * self.scenario.robot.dim, indexing="ij"), -1)
+        at = index.reshape(-1, self.scenario.robot.dim) + 0.5
+        return np.asarray(np.asarray(self.scenario.robot.space.lower) + at * self.spacing_rad)
 
     @cached_property
     def free(self) -> NDArray[np.bool_]:
         """Which cells are free, (cells,) * d."""
-        points = centres(self.scenario.robot.space, self._shape)
-        return np.reshape(CollisionChecker(self.scenario).valid_batch(points), self._shape)
+        found = CollisionChecker(self.scenario).valid_batch(self.centres)
+        return np.reshape(found, (self.cells,) * self.scenario.robot.dim)
 
     @cached_property
     def touching(self) -> NDArray[np.int64]:
@@ -96,8 +83,10 @@ class FreeGrid:
         return distance_to_false(self.free, self.spacing_rad, self.scenario.robot.space.periodic)
 
     def cells_of(self, configurations: ArrayLike) -> tuple[NDArray[np.int64], ...]:
-        """The cells that hold configurations (..., d) rad, as an index: d arrays (...)."""
-        return cells_of(self.scenario.robot.space, self._shape, configurations)
+        """The cells that hold configurations (..., d) rad, or are nearest, as an index: d arrays (...)."""
+        space = self.scenario.robot.space
+        at = np.floor((space.wrap(configurations) - np.asarray(space.lower)) / self.spacing_rad)
+        return tuple(np.moveaxis(np.clip(at.astype(np.int64), 0, self.cells - 1), -1, 0))
 
     def cell_of(self, configuration: ArrayLike) -> tuple[int, ...]:
         """The cell that holds a configuration (d,) rad."""
@@ -111,11 +100,9 @@ class FreeGrid:
         labels, count = ndimage.label(inside, structure)
         return self._close_seams(np.asarray(labels, dtype=np.int64), int(count), diagonal=diagonal)
 
-    def joined(
-        self, start: ArrayLike, goal: ArrayLike, above_rad: float = 0.0, *, diagonal: bool = False
-    ) -> bool:
+    def joined(self, start: ArrayLike, goal: ArrayLike, above_rad: float = 0.0) -> bool:
         """Whether two configurations lie in one component; False when either's cell is outside."""
-        labels = self.components(above_rad, diagonal=diagonal)
+        labels = self.components(above_rad)
         first, second = labels[self.cell_of(start)], labels[self.cell_of(goal)]
         return bool(first == second and first > 0)
 
@@ -130,10 +117,6 @@ class FreeGrid:
             middle = (low + high) / 2.0
             low, high = (middle, high) if self.joined(start, goal, middle) else (low, middle)
         return low
-
-    @property
-    def _shape(self) -> tuple[int, ...]:
-        return (self.cells,) * self.scenario.robot.dim
 
     def _close_seams(self, labels: NDArray[np.int64], count: int, *, diagonal: bool) -> NDArray[np.int64]:
         pairs = [np.empty((2, 0), dtype=np.int64)]
@@ -190,18 +173,12 @@ class PathFinder:
             if parents[cells[-1]] < 0:
                 return None
             cells.append(int(parents[cells[-1]]))
-        corners = centres(self._space, shape)[cells[1:-1]]
-        return shortcut(np.concatenate([[first], corners, [last]]), self._edges_free)
-
-    def _edges_free(self, starts: NDArray[np.float64], ends: NDArray[np.float64]) -> NDArray[np.bool_]:
-        return self._checker.edge_batch(starts, ends, RESOLUTION_RAD)
+        corners = self._grid.centres[cells[1:-1]]
+        return _shortcut(np.concatenate([[first], corners, [last]]), self._checker)
 
 
 def _graph(grid: FreeGrid) -> Any:
-    """Free cells and their neighbours, those that touch in a corner too, by the cost of the way between them.
-
-    A rad costs 1 where the clearance is beyond :data:`MARGIN_RAD`, up to 2 at contact.
-    """
+    """Free cells and their neighbours by the cost of the way between: a rad costs 1 to 2, by clearance."""
     near = 1.0 + np.maximum(0.0, 1.0 - grid.clearance_rad / MARGIN_RAD)
     wraps, shape = grid.scenario.robot.space.periodic, grid.free.shape
     numbers, axes = np.arange(near.size).reshape(shape), tuple(range(near.ndim))
@@ -221,19 +198,12 @@ def _graph(grid: FreeGrid) -> Any:
     return coo_array((values, (rows, columns)), shape=(near.size, near.size)).tocsr()
 
 
-def shortcut(
-    path: NDArray[np.float64],
-    edges_free: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.bool_]],
-) -> NDArray[np.float64] | None:
-    """The path without the corners that are not needed, from the start on always to the farthest in sight.
-
-    ``path``: (k, d) rad. ``edges_free``: (n, d) and (n, d) to which edges are free, (n,). Returns (k', d)
-    rad, every edge of which is free; None where a corner has no free edge to any after it.
-    """
+def _shortcut(path: NDArray[np.float64], checker: CollisionChecker) -> NDArray[np.float64] | None:
+    """The path (k, d) rad, from the start on always to the farthest corner that a free edge leads to."""
     kept, at = [0], 0
     while at < len(path) - 1:
         ahead = path[at + 1 :]
-        free = edges_free(np.broadcast_to(path[at], ahead.shape), ahead)
+        free = checker.edge_batch(np.broadcast_to(path[at], ahead.shape), ahead, RESOLUTION_RAD)
         if not free.any():
             return None
         at += 1 + int(np.flatnonzero(free)[-1])
@@ -348,12 +318,8 @@ def _sides(
 
 def resolves_narrow(robot: PlanarArm) -> bool:
     """Whether a robot's grid is as fine as narrow passages."""
-    return _cell_rad(robot) <= NARROW_RAD[1]
-
-
-def _cell_rad(robot: PlanarArm) -> float:
-    widest_rad = float(np.max(np.subtract(robot.space.upper, robot.space.lower)))
-    return widest_rad / cells_per_joint(robot.dim)
+    widest_rad = np.max(np.subtract(robot.space.upper, robot.space.lower))
+    return bool(widest_rad / cells_per_joint(robot.dim) <= NARROW_RAD[1])
 
 
 def require_resolution(robot: PlanarArm) -> None:

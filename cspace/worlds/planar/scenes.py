@@ -9,7 +9,7 @@ from pydantic import Field
 
 from cspace.errors import InputError, ScenarioError
 from cspace.simulator import Split
-from cspace.strict_json import Record, parse_json, read_object, validated
+from cspace.strict_json import Record, read_json, read_object, validated
 from cspace.world import CheckCancelled, Contact
 from cspace.worlds.planar.arm import PlanarArm, link_offsets_m
 from cspace.worlds.planar.camera import Camera, Length, Place
@@ -149,16 +149,13 @@ class KnownDiscs:
     arm: PlanarArm
     names: tuple[str, ...]
     discs: NDArray[np.float64]  # (D, 3) x, y, radius in m
-    seen: NDArray[np.uint8]  # uint8 (P, P, 3), what the picture shows beside them
+    seen: NDArray[np.uint8]  # (P, P, 3), what the picture shows beside them
 
     @classmethod
     def read(cls, text: bytes, arm: PlanarArm, seen: NDArray[np.uint8]) -> "KnownDiscs":
         """Of JSON: ``scene`` lists ``name`` and ``disc``, which has ``x_m``, ``y_m`` and ``radius_m``."""
-        try:
-            values = parse_json(text)
-        except ValueError as problem:
-            raise InputError(f"{_WHERE} is not JSON", expected="JSON", got=str(problem)[:200]) from problem
-        if isinstance(values, dict) and (others := ", ".join(sorted(set(values) - {"scene"}))[:200]):
+        values = read_json(text, _WHERE, InputError)
+        if others := ", ".join(sorted(set(values) - {"scene"}))[:200]:
             raise InputError(
                 f"the planar world takes no {others}",
                 expected="scene alone, of discs with names",

@@ -119,37 +119,6 @@ def render(scenario: Scenario) -> NDArray[np.uint8]:
     return picture
 
 
-def draw_discs(axes: Any, scenario: Scenario, colour: str) -> None:
-    """The discs, in the camera's frame."""
-    for x_m, y_m, radius_m in scenario.disc_array:
-        axes.add_patch(Circle((x_m, y_m), radius_m, facecolor=colour, edgecolor="none", zorder=1))
-    left, right, bottom, top = scenario.camera.extent_m
-    axes.set_xlim(left, right)
-    axes.set_ylim(bottom, top)
-    axes.set_aspect("equal")
-    axes.set_xlabel("x (m)")
-    axes.set_ylabel("y (m)")
-
-
-def draw_arm(axes: Any, robot: PlanarArm, configuration: ArrayLike, colour: str, order: int) -> None:
-    """The links at a configuration (d,) rad."""
-    for base, tip in pairwise(robot.joint_positions_m(configuration)[0]):
-        outline = capsule_outline(base, tip, robot.half_width_m)
-        axes.add_patch(
-            Polygon(outline, closed=True, facecolor=colour, edgecolor="white", linewidth=0.4, zorder=order)
-        )
-
-
-def capsule_outline(
-    base: NDArray[np.float64], tip: NDArray[np.float64], half_width_m: float, points: int = 12
-) -> NDArray[np.float64]:
-    """The outline of a capsule between two points (2,), (2 points, 2) m."""
-    heading = np.arctan2(tip[1] - base[1], tip[0] - base[0])
-    turn = np.linspace(-np.pi / 2.0, np.pi / 2.0, points)
-    round_tip = np.stack([np.cos(heading + turn), np.sin(heading + turn)], axis=-1)
-    return np.concatenate([tip + half_width_m * round_tip, base - half_width_m * round_tip])
-
-
 _NOTE = (
     "Those of the family narrow have a passage whose middle is 0.03 to 0.08 rad from collision, those of "
     "disconnected a free space in parts."
@@ -172,12 +141,7 @@ class PlanarSimulator(Simulator):
 
     @property
     def measures(self) -> Measures:
-        """Measured with two links; others have the same.
-
-        A margin is about ten times the spread between training seeds for precision and coverage, twice for
-        EDr, and six of sixty problems for planning success; the factor by which checks are saved is known to
-        about a third.
-        """
+        """Measured with two links; margins are beyond the spread between training seeds."""
         return Measures(
             coverage_radius_rad=0.2,
             near_contact_m=0.1,
@@ -266,11 +230,21 @@ class PlanarSimulator(Simulator):
 
     def draw_scene(self, axes: Any, scene: Scene, colour: str) -> None:
         """Discs in the camera's frame."""
-        draw_discs(axes, cast("Scenario", scene), colour)
+        scenario = cast("Scenario", scene)
+        for x_m, y_m, radius_m in scenario.disc_array:
+            axes.add_patch(Circle((x_m, y_m), radius_m, facecolor=colour, edgecolor="none", zorder=1))
+        left, right, bottom, top = scenario.camera.extent_m
+        axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xlabel="x (m)", ylabel="y (m)")
 
     def draw_robot(self, axes: Any, configuration: ArrayLike, colour: str, order: int) -> None:
         """Links as capsules."""
-        draw_arm(axes, self.world.body, configuration, colour, order)
+        arm, turn = self.world.body, np.linspace(-np.pi / 2.0, np.pi / 2.0, 12)
+        for base, tip in pairwise(arm.joint_positions_m(configuration)[0]):
+            heading = np.arctan2(tip[1] - base[1], tip[0] - base[0])
+            cap = arm.half_width_m * np.stack([np.cos(heading + turn), np.sin(heading + turn)], axis=-1)
+            outline = Polygon(np.concatenate([tip + cap, base - cap]), facecolor=colour, edgecolor="white")
+            outline.set(linewidth=0.4, zorder=order)
+            axes.add_patch(outline)
 
     def drawn_joints_m(self, configurations: ArrayLike) -> NDArray[np.float64]:
         """In the arm's plane."""

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from cspace.errors import ScenarioError
-from cspace.space import MAX_LIMIT_RAD, MIN_RANGE_RAD, JointSpace
+from cspace.space import JointSpace, is_range
 from cspace.strict_json import LEFT_OUT, Record, read_object, validated, written
 from cspace.worlds.spatial.poses import MAX_OFFSET_M, SAME, Frame, Offset, Vector, moved, turn
 
@@ -37,7 +37,7 @@ class Joint:
             raise ScenarioError(
                 f"the axis of joint {self.name} does not fit", expected="a unit vector", got=str(self.axis)
             )
-        if (limits := self.limits_rad) is not None and not _is_range(*limits):
+        if (limits := self.limits_rad) is not None and not is_range(*limits):
             raise ScenarioError(
                 f"the limits of joint {self.name} do not fit", expected="low < high, rad", got=str(limits)
             )
@@ -53,10 +53,6 @@ class Part:
     # Spheres stick out of what they cover, so two parts touch where spheres overlap by more than the sum of
     # both values. If one part has None, they touch as soon as spheres do.
     overlap_m: Annotated[float | None, Field(ge=0.0, le=MAX_OVERLAP_M), LEFT_OUT] = None
-
-
-def _is_range(low: float, high: float) -> bool:
-    return -MAX_LIMIT_RAD <= low < high <= MAX_LIMIT_RAD and high - low >= MIN_RANGE_RAD
 
 
 KIND = "serial_arm"
@@ -83,8 +79,18 @@ class SerialArm(Record):
             names = [one.name for one in named]
             if len(set(names)) != len(names):
                 raise ScenarioError(f"the arm's {what} do not fit", expected="a name each", got=str(names))
-        self._check_parts()
-        self._check_pairs()
+        astray = [part.name for part in self.parts if not 0 <= part.link <= self.dim]
+        if astray or self.sphere_count > MAX_SPHERES:
+            raise ScenarioError(
+                "the arm's parts do not fit",
+                expected=f"at most {MAX_SPHERES} spheres",
+                got=f"{self.sphere_count}; on no link: {astray}",
+            )
+        links = {part.name: part.link for part in self.parts}
+        pairs = [tuple(sorted(pair)) for pair in self.touching]
+        wrong = [pair for pair in pairs if not set(pair) <= set(links) or links[pair[0]] == links[pair[1]]]
+        if wrong or len(set(pairs)) != len(pairs):
+            raise ScenarioError("the pairs of parts that can touch do not fit", got=str(wrong or pairs)[:200])
         ready = self.ready_rad
         if ready is not None:
             object.__setattr__(self, "ready_rad", self._waiting(ready))
@@ -98,23 +104,6 @@ class SerialArm(Record):
         if len(ready_rad) != self.dim:
             raise ScenarioError(what, expected=f"{self.dim} angles", got=str(ready_rad))
         return tuple(self.space.admitted(ready_rad, what, ScenarioError).tolist())
-
-    def _check_parts(self) -> None:
-        astray = [part.name for part in self.parts if not 0 <= part.link <= self.dim]
-        count = sum(len(part.spheres_m) for part in self.parts)
-        if astray or count > MAX_SPHERES:
-            raise ScenarioError(
-                "the arm's parts do not fit",
-                expected=f"at most {MAX_SPHERES} spheres",
-                got=f"{count}; on no link: {astray}",
-            )
-
-    def _check_pairs(self) -> None:
-        links = {part.name: part.link for part in self.parts}
-        pairs = [tuple(sorted(pair)) for pair in self.touching]
-        wrong = [pair for pair in pairs if not set(pair) <= set(links) or links[pair[0]] == links[pair[1]]]
-        if wrong or len(set(pairs)) != len(pairs):
-            raise ScenarioError("the pairs of parts that can touch do not fit", got=str(wrong or pairs)[:200])
 
     @property
     def dim(self) -> int:
@@ -270,10 +259,7 @@ Sets = tuple[tuple[NDArray[np.int64], NDArray[np.int64]], ...]
 
 
 def touching_sets(arm: SerialArm) -> Sets:
-    """Pairs of sets of spheres, each of numbers (a,) and (b,), all of whose pairs can touch.
-
-    Parts that can touch the same others are in one set, so that each pair of spheres is in one pair of sets.
-    """
+    """Pairs of sets of spheres, numbers (a,) and (b,), all of whose pairs can touch; each pair is in one."""
     ranges = zip(arm.parts, arm.sphere_ranges().tolist(), strict=True)
     own = {part.name: np.arange(*span) for part, span in ranges}
     partners = {name: tuple(sorted(b for a, b in arm.touching if a == name)) for name in own}
@@ -292,8 +278,7 @@ class Grouping:
     """Groups of an arm's S spheres, G of them, in the order of the parts."""
 
     links: NDArray[np.int64]  # (G,) the link of each group
-    # (G, 4) centre in the link's frame and radius of a sphere that holds the group
-    spheres_m: NDArray[np.float64]
+    spheres_m: NDArray[np.float64]  # (G, 4) in the link's frame, each of which holds a group
     groups: NDArray[np.int64]  # (S,) the group of each of the arm's spheres
 
     @property

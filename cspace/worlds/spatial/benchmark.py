@@ -164,11 +164,7 @@ class SpatialPartlySeen:
         return len(NUMBERS[split]) if family.startswith(PREFIX) else None
 
     def problem(self, request: ProblemRequest, family: str, index: int, pictures: int) -> Problem | None:
-        """See :func:`from_both_sides`; the arm waits at the start.
-
-        That of MotionBenchMaker's problems has the wider limits of the benchmark. What it holds, see
-        :func:`in_hand`, is with it at the start and ends at the goal where the problem has it.
-        """
+        """A problem, seen in so many pictures; None where an end collides or nothing in reach is seen."""
         world = with_benchmark_limits(self.world) if family.startswith(PREFIX) else self.world
         layout, start, goal, number = _found(world, request, family, index)
         ends = np.array([start, goal])
@@ -238,11 +234,7 @@ def body_of(name: str, shape: Box | Cylinder) -> Body:
 def in_hand(
     arm: SerialArm, obstacles: Obstacles, goal: NDArray[np.float64]
 ) -> tuple[Obstacles, PlanningScene]:
-    """Obstacles without what the tool grasps at a goal (d,) rad; a planner that knows this and the table.
-
-    Grasped is the obstacle nearest to the tool, attached as it stands there; the table is the box with the
-    largest level face.
-    """
+    """Obstacles without the nearest to the tool at a goal (d,) rad, which the arm holds; and the table."""
     tool = arm.tool_frames(goal[None])[0]
     grasped = min(obstacles.shapes, key=lambda one: float(distance_m(Obstacles.of([one]), tool[:3, 3])))
     body = body_of("grasped", grasped)

@@ -27,8 +27,7 @@ class BodyArrays(NamedTuple):
     boxes: NDArray[np.float64]  # (B, 16), see :class:`cspace.worlds.spatial.obstacles.ObstacleArrays`
     cylinders: NDArray[np.float64]  # (C, 15), likewise
     spheres: NDArray[np.float64]  # (Q, 4) centres and radii, m
-    # (T, 3, 3) of all triangles in the base frame, m, in the order of the trees' leaves
-    corners: NDArray[np.float64]
+    corners: NDArray[np.float64]  # (T, 3, 3) of all triangles, m, in the order of the trees' leaves
     lows: NDArray[np.float64]  # (M, 3) lowest corner of each node's box
     highs: NDArray[np.float64]  # (M, 3) highest corner
     rights: NDArray[np.int64]  # (M,) the second child, the first is the next node; -1 of a leaf

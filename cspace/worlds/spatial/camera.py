@@ -121,11 +121,7 @@ def looking(from_m: ArrayLike, at_m: ArrayLike, roll_rad: float = 0.0) -> NDArra
 
 
 def camera_place(focus_m: ArrayLike, side_rad: float, up_rad: float, away_m: float) -> NDArray[np.float64]:
-    """Where a camera is, (3,) m in the base frame.
-
-    ``focus_m``: (3,) what it looks at. ``side_rad``: angle on the ground from the line to the base to the
-    line to the camera, left of it above 0. ``up_rad``: above the focus's level. ``away_m``: from the focus.
-    """
+    """Where a camera is, (3,) m, that looks at a focus from a side of the line to the base and from above."""
     focus = np.asarray(focus_m, dtype=np.float64)
     bearing = np.arctan2(-focus[1], -focus[0]) + side_rad
     level = np.cos(up_rad)
@@ -191,11 +187,7 @@ class _CameraInfo(BaseModel):
 
 
 def read_pinhole(values: object, shape: tuple[int, ...]) -> tuple[DepthCamera, tuple[float, ...]]:
-    """The camera of a picture of a shape (H, W), of plain values, and the distortion of its lens.
-
-    ``values``: ``fx, fy, cx, cy`` in pixels, or ``camera_info``, ROS's message as a mapping or a text; with
-    ``pose``, and ``frame`` where the pose is of the camera's body.
-    """
+    """Camera and distortion of a picture (H, W), of ``fx, fy, cx, cy`` or ``camera_info``, with ``pose``."""
     members = values if isinstance(values, Mapping) else {}
     keys = {_INFO, "pose"} if _INFO in members else {*PINHOLE, "pose"}
     missing, unknown = sorted(keys - set(members)), sorted(map(str, set(members) - keys - {"frame"}))

@@ -15,6 +15,7 @@ from cspace.worlds.spatial.distances import (
     NOTHING,
     DistanceGrid,
     box_distance,
+    clearance_m,
     cylinder_distance,
     distance_grid,
     grid_clearance,
@@ -22,7 +23,6 @@ from cspace.worlds.spatial.distances import (
     is_beyond,
     make_room,
     point_distance,
-    sets_are_free,
 )
 from cspace.worlds.spatial.kinematics import (
     ArmArrays,
@@ -196,22 +196,17 @@ def group_hits(
     arm: SerialArm, obstacles: Obstacles, configurations: ArrayLike, groups: int
 ) -> NDArray[np.bool_]:
     """Which groups of spheres touch an obstacle at (N, d) rad, (N, G); without those that stand still."""
-    found, radii, stood = grouped(arm, groups), arm.spheres_m()[:, 3], obstacles.arrays
+    found, radii = grouped(arm, groups), arm.spheres_m()[:, 3]
     rows = np.ascontiguousarray(configurations, dtype=np.float64)
     centres = sphere_centres_batch(rows, arm_arrays(arm))
     moving = np.flatnonzero(found.links > 0)
     round_groups = moved(arm.link_frames(rows)[:, found.links], found.spheres_m[:, :3])
-
-    def are_hit(spheres: NDArray[np.float64], own: NDArray[np.float64]) -> NDArray[np.bool_]:
-        held = np.ascontiguousarray(spheres)
-        return np.asarray(~sets_are_free(held, own.copy(), stood.boxes, stood.cylinders))
-
     hits = np.zeros((len(rows), len(moving)), dtype=np.bool_)
     for column, number in enumerate(moving):
         # Few of the spheres that hold a group are near anything.
-        perhaps = are_hit(round_groups[:, number, None], found.spheres_m[number, 3:])
+        near = clearance_m(obstacles, round_groups[:, number, None], found.spheres_m[number, 3:]) <= 0.0
         members = np.flatnonzero(found.groups == number)
-        hits[perhaps, column] = are_hit(centres[perhaps][:, members], radii[members])
+        hits[near, column] = clearance_m(obstacles, centres[near][:, members], radii[members]) <= 0.0
     return hits
 
 

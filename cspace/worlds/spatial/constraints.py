@@ -1,22 +1,20 @@
 """What a request asks of the tool: a pose at the goal, and an axis that stays near a direction all along."""
 
-import json
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from cspace.errors import InputError
 from cspace.simulator import Checker
 from cspace.space import JointSpace
-from cspace.strict_json import adapter_of, refused, validated
+from cspace.strict_json import read_object, validated
 from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.kinematics import Solving, aligned, solve_pose
 from cspace.worlds.spatial.poses import nearest_rotation, read_pose
 
-Kind = TypeVar("Kind")
 _Direction = tuple[float, float, float]
 _Angle = Annotated[float, Field(ge=1e-3, le=np.pi)]
 # Uniform configurations from which a pose is solved, and how exactly at first.
@@ -59,12 +57,12 @@ class ToolConstraints:
     ) -> None:
         self._arm = arm
         if goal_pose is not None:
-            self._goal = _read(GoalPose, goal_pose, "goal_pose")
+            self._goal = read_object(GoalPose, dict(goal_pose), "goal_pose", InputError)
             self._pose = np.array(read_pose(self._goal.pose, "goal_pose", InputError))
             # Written with few digits, it is one but for rounding.
             self._pose[:3, :3] = nearest_rotation(self._pose[:3, :3])
         if upright is not None:
-            bound = _read(Upright, upright, "upright")
+            bound = read_object(Upright, dict(upright), "upright", InputError)
             # Largest angle of the axis.
             self.max_rad = bound.max_rad
             # Of the last link, which the tool does not move against.
@@ -174,15 +172,6 @@ class _UprightChecker(Checker):
         axis, up = self._row[:3], self._row[3:6]
         turned = aligned(self._arm, configuration[None], axis, up, self._aligned_rad, self.space)
         return np.asarray(turned[0])
-
-
-def _read(kind: type[Kind], values: Mapping[str, Any], what: str) -> Kind:
-    try:
-        text = json.dumps(dict(values), default=repr)
-        found: Kind = adapter_of(kind).validate_json(text, strict=True)  # type: ignore[arg-type] # every class is hashable
-    except ValidationError as problem:
-        raise refused(problem, InputError, what) from problem
-    return found
 
 
 def _unit(what: str, direction: _Direction) -> NDArray[np.float64]:

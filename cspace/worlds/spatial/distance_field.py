@@ -190,10 +190,7 @@ def _spread(
     scale: np.float32,
     check_cancelled: CheckCancelled,
 ) -> None:
-    """Let every voxel have the least key of the points in the cells that are near to its centre.
-
-    Keys are squared distances in the upper bits and numbers of points in the lower.
-    """
+    """Let every voxel have the least key near it: squared distance in the upper bits, number in the lower."""
     pad = _pad(limit)
     cell = np.floor(points).astype(np.int64)
     inside = points - cell

@@ -66,31 +66,6 @@ def points_distance(points, boxes, cylinders):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def set_is_free(centres, radii, boxes, cylinders):  # type: ignore[no-untyped-def]
-    """Whether no sphere of (S, 3), (S,) touches an obstacle; stops at the first that does."""
-    for at in range(centres.shape[0]):
-        x, y, z, radius = centres[at, 0], centres[at, 1], centres[at, 2], radii[at]
-        for index in range(boxes.shape[0]):
-            row = boxes[index]
-            if not is_beyond(x, y, z, row, radius) and box_distance(x, y, z, row) <= radius:
-                return False
-        for index in range(cylinders.shape[0]):
-            row = cylinders[index]
-            if not is_beyond(x, y, z, row, radius) and cylinder_distance(x, y, z, row) <= radius:
-                return False
-    return True
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def sets_are_free(centres, radii, boxes, cylinders):  # type: ignore[no-untyped-def]
-    """The same of many sets (N, S, 3) with the same radii (S,), (N,) bool."""
-    out = np.empty(centres.shape[0], dtype=np.bool_)
-    for at in range(centres.shape[0]):
-        out[at] = set_is_free(centres[at], radii, boxes, cylinders)
-    return out
-
-
 def distance_m(obstacles: Obstacles, points_m: ArrayLike) -> NDArray[np.float64]:
     """Signed distance of points (..., 3) m to the nearest obstacle, (...) m; inf where there is none."""
     points = np.asarray(points_m, dtype=np.float64)
@@ -108,8 +83,7 @@ def clearance_m(obstacles: Obstacles, centres_m: ArrayLike, radii_m: ArrayLike) 
 class DistanceGrid(NamedTuple):
     """Signed distances at the centres of voxels, as the kernels take them."""
 
-    # (X, Y, Z) m, cut off at `farthest`; without voxels there is nothing anywhere
-    values: NDArray[np.float32]
+    values: NDArray[np.float32]  # (X, Y, Z) m, cut off at `farthest`; nothing without voxels
     low: NDArray[np.float64]  # (3,) lowest corner in the base frame, m
     voxel: float  # side of a voxel, m
     farthest: float  # what stands for all that is farther away, m

@@ -89,11 +89,7 @@ def within(span: Range, margin: float) -> Range:
 def standing(
     rng: np.random.Generator, count: int, x: Range, y: Range, ground_m: float, tallest_m: float
 ) -> tuple[Box | Cylinder, ...]:
-    """Upright boxes, plates and cylinders whose centres are within a rectangle, on its ground.
-
-    ``x``: extent of the rectangle, m. ``y``: extent of the rectangle, m. ``tallest_m``: above the ground;
-    with less than 5 cm nothing stands there.
-    """
+    """Upright boxes, plates and cylinders on the ground of a rectangle, none that has less than 5 cm."""
     found: list[Box | Cylinder] = []
     for _ in range(count if tallest_m >= 0.05 else 0):
         high = rng.uniform(0.04, min(tallest_m, 0.45))

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from cspace.kernel_cache import njit
 from cspace.planning.kernels import gap
 from cspace.space import JointSpace
-from cspace.worlds.spatial.arm import Part, SerialArm
+from cspace.worlds.spatial.arm import SerialArm
 
 
 class ArmArrays(NamedTuple):
@@ -29,15 +29,24 @@ class ArmArrays(NamedTuple):
     overlaps: NDArray[np.float64]  # (K,) m, by which the spheres of a pair may overlap
 
 
+@lru_cache(maxsize=16)
+def _joints(arm: SerialArm) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Frames (d, 4, 4) and axes (d, 3) of an arm's joints."""
+    origins = np.stack([joint.origin.matrix() for joint in arm.joints])
+    return origins, np.asarray([joint.axis for joint in arm.joints])
+
+
 def arm_arrays(arm: SerialArm) -> ArmArrays:
     """The arrays of an arm."""
     spheres = arm.spheres_m()
     numbers = {part.name: index for index, part in enumerate(arm.parts)}
     pairs = [(numbers[first], numbers[second]) for first, second in arm.touching]
     bounds = [_bound(np.asarray(part.spheres_m)) for part in arm.parts]
+    origins, axes = _joints(arm)
+    overlaps: list[Any] = [part.overlap_m for part in arm.parts]
     return ArmArrays(
-        origins=np.stack([joint.origin.matrix() for joint in arm.joints]),
-        axes=np.asarray([joint.axis for joint in arm.joints]),
+        origins=origins,
+        axes=axes,
         links=arm.sphere_links(),
         centres=np.ascontiguousarray(spheres[:, :3]),
         radii=np.ascontiguousarray(spheres[:, 3]),
@@ -46,14 +55,10 @@ def arm_arrays(arm: SerialArm) -> ArmArrays:
         bound_centres=np.asarray([centre for centre, _ in bounds]).reshape(-1, 3),
         bound_radii=np.asarray([radius for _, radius in bounds], dtype=np.float64),
         pairs=np.asarray(pairs, dtype=np.int64).reshape(-1, 2),
-        overlaps=np.asarray([_overlap_m(arm.parts[i], arm.parts[j]) for i, j in pairs], dtype=np.float64),
+        overlaps=np.asarray(
+            [0.0 if None in (overlaps[i], overlaps[j]) else overlaps[i] + overlaps[j] for i, j in pairs]
+        ),
     )
-
-
-def _overlap_m(first: Part, second: Part) -> float:
-    if first.overlap_m is None or second.overlap_m is None:
-        return 0.0
-    return first.overlap_m + second.overlap_m
 
 
 def _bound(spheres: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
@@ -159,8 +164,7 @@ class Solving:
     starts: int = 16
     iterations: int = 60
     place_m: float = 0.001
-    # Largest angle between the tool's rotation, or its z axis, and what is asked for
-    turn_rad: float = 0.0174
+    turn_rad: float = 0.0174  # largest angle between the tool's rotation, or z axis, and its goal's
     distinct_rad: float = 0.1
 
 
@@ -231,13 +235,6 @@ def limit_arrays(space: JointSpace) -> tuple[NDArray[np.float64], NDArray[np.flo
     """Lower and upper ends of the joints' ranges, (d,) rad, and which joints are circles."""
     lower, upper = (np.asarray(ends, dtype=np.float64) for ends in (space.lower, space.upper))
     return lower, upper, np.asarray(space.periodic, dtype=np.bool_)
-
-
-@lru_cache(maxsize=16)
-def _joints(arm: SerialArm) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Frames (d, 4, 4) and axes (d, 3) of an arm's joints."""
-    origins = np.stack([joint.origin.matrix() for joint in arm.joints])
-    return origins, np.asarray([joint.axis for joint in arm.joints])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

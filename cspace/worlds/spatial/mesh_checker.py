@@ -25,8 +25,7 @@ class Description:
     urdf: Path  # the file; packages that its meshes are named in are looked for in the folders above it
     locked: Mapping[str, float] = field(default_factory=dict)  # values of joints that do not move, rad or m
     packages: tuple[Path, ...] = ()
-    # Take meshes that are convex as solids, which is quicker; others are surfaces, hollow inside
-    convex: bool = True
+    convex: bool = True  # take convex meshes as solids, which is quicker than as hollow surfaces
 
 
 class RobotMeshes:

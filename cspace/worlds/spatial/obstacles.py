@@ -47,8 +47,7 @@ class ObstacleArrays:
     # (B, 16): centre 3, rotation 9 (row by row, its columns are the box's axes), half sizes 3, radius of the
     # sphere round it
     boxes: NDArray[np.float64]
-    # (C, 15): centre 3, rotation 9, radius, half length, radius of the sphere round it
-    cylinders: NDArray[np.float64]
+    cylinders: NDArray[np.float64]  # (C, 15): centre, rotation, radius, half length, sphere's radius
 
 
 @validated(ScenarioError)

@@ -24,10 +24,8 @@ MAX_PLACE_M = 100.0
 
 
 def check_pose(pose: Pose, what: str, error: type[CspaceError] = ScenarioError) -> None:
-    """Refuse rows that are no pose: of 4 x 4 finite numbers, a rotation, and a place within 100 m."""
-    matrix = _matrix(pose)
-    if matrix is None:
-        raise error(f"{what} has no pose", expected="4 x 4 finite numbers", got=repr(pose)[:200])
+    """Refuse 4 x 4 finite numbers that are no rotation and a place within 100 m."""
+    matrix = np.array(pose)
     turn, place = matrix[:3, :3], matrix[:3, 3]
     # Before any product, which could overflow.
     bounded = np.abs(turn).max() <= 1.0 + _ROTATION_TOLERANCE
@@ -147,14 +145,6 @@ def turn_deg(rotation: NDArray[np.float64]) -> float:
     return float(np.degrees(np.arccos(np.clip((np.trace(rotation) - 1.0) / 2.0, -1.0, 1.0))))
 
 
-def _matrix(pose: Any) -> NDArray[np.float64] | None:
-    try:
-        matrix = np.asarray(pose, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        return None
-    return matrix if matrix.shape == (4, 4) and np.isfinite(matrix).all() else None
-
-
 # Of one transform of a robot, m.
 MAX_OFFSET_M = 100.0
 Offset = Annotated[float, Field(ge=-MAX_OFFSET_M, le=MAX_OFFSET_M)]
@@ -167,8 +157,7 @@ class Frame:
     """A frame in its parent's."""
 
     xyz_m: tuple[Offset, Offset, Offset] = (0.0, 0.0, 0.0)  # its origin
-    # Roll, pitch and yaw about the parent's fixed x, y and z axes, in this order, as in URDF
-    rpy_rad: tuple[Offset, Offset, Offset] = (0.0, 0.0, 0.0)
+    rpy_rad: tuple[Offset, Offset, Offset] = (0.0, 0.0, 0.0)  # about the parent's fixed axes, as in URDF
 
     def matrix(self) -> NDArray[np.float64]:
         """(4, 4), from this frame's coordinates to its parent's."""

@@ -41,11 +41,7 @@ def find_path(
     rng: np.random.Generator,
     limits: PathLimits = PathLimits(),
 ) -> NDArray[np.float64] | None:
-    """A short free path, or None where none is found.
-
-    ``start``: (d,) rad, the first row of the path, circles in [-pi, pi). ``goal``: (d,) rad, likewise the
-    last row. Returns (k, d) rad, every edge free at 0.01 rad; the straight path where it is free.
-    """
+    """A short path (k, d) rad between free (d,), every edge free at 0.01 rad; None where none is found."""
     if not (checker.valid(start) and checker.valid(goal)):
         return None
     ends = checker.space.wrap(np.stack([np.asarray(one, dtype=np.float64) for one in (start, goal)]))

@@ -2,10 +2,10 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
 
 from cspace.kernel_cache import njit
 from cspace.worlds.spatial.camera import DepthCamera
@@ -190,70 +190,60 @@ _STEEP_RAD = np.radians(60.0)
 _LARGEST_HOLE = 0.65
 
 
-class DropOut(NamedTuple):
-    """Pixels without a reading."""
-
-    jump_m: float = 0.03
-    at_jumps: float = 0.4
-    anywhere: float = 0.002
-
-    def lost(self, rng: np.random.Generator, depth_m: Depth) -> NDArray[np.bool_]:
-        """Which pixels of an exact picture (H, W) m lose their reading."""
-        shares = np.where(beside_jumps(depth_m, self.jump_m), self.at_jumps, self.anywhere)
-        return np.asarray(rng.random(depth_m.shape) < shares)
+# Shares of the pixels without a reading: beside depths that jump by so much, and anywhere.
+_JUMP_M, _LOST_AT_JUMPS, _LOST_ANYWHERE = 0.03, 0.4, 0.002
+_CROSS = ndimage.generate_binary_structure(2, 1)
 
 
-_DROP_OUT = DropOut()
+def _lost(rng: np.random.Generator, depth_m: Depth) -> NDArray[np.bool_]:
+    """Which pixels of an exact picture (H, W) m lose their reading; what reads nothing is infinitely far."""
+    far = np.where(depth_m > 0.0, depth_m, np.inf)
+    high = ndimage.maximum_filter(far, footprint=_CROSS, mode="nearest")
+    low = ndimage.minimum_filter(far, footprint=_CROSS, mode="nearest")
+    with np.errstate(invalid="ignore"):
+        jumps = (high - far >= _JUMP_M) | (far - low >= _JUMP_M)
+    shares = np.where(jumps & np.isfinite(far), _LOST_AT_JUMPS, _LOST_ANYWHERE)
+    return np.asarray(rng.random(depth_m.shape) < shares)
 
 
-def structured_light(
-    rng: np.random.Generator, depth_m: Depth, camera: DepthCamera, drop_out: DropOut = _DROP_OUT
-) -> Depth:
+def structured_light(rng: np.random.Generator, depth_m: Depth, camera: DepthCamera) -> Depth:
     """Axial and lateral noise of the first Kinect: it grows with the depth and the surface's angle."""
     angle = np.minimum(incidence_rad(depth_m, camera), _STEEPEST_RAD)
-    lost = drop_out.lost(rng, depth_m)
+    lost = _lost(rng, depth_m)
     moved = shifted(rng, depth_m, lateral_sigma_px(angle))
     return _read(moved + rng.normal(size=depth_m.shape) * axial_sigma_m(moved, angle), moved, lost)
 
 
 # Of the sensor with disparities, whatever the picture's size: focal length in pixels, baseline between
-# projector and sensor in m, parts of a pixel that it reads, and sigma of the place at which it reads, pixels.
-_FOCAL_PX, _BASELINE_M, _PARTS, _LATERAL_PX = 480.0, 0.075, 8, 0.5
+# projector and sensor in m, parts of a pixel that it reads, sigma in these, and that of the place in pixels.
+_FOCAL_PX, _BASELINE_M, _PARTS, _SIGMA_PARTS, _LATERAL_PX = 480.0, 0.075, 8, 1.0 / 6.0, 0.5
 
 
-def disparity(
-    rng: np.random.Generator,
-    depth_m: Depth,
-    camera: DepthCamera,
-    drop_out: DropOut = _DROP_OUT,
-    sigma_parts: float = 1.0 / 6.0,
-) -> Depth:
+def disparity(rng: np.random.Generator, depth_m: Depth, camera: DepthCamera) -> Depth:
     """The hard case: a depth that is read from a disparity in whole eighths of a pixel."""
     del camera
-    lost = drop_out.lost(rng, depth_m)
+    lost = _lost(rng, depth_m)
     moved = shifted(rng, depth_m, np.full(depth_m.shape, _LATERAL_PX))
     scale = _FOCAL_PX * _BASELINE_M * _PARTS
     exact = np.divide(scale, moved, out=np.zeros(moved.shape), where=moved > 0.0)
-    whole = np.floor(exact + rng.normal(size=depth_m.shape) * sigma_parts + 0.5)
+    whole = np.floor(exact + rng.normal(size=depth_m.shape) * _SIGMA_PARTS + 0.5)
     read = np.divide(scale, whole, out=np.zeros(moved.shape), where=whole >= 1.0)
     return _read(read, moved, lost)
 
 
 # Of a stereo camera: f in pixels, B in m, s of the disparity in pixels.
 _STEREO_FOCAL_PX, _STEREO_BASELINE_M, _STEREO_SIGMA_PX = 424.0, 0.05, 0.08
+_KERNEL = np.exp(-0.5 * np.arange(-3, 4) ** 2)
+# By which a Gaussian filter of a pixel keeps the variance of white noise.
+_WHITE_GAIN = _KERNEL.sum() ** 2 / (_KERNEL**2).sum()
 
 
-def stereo(
-    rng: np.random.Generator,
-    depth_m: Depth,
-    camera: DepthCamera,
-    drop_out: DropOut = _DROP_OUT,
-    smooth_px: float = 1.0,
-) -> Depth:
-    """A stereo camera: a sigma of z^2 s / (f B), whose errors are smooth over ``smooth_px``."""
+def stereo(rng: np.random.Generator, depth_m: Depth, camera: DepthCamera) -> Depth:
+    """A stereo camera: a sigma of z^2 s / (f B), whose errors are smooth over a pixel."""
     del camera
-    lost = drop_out.lost(rng, depth_m)
-    errors = _smooth(rng.normal(size=depth_m.shape), smooth_px)
+    lost = _lost(rng, depth_m)
+    white = rng.normal(size=depth_m.shape)
+    errors = ndimage.gaussian_filter(white, 1.0, mode="wrap", truncate=3.0) * _WHITE_GAIN
     sigma = depth_m.astype(np.float64) ** 2 * _STEREO_SIGMA_PX / (_STEREO_FOCAL_PX * _STEREO_BASELINE_M)
     return _read(depth_m + errors * sigma, depth_m, lost)
 
@@ -294,21 +284,6 @@ def incidence_rad(depth_m: Depth, camera: DepthCamera) -> NDArray[np.float64]:
     return np.asarray(np.arccos(np.clip(cosine, 0.0, 1.0)))
 
 
-def beside_jumps(depth_m: Depth, jump_m: float) -> NDArray[np.bool_]:
-    """Which pixels (H, W) read something and have one of four neighbours nearer or farther by ``jump_m``."""
-    read = depth_m > 0.0
-    far = np.where(read, depth_m, np.inf)
-    found = np.zeros(depth_m.shape, dtype=np.bool_)
-    for axis in (0, 1):
-        ahead, behind = np.moveaxis(far, axis, 0)[1:], np.moveaxis(far, axis, 0)[:-1]
-        with np.errstate(invalid="ignore"):
-            jumps = np.abs(ahead - behind) >= jump_m
-        view = np.moveaxis(found, axis, 0)
-        view[1:] |= jumps
-        view[:-1] |= jumps
-    return found & read
-
-
 def shifted(rng: np.random.Generator, depth_m: Depth, sigma_px: NDArray[np.float64]) -> Depth:
     """Every pixel reads the pixel nearest to a place that is off by a normal draw in both directions."""
     height, width = depth_m.shape
@@ -331,21 +306,6 @@ def _slope(points: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
     after, before = np.concatenate((steps, none), axis), np.concatenate((none, steps), axis)
     change_after, change_before = (np.abs(np.nan_to_num(one[..., 2], nan=np.inf)) for one in (after, before))
     return np.nan_to_num(np.where((change_after <= change_before)[..., None], after, before))
-
-
-def _smooth(values: NDArray[np.float64], sigma_px: float) -> NDArray[np.float64]:
-    """A Gaussian filter that keeps the variance of white noise."""
-    if sigma_px == 0.0:
-        return values
-    reach = int(np.ceil(3.0 * sigma_px))
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma_px) ** 2)
-    kernel /= np.linalg.norm(kernel)
-    for axis in (0, 1):
-        padded = np.pad(np.moveaxis(values, axis, 0), ((reach, reach), (0, 0)), mode="wrap")
-        count = values.shape[axis]
-        summed = sum(weight * padded[at : at + count] for at, weight in enumerate(kernel))
-        values = np.moveaxis(np.asarray(summed), 0, axis)
-    return values
 
 
 def holed(rng: np.random.Generator, depth_m: Depth) -> Depth:

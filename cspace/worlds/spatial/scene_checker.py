@@ -149,11 +149,7 @@ class SceneChecker:
     def contact(
         self, configuration: NDArray[np.floating], image: NDArray[np.uint8], grid: GridBox
     ) -> Contact | None:
-        """What is in the way of a configuration (d,) rad: known, of the arm, seen or unseen, in this order.
-
-        ``image``: (X, Y, Z, 2), what the pictures show. None where nothing touches and all of the arm
-        is in space that was seen free.
-        """
+        """What is in the way of a configuration (d,) rad: known, the arm, seen or unseen, or None."""
         centres = self.arm.sphere_centres_m([configuration])[0]
         return (
             self._known_contact(centres) or self._self_contact(centres) or self._unfree(centres, image, grid)

@@ -229,8 +229,7 @@ class SpatialScene:
     world: SpatialWorld
     obstacles: Obstacles
     cameras: tuple[DepthCamera, ...]
-    # (d,) rad, where the arm is while it is looked at; None where it is in no picture
-    state: tuple[float, ...] | None = None
+    state: tuple[float, ...] | None = None  # (d,) rad; None where the arm is in no picture
     noise: str | None = None  # one of :data:`cspace.worlds.spatial.sensor.NOISES`, or None for exact pictures
     noise_seed: int = 0
     regions: tuple[GoalRegion, ...] = ()

@@ -144,12 +144,9 @@ class DepthSensor(Record):
 
     grid: GridBox
     views: CameraViews = field(default_factory=CameraViews)
-    # Of these, some of :data:`NOISES`, one of them a scene; none for exact pictures
-    noise: tuple[Noise, ...] = NOISES
+    noise: tuple[Noise, ...] = NOISES  # of which a scene has one; none for exact pictures
     arm_hides: Literal[True] = True
-    # Share of the pictures of scenes in which rectangles read nothing, as black and shiny things do; a head
-    # that knows none takes whatever read nothing for the sky
-    holes: Share = 0.3
+    holes: Share = 0.3  # of pictures, that have rectangles without readings, as black things do
 
     @property
     def pixels(self) -> int:

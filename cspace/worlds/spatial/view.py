@@ -5,7 +5,7 @@ import json
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,14 +45,10 @@ States = State | tuple[State | None, ...] | None
 class DepthView:
     """Depth pictures of one scene."""
 
-    # One to four, (H, W) uint16 mm along the optical axis, 0 = no reading
-    pictures: tuple[NDArray[np.uint16], ...]
+    pictures: tuple[NDArray[np.uint16], ...]  # 1 to 4, (H, W) mm along the optical axis, 0 = no reading
     cameras: tuple[DepthCamera, ...]
-    # (d,) rad, where the arm was when they were taken; None where it is in no picture; or one or the other
-    # for each picture
-    state: States = None
-    # Numbers of the pictures whose cameras came with a pose in the frame of a link; here it is in the base's
-    on_link: tuple[int, ...] = ()
+    state: States = None  # (d,) rad, of all pictures or of each; None where the arm is in none
+    on_link: tuple[int, ...] = ()  # of which pictures the cameras came with a pose in a link's frame
     known: PlanningScene | None = None  # of the scene beside the pictures; None without anything
 
     @property
@@ -61,15 +57,7 @@ class DepthView:
         return _for_each(self.state, len(self.pictures))
 
     def __post_init__(self) -> None:
-        check_counts(len(self.pictures), len(self.cameras))
-        _for_each(self.state, len(self.pictures))
-        for picture, camera in zip(self.pictures, self.cameras, strict=True):
-            if picture.shape != camera.picture_shape or picture.dtype != np.uint16:
-                raise ImageError(
-                    "the depth picture does not fit its camera",
-                    expected=f"uint16 {camera.picture_shape}",
-                    got=f"{picture.dtype} {picture.shape}",
-                )
+        for picture in self.pictures:
             if not in_range(picture).any():
                 read = picture[picture > 0]
                 raise ImageError(
@@ -82,7 +70,10 @@ class DepthView:
 
 def write_view(view: DepthView) -> bytes:
     """The view file of a view."""
-    cameras = [_camera_values(camera) for camera in view.cameras]
+    kept = (*PINHOLE, "pose")
+    cameras = [
+        {name: value for name, value in camera.to_dict().items() if name in kept} for camera in view.cameras
+    ]
     known = None if view.known is None else json.dumps(view.known.to_dict()).encode()
     return pack_view([encode_depth(picture) for picture in view.pictures], cameras, view.state, known=known)
 
@@ -110,7 +101,7 @@ def read_view(data: bytes | View, arm: SerialArm, check_cancelled: CheckCancelle
         camera, distortion = read_pinhole(values, pictures[number].shape)
         pictures[number] = undistorted(pictures[number], camera, distortion, check_cancelled)
         cameras.append(camera)
-    on_link = tuple(number for number, values in enumerate(given) if _is_on_link(values))
+    on_link = tuple(at for at, values in enumerate(given) if isinstance(values, Mapping) and _LINK in values)
     return DepthView(tuple(pictures), tuple(cameras), state, on_link, known)
 
 
@@ -125,10 +116,6 @@ def cameras_in_base(cameras: Sequence[object], state: States, arm: SerialArm) ->
     """Cameras of plain values; one whose ``link`` names a frame of the arm gets its pose in the base."""
     states = _for_each(state, len(cameras))
     return [_in_base(*one, arm) for one in zip(range(len(cameras)), cameras, states, strict=True)]
-
-
-def _is_on_link(camera: object) -> bool:
-    return isinstance(camera, Mapping) and _LINK in camera
 
 
 def _in_base(number: int, camera: object, state: State | None, arm: SerialArm) -> object:
@@ -188,10 +175,6 @@ def _configuration(values: object, space: JointSpace) -> State | None:
     return tuple(angles)
 
 
-def _camera_values(camera: DepthCamera) -> dict[str, Any]:
-    return {name: value for name, value in camera.to_dict().items() if name in (*PINHOLE, "pose")}
-
-
 METRES = 1.0
 _PNG, _NPY = b"\x89PNG", b"\x93NUMPY"
 _BYTE_ORDERS = {b"II*\0": "<", b"MM\0*": ">"}
@@ -217,10 +200,7 @@ def read_depth(
 
 
 def rounded_mm(depth: NDArray[np.float32] | NDArray[np.uint16], depth_scale_m: float) -> NDArray[np.uint16]:
-    """Depths (...) in a unit of ``depth_scale_m`` as uint16 mm; 0 for NaN, infinity and what is below 0.5 mm.
-
-    What is farther than 16 bits can tell stays a reading that is out of range, so that a wrong unit shows.
-    """
+    """Depths (...) in a unit as uint16 mm, out of range beyond 16 bits; 0 for what is no number above 0.5."""
     with np.errstate(invalid="ignore", over="ignore"):
         scaled = np.floor(depth.astype(np.float64) * (1000.0 * depth_scale_m) + 0.5)
     read = (scaled >= 1.0) & np.isfinite(scaled)

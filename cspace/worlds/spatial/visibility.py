@@ -37,9 +37,7 @@ class WithoutRobot:
     """A depth picture without the arm."""
 
     depth_mm: NDArray[np.uint16]  # (H, W) uint16, the readings of other things; 0 where there is none
-    # (H, W) float32, depth at which the arm and its slack begin where a pixel is the arm's; inf elsewhere. Up
-    # to there the pixel's ray was free.
-    front_m: NDArray[np.float32]
+    front_m: NDArray[np.float32]  # (H, W), depth at which the arm begins in its pixels; inf elsewhere
 
 
 def self_filter(

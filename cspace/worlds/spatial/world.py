@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cspace.errors import ConfigError, DatasetError, ImageError, InputError, ScenarioError
 from cspace.files import read_bounded
-from cspace.strict_json import parse_json, read_object, validated
+from cspace.strict_json import read_json, read_object, validated
 from cspace.view_file import View
 from cspace.world import (
     Arrays,
@@ -43,7 +43,6 @@ from cspace.worlds.spatial.sensor import (
     DISTANCE_STEP_M,
     NETWORK_MULTIPLE,
     NO_READING,
-    OUT_OF_VIEW,
     DepthSensor,
     grid_of,
 )
@@ -180,7 +179,6 @@ class SpatialWorld(World):
             voxel_m=grid.voxel_m,
             distance_step_m=DISTANCE_STEP_M,
             no_reading=NO_READING,
-            out_of_view=OUT_OF_VIEW,
         )
 
     def check_scenes(self, arrays: Arrays, count: int) -> None:
@@ -277,8 +275,4 @@ def named(text: str) -> SpatialWorld:
     if not path.is_file():
         return usual(shipped(text))
     data = read_bounded(path, _MAX_BYTES, ConfigError)
-    try:
-        values = parse_json(data)
-    except ValueError as error:
-        raise ConfigError(f"{path} holds no robot", got=str(error)[:200]) from error
-    return usual(SerialArm.from_dict(values))
+    return usual(SerialArm.from_dict(read_json(data, str(path), ConfigError)))

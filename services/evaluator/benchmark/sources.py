@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 from PIL import Image, PngImagePlugin
 
-from cspace.bundle import Bundle
-from cspace.bundle.verification import load_verified
+from cspace.bundle import Bundle, load_verified
 from cspace.errors import ConfigError, SamplerError, SamplerUnavailableError
 from cspace.query import DEFAULT_PATHS, AlternativePath, Plan, PlanQuery, SampleQuery
 from cspace.simulator import UNIFORM, Problem, Split

@@ -91,7 +91,7 @@ WRONG = {
     "none": (content(images=PICTURES[:0], free=[], collision=None, paths=None, scenes=None), "n above 0"),
     "extra_images": ({"extra_images": PICTURES[:, :, 1:]}, "extra_images"),
     "free": ({"free": [np.zeros((2, 3))] * 3}, r"free.*\(n, 2\).*\(2, 3\)"),
-    "not finite": ({"free": [np.full((2, 2), np.nan)] * 3}, "free.*finite"),
+    "not finite": ({"free": [np.full((2, 2), np.nan)] * 3}, "free.*outside.*nan"),
     "scenarios": ({"free": [np.zeros((2, 2))] * 2}, "free_offsets"),
     "paths": ({"paths": [(3, np.zeros((2, 2)))]}, "path_scenario"),
     "discs": ({"scenes": {"discs": np.ones((4, 3, 3))}}, "discs"),

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cspace.space import JointSpace, embed
+from cspace.space import JointSpace
 from cspace.worlds.planar.world import PlanarWorld
 from services.evaluator import metrics
 from services.evaluator.evaluation import (
@@ -104,7 +104,7 @@ def test_edr_sums_over_scenarios_before_it_divides():
 
 def test_energy_distance_equals_its_definition_without_self_pairs(rng):
     first, second = TORUS.sample_uniform(rng, 7), TORUS.sample_uniform(rng, 5)
-    x, y = embed(first), embed(second)
+    x, y = TORUS.embed(first), TORUS.embed(second)
     cross = np.mean([[np.linalg.norm(a - b) for b in y] for a in x])
     within = [
         np.mean([np.linalg.norm(a - b) for i, a in enumerate(z) for j, b in enumerate(z) if i != j])

@@ -111,18 +111,3 @@ def test_without_discs_everything_within_the_limits_is_free():
 def test_configurations_of_another_robot_are_an_error(shape):
     with pytest.raises(ScenarioError, match=r"\(N, 2\)"):
         CollisionChecker(Scenario(TWO_LINK, ())).valid_batch(np.zeros(shape))
-
-
-def test_trees_of_an_arm_of_many_joints_never_outgrow_their_arrays():
-    arm = PlanarArm((0.1,) * 64, half_width_m=0.01)
-    checker = CollisionChecker(Scenario(arm, ()))
-    room = 20
-    nodes, parents = np.zeros((2, room, arm.dim)), np.full((2, room), -1)
-    nodes[1, 0] = goal = np.full(arm.dim, 3.0)
-    counts, checks = np.ones(2, dtype=np.int64), np.zeros(2, dtype=np.int64)
-    states = np.full((1, arm.dim), 0.01)
-    # Between the two trees lie 64 joints of 3 rad, which are 96 steps of 2 rad.
-    _, _, first, second = checker.grow_trees(nodes, parents, counts, checks, states, 0, 2.0, 0.1)
-    assert (first, second) == (-1, -1)
-    assert counts.max() == room
-    np.testing.assert_array_equal(nodes[1, 0], goal)

@@ -1,4 +1,6 @@
 import io
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -55,6 +57,52 @@ def test_a_target_pixel_that_cuts_source_pixels_takes_its_share_of_them():
     stripes[:, 0::3] = 240
     first = decode_png(encode_png(stripes), pixels=24)[0, :4, 0]
     np.testing.assert_array_equal(first, [160, 0, 160, 0])
+
+
+@pytest.mark.parametrize("mode", ["RGB", "RGBA", "L", "P"])
+def test_a_picture_is_averaged_over_the_area_of_each_pixel(mode):
+    rng = np.random.default_rng(0)
+    for side, pixels in ((16, 48), (17, 32), (129, 48), (1537, 48)):
+        noise = rng.integers(0, 256, (side, side, 4), dtype=np.uint8)
+        picture = (
+            Image.fromarray(noise).convert("RGB").convert(mode) if mode != "RGBA" else Image.fromarray(noise)
+        )
+        over = Image.new("RGBA", picture.size, "white")
+        rgb = np.asarray(
+            Image.alpha_composite(over, picture.convert("RGBA")).convert("RGB"), dtype=np.float64
+        )
+        edges, cells = np.arange(pixels + 1) * (side / pixels), np.arange(side)
+        covered = np.minimum(edges[1:, None], cells + 1) - np.maximum(edges[:-1, None], cells)
+        weights = np.clip(covered, 0.0, None) * (pixels / side)
+        exact = np.einsum("ri,ijc,kj->rkc", weights, rgb, weights, optimize=True)
+        # Which of two whole numbers is nearest, single precision tells to a thousandth only.
+        assert np.abs(decode_png(png(picture), pixels) - exact).max() <= 0.5 + 1e-3
+
+
+MEMORY = """
+import sys
+import numpy as np
+from cspace.files import encode_png
+from cspace.worlds.planar.camera import decode_png
+
+def kib(key):
+    with open("/proc/self/status") as status:
+        return next(int(line.split()[1]) for line in status if line.startswith(key))
+
+decode_png(encode_png(np.zeros((200, 200, 3), np.uint8)))
+data = open(sys.argv[1], "rb").read()
+before = kib("VmRSS")
+decode_png(data)
+print(kib("VmHWM") - before)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_the_largest_picture_takes_less_than_40_mb(tmp_path):
+    path = tmp_path / "large.png"
+    path.write_bytes(png(Image.effect_noise((2048, 2048), 50.0).convert("RGBA")))
+    done = subprocess.run([sys.executable, "-c", MEMORY, str(path)], capture_output=True, check=True)
+    assert int(done.stdout) * 1024 < 40_000_000
 
 
 @pytest.mark.parametrize("side", [1, 15, 2049])

@@ -4,32 +4,21 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cspace.errors import ScenarioError
 from cspace.simulator import Problem
 from cspace.worlds import robot_digest
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
-from cspace.worlds.planar.checks import CollisionChecker, segment_gap
-from cspace.worlds.planar.problems import FreeGrid
-from cspace.worlds.planar.world import Disc, PlanarWorld, Scenario
+from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.world import PlanarWorld, Scenario
 from services.planner.ompl_planner import solve
 from services.planner.result import RRT_CONNECT, SAMPLED_CONNECT, PlannerSettings
-from tests.capsules import gap_by_hand, self_clearance_by_hand
+from tests.capsules import self_clearance_by_hand
 from tests.cspace.worlds.planar.test_collision import FOLDING
 
 angles = st.floats(-7.0, 7.0) | st.sampled_from([0.0, np.pi / 2, np.pi, -np.pi])
-places = st.floats(-3.0, 3.0) | st.integers(-3, 3).map(float)
-points = st.tuples(places, places).map(np.array)
-
-
-@given(points, points, points, points)
-@settings(deadline=None, max_examples=150)
-def test_the_distance_of_segments_is_the_least_of_their_points(tail, head, other_tail, other_head):
-    assume(min(np.linalg.norm(head - tail), np.linalg.norm(other_head - other_tail)) > 1e-3)
-    expected = gap_by_hand(tail, head, other_tail, other_head)
-    assert segment_gap(*tail, *head, *other_tail, *other_head) == pytest.approx(expected, abs=1e-6)
 
 
 @given(angles, st.integers(3, 6))
@@ -46,16 +35,6 @@ def test_an_arm_that_always_collides_with_itself_is_refused(links):
     with pytest.raises(ScenarioError, match=r"always collides with itself.*0\.2 m"):
         PlanarArm(links, 0.1, self_collision=True)
     assert PlanarArm(links, 0.1).dim == len(links)
-
-
-def test_cells_of_the_grid_are_free_where_their_centres_are():
-    grid = FreeGrid(Scenario(FOLDING, (Disc(-2.5, 2.5, 0.5),)), 8)
-    checker, seen = CollisionChecker(grid.scenario), set()
-    for index in itertools.product(range(8), repeat=3):
-        centre = np.array(FOLDING.space.lower) + (np.array(index) + 0.5) * grid.spacing_rad
-        assert grid.free[index] == checker.valid(centre)
-        seen.add((bool(grid.free[index]), self_clearance_by_hand(FOLDING, centre) > 0.0))
-    assert seen == {(True, True), (False, True), (False, False)}
 
 
 @pytest.mark.parametrize("planner", [SAMPLED_CONNECT, RRT_CONNECT])

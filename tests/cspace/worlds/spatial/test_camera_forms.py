@@ -37,42 +37,12 @@ def tiff(values, **options):
     return file.getvalue()
 
 
-def big_endian(values):
-    """A TIFF of big-endian numbers in strips of five rows, with a text among its fields."""
-    height, width = values.shape
-    strips = [values[top : top + 5].astype(">f4").tobytes() for top in range(0, height, 5)]
-    body, offsets = b"", []
-    for strip in strips:
-        offsets.append(8 + len(body))
-        body += strip
-    tables = {273: offsets, 279: [len(strip) for strip in strips]}
-    places = {}
-    for tag, table in tables.items():
-        places[tag] = 8 + len(body)
-        body += struct.pack(f">{len(table)}I", *table)
-    text = 8 + len(body)
-    body += b"a depth picture\0"
-    fields = [
-        (256, 3, 1, width << 16),
-        (257, 3, 1, height << 16),
-        (258, 3, 1, 32 << 16),
-        (259, 3, 1, 1 << 16),
-    ]
-    fields += [(262, 3, 1, 1 << 16), (270, 2, 16, text), (273, 4, len(strips), places[273])]
-    fields += [(277, 3, 1, 1 << 16), (278, 3, 1, 5 << 16), (279, 4, len(strips), places[279])]
-    fields += [(339, 3, 1, 3 << 16)]
-    directory = b"".join(struct.pack(">HHII", *one) for one in fields)
-    head = b"MM\0*" + struct.pack(">I", 8 + len(body))
-    return head + body + struct.pack(">H", len(fields)) + directory + bytes(4)
-
-
 PICTURES = {
     "16-bit mm": (encode_depth(DEPTH), None),
     "fifths of mm": (encode_depth(DEPTH * np.uint16(5)), 0.0002),
     "TIFF": (tiff(METRES), None),
     "TIFF, LZW as OpenCV writes it": (tiff(METRES, compression="tiff_lzw"), None),
     "TIFF, deflate": (tiff(METRES, compression="tiff_adobe_deflate"), None),
-    "TIFF, big-endian": (big_endian(METRES), None),
     "npy": (npy(METRES), None),
     "npy by columns": (npy(np.asfortranarray(METRES)), None),
     "npy in mm": (npy(METRES * np.float32(1000.0)), 0.001),
@@ -190,14 +160,12 @@ REFUSED_PICTURES = {
     "nothing": (b"", "no depth picture"),
     "a JPEG": (b"\xff\xd8\xff\xe0" + bytes(100), "float32 of shape"),
     "npy of float64": (npy(METRES.astype(np.float64)), r"float64.*astype\(np.float32\)"),
-    "npy of three axes": (npy(METRES[None]), "no depth picture"),
     "npy of objects": (npy(np.array([[{}]], dtype=object)), "no depth picture"),
     "npy cut": (npy(METRES)[:-1], "no depth picture"),
     "npy too small": (npy(METRES[:9]), "out of range"),
     "TIFF of 16 bits": (tiff(DEPTH), "is no depth picture"),
     "TIFF of RGB": (tiff(np.zeros((48, 64, 3), np.uint8)), "is no depth picture"),
     "TIFF cut": (tiff(METRES)[:-200], "damaged|no depth picture"),
-    "TIFF of one strip that is cut": (tiff(METRES)[:2000], "no depth picture"),
     "TIFF too large": (altered(tiff(METRES), 256, 2049), "out of range"),
     "TIFF of two pictures": (
         tiff(METRES, save_all=True, append_images=[Image.fromarray(METRES)]),
@@ -214,19 +182,6 @@ def test_other_pictures_are_refused_by_what_they_are(name):
         read_depth(data)
 
 
-def test_damaged_float_pictures_are_refused_or_read_and_nothing_else():
-    for data in (tiff(METRES), tiff(METRES, compression="tiff_lzw"), npy(METRES)):
-        for _ in range(60):
-            found = bytearray(data)
-            found[RNG.choice([RNG.integers(len(data)), RNG.integers(200), -RNG.integers(1, 250)])] ^= (
-                1 << RNG.integers(8)
-            )
-            try:
-                assert read_depth(bytes(found)).shape == DEPTH.shape
-            except ImageError:
-                continue
-
-
 FISHEYE = INFO | {"distortion_model": "equidistant", "d": [0.0] * 4}
 REFUSED_CAMERAS = {
     "another model": ({"camera_info": FISHEYE}, "model 'equidistant'; expected plumb_bob .*rectify"),
@@ -239,7 +194,6 @@ REFUSED_CAMERAS = {
         "distortion model 'rational_polynomial'",
     ),
     "a lens that folds": ({"camera_info": INFO | {"d": [-5.0, 0.0, 0.0, 0.0, 0.0]}}, "folds the picture"),
-    "coefficients without end": ({"camera_info": INFO | {"d": [1e300] * 5}}, "folds the picture"),
     "another size": (
         {"camera_info": INFO | {"width": 128, "height": 96}},
         "height 48 and width 64.*got height 96",
@@ -266,10 +220,6 @@ REFUSED_CAMERAS = {
     "a quaternion of another norm": (
         CAMERA_VALUES | {"pose": {"translation": [0.0] * 3, "quaternion_xyzw": [0.0, 0.0, 0.0, 0.99]}},
         "norm of 1",
-    ),
-    "three numbers": (
-        CAMERA_VALUES | {"pose": {"translation": [0.0] * 3, "quaternion_xyzw": [0.0, 0.0, 1.0]}},
-        "has no pose",
     ),
     "a place beyond sight": (
         CAMERA_VALUES | {"pose": {"translation": [0.0, 0.0, 1e300], "quaternion_xyzw": [0.0, 0.0, 0.0, 1.0]}},

@@ -95,7 +95,7 @@ def test_an_arm_is_read_from_its_file(tmp_path):
         described("--arm", "kuka")
     for text in ("{", "[" * 100_000, '{"a": NaN}'):
         path.write_text(text)
-        with pytest.raises(ConfigError, match="holds no robot"):
+        with pytest.raises(ConfigError, match="is not JSON"):
             described("--arm", str(path))
     path.write_text(" " * (2**20 + 1))
     with pytest.raises(ConfigError, match="too large"):
