@@ -36,7 +36,7 @@ def pictures(count=1):
 
 @pytest.mark.slow
 def test_the_encoders_graph_answers_as_the_network_for_any_number_of_pictures():
-    encoder = Encoder(48, 6, 4, 4)
+    encoder = Encoder((3, 48, 48), 6, 4, 4)
 
     def mu_and_sigma(images):
         mu, log_variance = encoder(images)
@@ -76,14 +76,14 @@ def test_the_validity_heads_graph_answers_as_the_network():
 
 @pytest.mark.slow
 def test_the_novelty_graph_answers_as_the_network():
-    scores = NoveltyScores(Decoder(48, 6, 4), 48).eval()
+    scores = NoveltyScores(Decoder((3, 48, 48), 6, 4), (3, 48, 48)).eval()
     feeds = {"image": pictures(), "mu": torch.randn(1, 6)}
     check(novelty_graph(scores, 48, 6), lambda image, mu: scores(image, mu)[0], feeds)
 
 
 def test_a_blot_raises_the_worst_parts_error_more_than_the_whole_pictures():
-    decoder = Decoder(48, 6, 4).eval()
-    scores, mu = NoveltyScores(decoder, 48).eval(), torch.randn(1, 6)
+    decoder = Decoder((3, 48, 48), 6, 4).eval()
+    scores, mu = NoveltyScores(decoder, (3, 48, 48)).eval(), torch.randn(1, 6)
     with torch.no_grad():
         drawn = decoder(mu)
         blotted = drawn.clone()

@@ -13,13 +13,13 @@ SIZES = Sizes(circles(3), 5, 16, 2)
 
 @pytest.mark.parametrize("patches", [1, 4])
 def test_the_encoder_gives_a_mean_and_a_small_finite_log_variance(patches):
-    mu, log_variance = Encoder(48, 7, 4, patches)(torch.rand(2, 3, 48, 48))
+    mu, log_variance = Encoder((3, 48, 48), 7, 4, patches)(torch.rand(2, 3, 48, 48))
     assert mu.shape == log_variance.shape == (2, 7)
     assert (log_variance < -2.0).all()
 
 
 def test_a_decoder_that_has_become_white_everywhere_still_learns():
-    decoder = Decoder(48, 7, 4)
+    decoder = Decoder((3, 48, 48), 7, 4)
     with torch.no_grad():
         decoder.layers[-2].bias.fill_(40.0)
     (decoder(torch.randn(2, 7)) + 1.0).square().mean().backward()
