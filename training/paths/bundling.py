@@ -3,30 +3,17 @@
 from pathlib import Path
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from cspace.bundle import Bundle, RandomInput
 from cspace.dataset import Dataset
 from training.config import PathTrainConfig
 from training.jobs.job import TAG_START, Job
-from training.models.export import batched, exported
+from training.models.export import Graph, batched, exported
 from training.models.paths import Condition, PathGenerator
 from training.paths.writing import PathGraph, write_path_bundle
 from training.trials.launch import TrialOutcome
 from training.trials.paths import PathArrays, load_points
-
-
-class PointSampler(nn.Module):
-    """A generator of points as one graph: latent, start, goal and noise to (m, 1, d)."""
-
-    def __init__(self, net: PathGenerator) -> None:
-        super().__init__()
-        self.net = net
-
-    def forward(self, latent: Tensor, start: Tensor, goal: Tensor, noise: Tensor) -> Tensor:
-        """Points (m, 1, d) rad."""
-        points: Tensor = self.net(Condition(latent, start, goal), noise)
-        return points.unsqueeze(1)
 
 
 def point_graph(net: PathGenerator, latent_dim: int) -> PathGraph:
@@ -35,7 +22,12 @@ def point_graph(net: PathGenerator, latent_dim: int) -> PathGraph:
     shapes = {"latent": (latent_dim,), "start": (dim,), "goal": (dim,), "noise": noise.shape}
     rows = tuple(torch.zeros(2, *shape) for shape in shapes.values())
     axes = batched("latents", len(rows))
-    model = exported(PointSampler(net).eval(), rows, list(shapes), ["samples"], axes)
+
+    def points(latent: Tensor, start: Tensor, goal: Tensor, noise: Tensor) -> Tensor:
+        found: Tensor = net(Condition(latent, start, goal), noise)
+        return found.unsqueeze(1)
+
+    model = exported(Graph(points, net), rows, list(shapes), ["samples"], axes)
     return PathGraph(model, (noise,), looks_at_picture=False)
 
 
