@@ -27,7 +27,6 @@ from training.models.families.wgan_gp import (
     WganGp,
     WganGpModule,
     beside,
-    load_generator,
 )
 from training.models.joints import Joints
 from training.models.lookups import ArmLookups, look, make_lookups
@@ -289,7 +288,7 @@ class Mixture(WganGp):
     def sampler(self, done: Checkpoints) -> Sampler:
         """All clusters' generators behind the gate."""
         names = local_names(self.config.clusters.count)
-        generators = [load_generator(self.config.local, self.arrays, done[name]) for name in names]
+        generators = [self.load(self.config.local, done[name], "generator") for name in names]
         return self.gated(self.load_gate(done[GATE]), generators, self.config.local)
 
     def _shares(self) -> Tensor:
