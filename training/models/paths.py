@@ -14,6 +14,7 @@ from cspace.planning.paths import spread_points
 from cspace.space import JointSpace
 from training.config import PathGanConfig
 from training.models.data import Held
+from training.models.export import Graph, batched, exported
 from training.models.families.wgan_gp import AdversarialModule, Sizes
 from training.models.joints import Joints
 from training.models.modules import mlp
@@ -171,3 +172,16 @@ class PathGanModule(AdversarialModule):
 def point_sizes(config: PathGanConfig, space: JointSpace, latent_dim: int) -> Sizes:
     """Sizes of the networks that settings name."""
     return Sizes(space, latent_dim, config.hidden, config.layers)
+
+
+def point_graph(net: PathGenerator, latent_dim: int) -> bytes:
+    """ONNX bytes: latent, start, goal and noise to points (m, 1, d) rad."""
+    shapes = {"latent": (latent_dim,), "start": (net.joints.dim,), "goal": (net.joints.dim,)}
+    rows = tuple(torch.zeros(2, *shape) for shape in (*shapes.values(), (net.noise_dim,)))
+
+    def points(latent: Tensor, start: Tensor, goal: Tensor, noise: Tensor) -> Tensor:
+        found: Tensor = net(Condition(latent, start, goal), noise)
+        return found.unsqueeze(1)
+
+    names, axes = [*shapes, "noise"], batched("latents", len(rows))
+    return exported(Graph(points, net), rows, names, ["samples"], axes)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from cspace.bundle import Bundle
+from cspace.bundle import Bundle, RandomInput
 from cspace.dataset import Dataset, open_dataset
 from services.commands import numbers
 from services.names import ALIAS_CHALLENGER, TAG_MODEL, recorded_name
@@ -15,10 +15,10 @@ from training.config import PathTrainConfig
 from training.data.generate import generate
 from training.jobs.figures import path_curves
 from training.jobs.job import TAG_START, Job, kept_bundle, log_configuration, registered_name, world_tag
-from training.paths.bundling import trained_bundle
-from training.paths.writing import made_or_found, require_source, source_bundle
+from training.models.paths import point_graph
+from training.paths.writing import made_or_found, require_source, source_bundle, write_path_bundle
 from training.trials.launch import TrialOutcome, TrialRequest, run_trials
-from training.trials.paths import PathArrays, path_arrays, path_trial, require_world
+from training.trials.paths import PathArrays, load_points, path_arrays, path_trial, require_world
 
 _LOG = logging.getLogger("training")
 
@@ -112,6 +112,25 @@ def _bundles(
     kept = kept_bundle(folder)
     bundles[MODEL] = kept or trained_bundle(folder, job, outcome, arrays, source, dataset)
     return bundles
+
+
+def trained_bundle(
+    folder: Path,
+    job: Job[PathTrainConfig],
+    outcome: TrialOutcome,
+    arrays: PathArrays,
+    source: Bundle,
+    dataset: Dataset,
+) -> Bundle:
+    """The bundle of one of a job's trials, which is named after its model."""
+    train = job.config
+    net = load_points(train.wgan, arrays, outcome.checkpoint)
+    graph, noise = point_graph(net, source.spec.latent_dim), RandomInput("noise", "normal", (net.noise_dim,))
+    seeds = {"training": train.seed, "data": dataset.generator_seed}
+    recipe = {"path_model": outcome.name, "source_digest": source.digest, **train.to_dict()}
+    recipe |= {} if job.start_run_id is None else {TAG_START: job.start_run_id}
+    metrics = {**outcome.metrics, "training_s": outcome.seconds}
+    return write_path_bundle(folder, source, graph, (noise,), dataset.digest, seeds, recipe, metrics)
 
 
 def _register(
