@@ -135,7 +135,6 @@ class ClusterConfig(Section):
     """k-means over the configuration space, and what is made of the clusters."""
 
     count: int = Field(2, ge=1, description="trials that train side by side, one a cluster")
-    fit_samples: int = Field(50_000, ge=10, description="configurations that the centres are fitted to")
     form: Literal["guided", "mixture"] = Field(
         "guided",
         description="guided: the local critics guide a global generator, as in the paper; mixture: the local "

@@ -208,7 +208,7 @@ def partition(
     count, seed = config.clusters.count, config.seed
     if start is not None:
         return Partition.load(start / CLUSTERS_FILE, free, space)
-    cells = cluster(free, config.gate.cells or count, config.clusters.fit_samples, seed, space)
+    cells = cluster(free, config.gate.cells or count, seed, space)
     return Partition(cells, group(cells, count, seed))
 
 
