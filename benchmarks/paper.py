@@ -60,15 +60,17 @@ COLUMNS = (
 def overrides(column: Column, share: float, hidden: int, encoder: Path | None) -> list[str]:
     """What a column's job is told beside its preset: steps, width and the shared encoder."""
     plain = TrainConfig.load(column.preset, [])
-    steps = {"vae": plain.vae.steps, "local": plain.local.steps, "global": plain.global_.steps}
-    widths = [f"{part}.{key}={hidden}" for part in ("local", "global") for key in ("hidden", "critic_hidden")]
+    sections = plain.to_dict()
+    steps = {name: sections[name]["steps"] for name in ("vae", "local", "global") if name in sections}
+    gans = [name for name in steps if name != "vae"]
+    widths = [f"{part}.{key}={hidden}" for part in gans for key in ("hidden", "critic_hidden")]
     return [
         *(f"{name}.steps={max(1, round(share * count))}" for name, count in steps.items()),
         *widths,
         f"resources.gpus_per_trial={1.0 if torch.cuda.is_available() else 0.0}",
         # Hours on a shared machine: Ray takes a worker that gets no processor for dead.
         "resources.max_failures=20",
-        *([] if encoder is None or plain.joint else [f"vae.checkpoint={encoder}"]),
+        *([] if encoder is None or plain.trains_encoder else [f"vae.checkpoint={encoder}"]),
     ]
 
 

@@ -12,13 +12,13 @@ from filelock import FileLock
 
 from cspace.bundle import BundleSpec, RandomInput, write_bundle
 from cspace.worlds import examples
+from training.config import GridConfig, VaeConfig, ValidityConfig
 from training.models.autoencoders import GridVaeDecoder, make_encoder, network_size, shown_size
 from training.models.checkpoint import seeded_initialisation
 from training.models.export import encoder_graph, generator_graph, novelty_graph
+from training.models.families.wgan_gp import Sizes, TorusGenerator, TorusSampler
 from training.models.grid_head import GridHead
 from training.models.grid_training import grid_validity_graph, map_graph
-from training.models.networks import Sizes, TorusGenerator
-from training.models.settings import GridConfig, VaeConfig, ValidityConfig
 from training.trials.arrays import GridNovelty
 
 WORLD = examples()["panda"]
@@ -62,7 +62,7 @@ def _exported() -> dict[str, bytes]:
         head = GridHead.of(HEAD, WORLD).eval()
     return {
         "encoder": encoder_graph(encoder, size),
-        "generator": generator_graph(generator, LATENT),
+        "generator": generator_graph(TorusSampler(generator), LATENT),
         "novelty": novelty_graph(GridNovelty(decoder).eval(), size, LATENT),
         "map": map_graph(head),
         "validity": grid_validity_graph(head, WORLD.dim),

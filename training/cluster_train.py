@@ -22,7 +22,7 @@ def run(job: Any) -> Any:
 
 
 COMMAND = JobCommand(
-    description=(__doc__ or "").partition("\n")[0], example="global.steps=200", config=TrainConfig, run=run
+    description=(__doc__ or "").partition("\n")[0], example="local.steps=100", config=TrainConfig, run=run
 )
 
 if __name__ == "__main__":

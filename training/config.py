@@ -1,6 +1,7 @@
 """The typed configurations of the jobs: defaults here, presets and overrides on top, checked once."""
 
 from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self
 
@@ -15,21 +16,13 @@ from cspace.yaml_file import read_yaml, read_yaml_file
 from services.names import model_name
 from services.registry.entities import ModelReference, flatten
 from training.data.config import DatasetConfig, GeneratedConfig, PathDatasetConfig
-from training.models.settings import (
-    GanConfig,
-    GateConfig,
-    GlobalConfig,
-    LookupConfig,
-    PathGanConfig,
-    VaeConfig,
-    ValidityConfig,
-)
 from training.section import AbsolutePath, RobotName, Section
 
 
 def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    """A preset's values on top of another's; null takes a key away."""
     both = {key: _merged(base[key], changes[key]) for key in base if isinstance(changes.get(key), dict)}
-    return base | changes | both
+    return {key: value for key, value in (base | changes | both).items() if changes.get(key, 0) is not None}
 
 
 def _set(values: dict[str, Any], override: str) -> None:
@@ -88,10 +81,15 @@ class JobConfig(Section):
         for override in overrides:
             _set(values, override)
         try:
-            return cls.model_validate(values)
+            return cls.from_dict(values)
         except ValidationError as error:
             remedy = f"{cls.SCRIPT} --help lists presets, --print-config the keys"
             raise refused(error, ConfigError, f"the configuration {values.get('preset')}", remedy) from error
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> Self:
+        """The configuration of values as of :meth:`to_dict`, validated."""
+        return cls.model_validate(values)
 
     @classmethod
     def _read(cls, preset: str) -> dict[str, Any]:
@@ -123,22 +121,38 @@ CLUSTERS_FILE = "clusters.npz"
 SCENE_MODEL = Path(__file__).parent / "pretrained" / "scene_model.safetensors"
 
 
-class EncoderConfig(VaeConfig):
+class TrialSettings(Section):
+    """A section by which one kind of trial is trained."""
+
+    steps: int = Field(1000, ge=0)
+
+
+class VaeConfig(TrialSettings):
     """The picture's variational auto-encoder: trained, or taken from an earlier job."""
 
     checkpoint: AbsolutePath | None = Field(
         None, description="absolute: a VAE trial's final.ckpt whose encoder is taken; none is trained"
     )
+    latent_dim: int = Field(64, ge=1)
+    width: int = Field(16, ge=1, description="channels of the first convolution")
+    patches: Literal[1, 4] = 4
+    steps: int = Field(400, ge=1)
+    batch_size: int = Field(64, ge=2)
+    learning_rate: float = Field(2e-3, gt=0)
+    kl_weight: float = Field(1.0, ge=0)
+    kl_warmup: float = Field(0.3, ge=0, le=1, description="share of the steps over which the KL term grows")
+    gradient_clip: float = Field(200.0, gt=0)
 
 
 class ClusterConfig(Section):
     """k-means over the configuration space, and what is made of the clusters."""
 
     count: int = Field(2, ge=1, description="trials that train side by side, one a cluster")
-    form: Literal["guided", "mixture"] = Field(
+    form: str = Field(
         "guided",
-        description="guided: the local critics guide a global generator, as in the paper; mixture: the local "
-        "generators themselves, behind a gate",
+        description="the model family. guided: local critics guide a global generator, as in the paper; "
+        "mixture: the local generators themselves, behind a gate; wgan_gp: one generator; joint: one "
+        "generator, and the encoder trained with it",
     )
 
 
@@ -151,6 +165,46 @@ class CollisionBoundConfig(Section):
     scenarios: int = Field(
         300, ge=30, description="a third chooses the threshold, one computes the bound, one measures it"
     )
+
+
+class GridConfig(Section):
+    """What a head that reads arrays of space has beside the sizes of others."""
+
+    groups: int = Field(
+        64, ge=1, description="of the arm's spheres, base included, whose hazards are predicted"
+    )
+    finest: int = Field(
+        0,
+        ge=0,
+        multiple_of=4,
+        description="channels of features in voxels of 5 cm; 0: those of 10 cm are read",
+    )
+    width: int = Field(20, ge=4, multiple_of=4, description="channels of features in voxels of 10 cm")
+    middle: int = Field(40, ge=4, multiple_of=4)
+    deep: int = Field(64, ge=4, multiple_of=4)
+    hazard_weight: float = Field(1.0, ge=0, description="of the groups' cross entropy, where truth is known")
+    gradient_clip: float = Field(1.0, gt=0)
+
+
+class ValidityConfig(TrialSettings):
+    """The validity head: an occupancy network that reads the picture where the arm would be."""
+
+    steps: int = Field(3000, ge=0, description="0 leaves the bundle without a head")
+    pictures_per_step: int = Field(32, ge=1)
+    configurations_per_picture: int = Field(64, ge=2)
+    free_share: float = Field(
+        gt=0, lt=1, description="of the joint space, on average: the prior that confidences are true to"
+    )
+    points_per_link: int = Field(12, ge=2)
+    side_m: float = Field(0.1, ge=0, description="distance of the look-ups beside each link")
+    grid: GridConfig | None = Field(
+        None,
+        exclude_if=lambda part: part is None,
+        description="of a head that reads arrays of space at an arm's spheres; none: pictures along links",
+    )
+    hidden: int = Field(160, ge=1)
+    layers: int = Field(2, ge=1)
+    learning_rate: float = Field(4e-3, gt=0)
 
 
 class HeadConfig(ValidityConfig):
@@ -212,20 +266,52 @@ class ResourceConfig(Section):
 
 
 class TrainConfig(JobConfig):
-    """Everything that fixes a training job."""
+    """What fixes a training job of any model family; each adds sections of its own."""
 
     SCRIPT = "cluster_train.py"
     PRESETS = Path(__file__).parent / "presets"
+    # Whether the encoder is trained with the generator.
+    trains_encoder: ClassVar[bool] = False
 
     preset: str = "quickstart"
     data: DatasetConfig = DatasetConfig()
-    vae: EncoderConfig = EncoderConfig()
+    vae: VaeConfig = VaeConfig()
     clusters: ClusterConfig = ClusterConfig()
-    gate: GateConfig = GateConfig()
     validity: HeadConfig = Field({}, validate_default=True)
-    local: GanConfig = GanConfig(steps=400)
-    global_: GlobalConfig = Field(GlobalConfig(), alias="global")
     resources: ResourceConfig = ResourceConfig()
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> Self:
+        """The configuration of the family that ``clusters.form`` names, validated."""
+        clusters = values.get("clusters")
+        form = clusters.get("form", "guided") if isinstance(clusters, dict) else "guided"
+        # Families are found by their names; each is imported with its networks, and imports this module.
+        found = import_module("training.models.families").family(form)
+        made: Self = found.configuration.model_validate(values)
+        return made
+
+    @property
+    def reads_pictures(self) -> bool:
+        """Whether trials on configurations read the pictures beside their latents."""
+        return False
+
+    @property
+    def cells(self) -> int:
+        """Into how many cells the configuration space is divided, which are grouped into clusters."""
+        return self.clusters.count
+
+    @property
+    def cell_points(self) -> int:
+        """How many configurations are stored in each cell."""
+        return 0
+
+    @property
+    def known_world(self) -> World | None:
+        """Robot and sensor; None where the data tell when they are opened or made what does not fit."""
+        try:
+            return self.world
+        except InputError:
+            return None
 
     @field_validator("validity", mode="before")
     @classmethod
@@ -239,34 +325,17 @@ class TrainConfig(JobConfig):
         return {**head, "free_share": simulator_of(world).measures.free_share}
 
     @model_validator(mode="after")
-    def _parts_fit(self) -> "TrainConfig":
-        form, cells = self.clusters.form, self.gate.cells
-        if form != "guided" and cells < self.clusters.count:
-            raise ValueError(
-                f"clusters.form={form} needs gate.cells of at least clusters.count, {self.clusters.count}"
-            )
-        guided = form == "guided" and self.local_trials and self.global_.local_critic_weight > 0
-        if guided and self.local.critic_lookups != self.global_.critic_lookups:
-            raise ValueError("local critics that guide look where the global one does: equal critic_lookups")
-        if cells and "means" in (self.local.generator, self.global_.generator):
-            raise ValueError("gate.cells belong to generator=torus: the means have no base to draw in a cell")
-        return self
-
-    @model_validator(mode="after")
-    def _name_is_the_robots(self) -> "TrainConfig":
+    def _name_is_the_robots(self) -> Self:
         # That of a data set's folder is looked at when it is opened.
         if self.data_folder is None:
             model_name(self.data.world, self.robot_name)
         return self
 
     @model_validator(mode="after")
-    def _networks_read_the_worlds_pictures(self) -> "TrainConfig":
-        try:
-            world = self.world
-        except InputError:
-            # The job tells when it opens or makes the data.
+    def _head_reads_the_worlds_pictures(self) -> Self:
+        world, grid = self.known_world, self.validity.grid
+        if world is None:
             return self
-        grid = self.validity.grid
         if self.data.outcomes is not None and (grid is None or not self.validity.steps):
             raise ValueError("data.outcomes is for heads of arms in space; it needs validity.grid and steps")
         if self.validity.scene_model is not None and grid is None:
@@ -275,53 +344,7 @@ class TrainConfig(JobConfig):
             world.levers(self.validity.points_per_link, self.validity.side_m)
         elif self.validity.steps and grid is not None:
             world.grid_arm(grid.groups)
-        for section, gan in (("local", self.local), ("global", self.global_)):
-            for part in ("generator_lookups", "critic_lookups"):
-                _check_lookups(f"{section}.{part}", getattr(gan, part), world)
-        if self.joint and world.sensor.extent_m is None:
-            raise ValueError("global.encoder=joint reads pictures of a plane, not arrays of space")
         return self
-
-    @model_validator(mode="after")
-    def _joint_encoder_has_no_other(self) -> "TrainConfig":
-        if not self.joint:
-            return self
-        if self.local_trials:
-            raise ValueError(
-                "local trials need an encoder trained before; global.encoder=joint takes clusters.count=1 "
-                "and global.local_critic_weight=0"
-            )
-        if self.vae.checkpoint is not None:
-            raise ValueError("global.encoder=joint trains its own encoder; leave vae.checkpoint out")
-        return self
-
-    @model_validator(mode="after")
-    def _starts_without_ids(self) -> "TrainConfig":
-        if self.start_from and "projection" in (self.local.critic_condition, self.global_.critic_condition):
-            raise ValueError(
-                "start_from takes critic_condition=latent: projection knows scenarios by their place in data"
-            )
-        return self
-
-    @property
-    def joint(self) -> bool:
-        """Whether the encoder is trained with the global generator."""
-        return self.global_.encoder == "joint"
-
-    @property
-    def local_trials(self) -> int:
-        """How many local WGAN-GPs there are; none where one cluster is everything and no critic is asked."""
-        unasked = self.clusters.form == "guided" and self.global_.local_critic_weight == 0
-        return 0 if self.clusters.count == 1 and unasked else self.clusters.count
-
-
-def _check_lookups(key: str, lookups: LookupConfig, world: World) -> None:
-    """Refuse look-ups that generators and critics of configurations do not have in a world's pictures."""
-    if lookups.points_per_link:
-        try:
-            world.levers(lookups.points_per_link, lookups.side_m)
-        except ConfigError as error:
-            raise ValueError(f"{key}.points_per_link does not fit the robot: {error}") from error
 
 
 def _world(data: DatasetConfig, folder: Path | None) -> World:
@@ -332,11 +355,26 @@ def _world(data: DatasetConfig, folder: Path | None) -> World:
         return default_world()
 
 
-PathModel = Literal["wgan", "wgan_guided"]
+class PathGanConfig(TrialSettings):
+    """A WGAN-GP whose condition is latent, start and goal (MultiWGAN-GP paper, section 4)."""
+
+    hidden: int = Field(256, ge=1)
+    layers: int = Field(3, ge=1)
+    noise_dim: int = Field(2, ge=1)
+    critic_hidden: int = Field(256, ge=1)
+    critic_layers: int = Field(3, ge=2)
+    penalty: Literal["one_sided", "two_sided"] = "one_sided"
+    penalty_weight: float = Field(10.0, ge=0)
+    critic_steps: int = Field(4, ge=1)
+    critic_learning_rate: float = Field(2e-3, gt=0)
+    betas: tuple[float, float] = (0.0, 0.9)
+    batch_size: int = Field(512, ge=2)
+    steps: int = Field(1500, ge=1)
+    learning_rate: float = Field(1e-3, gt=0)
 
 
 class PathTrainConfig(JobConfig):
-    """Everything that fixes a job that trains path models."""
+    """Everything that fixes a job that trains a path model."""
 
     SCRIPT = "path_train.py"
     PRESETS = TrainConfig.PRESETS / "paths"
@@ -348,12 +386,7 @@ class PathTrainConfig(JobConfig):
     )
     data: PathDatasetConfig = PathDatasetConfig()
     points: int = Field(64, ge=2, description="of each path")
-    models: tuple[PathModel, ...] = ("wgan",)
-    guides: AbsolutePath | None = Field(
-        None, description="absolute: folder of a cluster-train job whose local critics guide"
-    )
     wgan: PathGanConfig = PathGanConfig()
-    wgan_guided: PathGanConfig = PathGanConfig(guide_weight=0.1)
     resources: ResourceConfig = ResourceConfig(log_every_steps=50, checkpoint_every_steps=500)
 
     @field_validator("source")
@@ -366,15 +399,3 @@ class PathTrainConfig(JobConfig):
                 "an absolute path of a bundle's folder, name@alias or name/version",
             )
         return source
-
-    @model_validator(mode="after")
-    def _models_have_what_they_need(self) -> "PathTrainConfig":
-        if not self.models or len(set(self.models)) != len(self.models):
-            raise ValueError("models names one or more, each once")
-        if "wgan_guided" in self.models and self.guides is None:
-            raise ValueError("wgan_guided needs guides: the folder of a job with local critics")
-        return self
-
-    def points_of(self, name: PathModel) -> PathGanConfig:
-        """Settings of a model."""
-        return self.wgan if name == "wgan" else self.wgan_guided

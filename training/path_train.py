@@ -1,8 +1,8 @@
 #!/usr/bin/env python
-"""The Ray job: train path models side by side and register them.
+"""The Ray job: train the paper's path model and register it beside the search that needs no training.
 
 ray job submit --working-dir . -- python training/path_train.py
-ray job submit --working-dir . -- python training/path_train.py --set models='[flow]' --set seed=1
+ray job submit --working-dir . -- python training/path_train.py --preset paper --set seed=1
 ray job submit --working-dir . -- python training/path_train.py --resume RUN_ID
 """
 
@@ -21,7 +21,7 @@ def run(job: Any) -> Any:
 
 
 COMMAND = JobCommand(
-    description=(__doc__ or "").partition("\n")[0], example="flow.steps=500", config=PathTrainConfig, run=run
+    description=(__doc__ or "").partition("\n")[0], example="wgan.steps=500", config=PathTrainConfig, run=run
 )
 
 if __name__ == "__main__":

@@ -63,10 +63,10 @@ from services.registry import connect, tracking_uri
 from services.registry.entities import ID, ModelReference, ModelVersion
 from services.registry.models import ModelRegistry
 from services.registry.tracking import Tracking
+from training.config import GridConfig, ValidityConfig
 from training.models.checkpoint import save_scene_model, seeded_initialisation
 from training.models.grid_head import GridHead, counts_of
 from training.models.grid_training import ArmSamples, GridHeadModule, GridSamples
-from training.models.settings import GridConfig, ValidityConfig
 from training.random_arms import random_arm
 from training.trials.fit import fit_module
 

@@ -49,11 +49,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # One generator over all cells a trial, and no head: the search is about generators.
         fixed = ["clusters.count=1", "validity.steps=0"]
         config = TrainConfig.load(options.preset, [*options.overrides, *fixed])
-        if config.gate.cells == 0 or min(options.trials, options.scenarios) < 1:
+        if config.clusters.form != "mixture" or min(options.trials, options.scenarios) < 1:
             raise ConfigError(
                 "there is nothing to search",
-                expected="a preset with gate.cells above 0, one trial and one scenario or more",
-                got=f"gate.cells {config.gate.cells}, {options.trials} trials, {options.scenarios} scenarios",
+                expected="a preset with clusters.form=mixture, one trial and one scenario or more",
+                got=f"{config.clusters.form}, {options.trials} trials, {options.scenarios} scenarios",
             )
         # Its trials look along the links: told here, and not after the encoder was trained.
         config.world.levers(points_per_link=2, side_m=0.0)
@@ -74,7 +74,7 @@ def run(config: TrainConfig, trials: int, scenarios: int) -> tuple[dict[str, Any
         encode_data,
         encoder_checkpoint,
         prepare_data,
-        train_gate,
+        train_family,
         train_on_pictures,
     )
     from training.jobs.job import Job, job_environment  # noqa: PLC0415
@@ -89,9 +89,8 @@ def run(config: TrainConfig, trials: int, scenarios: int) -> tuple[dict[str, Any
         job.log_configuration()
         data = cluster_data(job, dataset)
         vae, _ = train_on_pictures(job, dataset)
-        arrays, gate = train_gate(job, encode_data(job, dataset, vae, data))
-        if gate is None:
-            raise ConfigError("a search needs a gate", expected="gate.cells above 0", got="0")
+        arrays = encode_data(job, dataset, vae, data)
+        (gate,) = train_family(job, arrays, until="gate")
         shared = {
             "train": config,
             # Some of the settings look the pictures up, whatever the preset does.
@@ -102,10 +101,9 @@ def run(config: TrainConfig, trials: int, scenarios: int) -> tuple[dict[str, Any
             "looks": LOOKS,
             "scenarios": scenarios,
         }
-        _LOG.info("search: %d trials of at most %d steps", trials, config.local.steps)
-        tried = search(
-            shared, config.local.steps, trials, config.seed, config.resources, job.folder / "search"
-        )
+        steps = config.to_dict()["local"]["steps"]
+        _LOG.info("search: %d trials of at most %d steps", trials, steps)
+        tried = search(shared, steps, trials, config.seed, config.resources, job.folder / "search")
         for one in tried:
             quality = " / ".join(f"{value:.3f}" for value in one.metrics.values())
             _LOG.info("step %d: precision / coverage / EDr %s, %s", one.step, quality, dict(one.settings))

@@ -11,6 +11,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from training.config import PathTrainConfig, TrainConfig
+from training.models.families import families
 
 INTRODUCTION = """\
 # Configuration
@@ -20,16 +21,20 @@ an unknown key or a value that does not fit ends the job before it starts. `--pr
 The settings of the services are environment variables, and stand in [operations](../operations.md#settings).
 """
 BOUNDS = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below", "multiple_of": "a multiple of"}
-JOBS = (TrainConfig, PathTrainConfig)
 
 
 def markdown() -> str:
     """The page."""
     lines = [INTRODUCTION]
-    for config in JOBS:
+    for config in (TrainConfig, PathTrainConfig):
         command = f"`training/{config.SCRIPT}`"
         lines += [f"## {command}", "", (config.__doc__ or "").strip(), ""]
         lines += [*table(("key", "default", "meaning"), rows(config)), ""]
+        for form, kind in families().items() if config is TrainConfig else ():
+            shared = {row[0] for row in rows(config)}
+            own = [row for row in rows(kind.configuration) if row[0] not in shared]
+            lines += [f"### clusters.form={form}", "", (kind.configuration.__doc__ or "").strip(), ""]
+            lines += [*table(("key", "default", "meaning"), own), ""]
         lines += [f"### Presets of {command}", ""]
         for path in sorted(config.PRESETS.glob("*.yaml")):
             lines += list(_preset(path))

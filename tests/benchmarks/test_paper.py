@@ -24,9 +24,11 @@ def bundle(tmp_path, monkeypatch):
 @pytest.mark.parametrize("column", COLUMNS, ids=lambda column: column.name)
 def test_every_column_is_a_valid_job_with_the_same_share_and_width_and_encoder(column, tmp_path):
     config = TrainConfig.load(column.preset, overrides(column, 0.1, 16, tmp_path))
-    assert (config.global_.steps, config.local.steps, config.vae.steps) == (15_630, 7_820, 600)
-    assert {config.global_.hidden, config.global_.critic_hidden, config.local.hidden} == {16}
-    assert config.joint or config.vae.checkpoint == tmp_path
+    assert config.vae.steps == 600
+    steps = {"global": 15_630, "local": 7_820}
+    assert all(gan.steps == steps[name] for name, gan in config.gans.items())
+    assert {size for gan in config.gans.values() for size in (gan.hidden, gan.critic_hidden)} == {16}
+    assert config.trains_encoder or config.vae.checkpoint == tmp_path
 
 
 def test_a_finished_column_is_not_trained_again_and_a_failed_one_ends_the_study(tmp_path, monkeypatch):

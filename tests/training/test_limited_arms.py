@@ -9,14 +9,14 @@ from cspace.worlds.planar.arm import PlanarArm
 from cspace.worlds.planar.camera import decode_png
 from cspace.worlds.planar.render import render
 from tests.scenarios import random_scenarios
-from tests.training.clusters.test_pipeline import GATED, bundle_of, submit
+from tests.training.clusters.test_pipeline import bundle_of, submit
 
 pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(600)]
 
 # A limited joint beside a circle, by one generator; two, one beyond half a turn, by a gated mixture.
 ARMS = {
-    "mixed": (PlanarArm(joint_limits_rad=(None, (-2.0, 2.5))), ()),
-    "box": (PlanarArm(joint_limits_rad=((-2.9, 4.0), (-1.5, 1.2))), ("clusters.form=mixture", *GATED)),
+    "mixed": (PlanarArm(joint_limits_rad=(None, (-2.0, 2.5))), "smoke"),
+    "box": (PlanarArm(joint_limits_rad=((-2.9, 4.0), (-1.5, 1.2))), "smoke_mixture"),
 }
 SAMPLES = 10_000
 
@@ -24,10 +24,10 @@ SAMPLES = 10_000
 @pytest.fixture(scope="module", params=list(ARMS))
 def trained(request, server, tmp_path_factory):
     """The arm, its bundle, and the folder of its data sets."""
-    robot, settings = ARMS[request.param]
+    robot, preset = ARMS[request.param]
     folder = tmp_path_factory.mktemp(request.param)
-    overrides = (limits_of(robot), "validity.threshold=0.05", *settings)
-    result = submit(server, folder, "--preset", "smoke", *chosen(overrides))
+    overrides = (limits_of(robot), "validity.threshold=0.05")
+    result = submit(server, folder, "--preset", preset, *chosen(overrides))
     return robot, bundle_of(server, result["model"], result["version"], folder / "bundle"), folder
 
 

@@ -13,11 +13,10 @@ from cspace.worlds import examples, usual_world
 from cspace.worlds.spatial.arm import ready_rad
 from cspace.worlds.spatial.checks import CollisionChecker
 from cspace.worlds.spatial.obstacles import Obstacles
-from training.config import SCENE_MODEL, TrainConfig
+from training.config import SCENE_MODEL, GridConfig, TrainConfig, ValidityConfig
 from training.models.checkpoint import load_scene_model, save_scene_model, seeded_initialisation
 from training.models.grid_head import GridHead, counts_of
 from training.models.grid_training import ArmSamples
-from training.models.settings import GridConfig, ValidityConfig
 from training.random_arms import random_arm
 from training.scene_model import (
     SceneTask,

@@ -18,9 +18,9 @@ from services.planner.client import SamplingClient
 from tests.contracts.mlflow_server import mlflow_server
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
 from tests.inference_api.server import api_server
+from training.config import GridConfig
 from training.models.checkpoint import save_scene_model, seeded_initialisation
 from training.models.grid_head import SceneModel
-from training.models.settings import GridConfig
 from training.untrained import main
 
 ARM = replace(shipped("ur5"), name="bench-arm")

@@ -26,8 +26,8 @@ from cspace.simulator import Split
 from cspace.world import World
 from cspace.worlds import checker_of, picture_file_of, simulator_of
 from services.evaluator.scenes import Scene, Stage
+from training.config import VaeConfig
 from training.models.autoencoders import blocks
-from training.models.settings import VaeConfig
 from training.trials.arrays import load_encoder
 
 

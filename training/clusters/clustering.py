@@ -13,9 +13,7 @@ from cspace.errors import ConfigError
 from cspace.files import replacing
 from cspace.simulator import derived_seed
 from cspace.space import JointSpace
-from training.models.cells import CellPoints
-from training.models.settings import GateConfig
-from training.trials.arrays import GatedCells
+from training.models.data import Cells
 
 _BLOCK, _FIT_SAMPLES = 100_000, 50_000
 # Cells differ in size; one that is too small for this many draws repeats the points that it has.
@@ -56,12 +54,12 @@ class Partition:
         """(M,) cluster of each configuration."""
         return self.clusters[self.cells.labels]
 
-    def gated(self, config: GateConfig, seed: int) -> GatedCells | None:
-        """The cells with the points that a gate draws from; None where the configuration has no gate."""
-        if config.cells == 0:
+    def with_points(self, points: int, seed: int) -> Cells | None:
+        """The cells with so many points in each; None for none."""
+        if points == 0:
             return None
-        points = points_in_cells(self.cells, config.points, seed)
-        return GatedCells(points, self.cells.labels, self.clusters)
+        spread, spacing_rad = points_in_cells(self.cells, points, seed)
+        return Cells(spread, spacing_rad, self.cells.labels, self.clusters)
 
     def save(self, path: Path) -> None:
         """Keep it for a job that goes on, and for another job's data in the same cells."""
@@ -140,8 +138,10 @@ def group(cells: Clustering, count: int, seed: int) -> NDArray[np.int64]:
     return np.asarray(model.fit(cells.centres, sample_weight=cells.sizes).labels_, dtype=np.int64)
 
 
-def points_in_cells(cells: Clustering, points: int, seed: int) -> CellPoints:
-    """Configurations spread evenly over the joint space, ``points`` in each cell."""
+def points_in_cells(
+    cells: Clustering, points: int, seed: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Configurations spread evenly, (k, points, d) rad, and the side of a point's cube in each cell, (k,)."""
     rng = np.random.default_rng(derived_seed(seed, "points in cells"))
     count, space = len(cells.centres), cells.space
     draws = space.sample_uniform(rng, _DRAWS_PER_POINT * points * count)
@@ -157,4 +157,4 @@ def points_in_cells(cells: Clustering, points: int, seed: int) -> CellPoints:
     volumes = np.array([len(cell) for cell in found]) / len(draws) * space.volume
     kept = [cell[np.arange(points) % len(cell)] for cell in found]
     spacing = (volumes / points) ** (1.0 / space.dim)
-    return CellPoints(np.stack(kept).astype(np.float32), spacing.astype(np.float32))
+    return np.stack(kept).astype(np.float32), spacing.astype(np.float32)

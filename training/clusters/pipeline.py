@@ -1,10 +1,9 @@
-"""The main job: data, clusters, VAE and validity head, gate, local trials, global trial, bundle, registry."""
+"""The main job: data, clusters, VAE and validity head, the model family's trials, bundle, registry."""
 
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -27,22 +26,12 @@ from training.clusters.clustering import Partition, cluster, group
 from training.config import CLUSTERS_FILE, TrainConfig
 from training.data.generate import generate
 from training.jobs.job import TAG_START, Job, kept_bundle, registered_name, world_tag
-from training.models.autoencoders import shown
-from training.models.mixture import gate_probabilities
-from training.trials.arrays import TrainingArrays, has_occupancy, load_encoder
+from training.models.autoencoders import encode, shown
+from training.models.data import TrainingArrays
+from training.models.families import family
+from training.trials.arrays import has_occupancy, load_encoder
 from training.trials.launch import TrialOutcome, TrialRequest, run_trials
-from training.trials.trainables import (
-    GATE,
-    GLOBAL,
-    VAE,
-    VALIDITY,
-    gate_trial,
-    global_trial,
-    joint_trial,
-    load_gate,
-    local_trial,
-    picture_trial,
-)
+from training.trials.trainables import VAE, VALIDITY, family_trial, picture_trial
 
 SHOWN_SCENARIOS = 3
 
@@ -135,7 +124,7 @@ def train_on_pictures(
     given = config.validity.scene_model is not None and config.data.outcomes is None
     trained = config.validity.steps > 0 and not given
     head = trained and has_occupancy(dataset, config.validity)
-    vae = not config.joint and config.vae.checkpoint is None
+    vae = not config.trains_encoder and config.vae.checkpoint is None
     names = [name for name, wanted in ((VAE, vae), (VALIDITY, head)) if wanted]
     if not names:
         return None, None
@@ -164,8 +153,9 @@ def cluster_data(job: Job[TrainConfig], dataset: Dataset) -> TrainingArrays:
         parted.save(path)
     sizes = np.bincount(parted.labels, minlength=config.clusters.count)
     _LOG.info("clusters: sizes %s", ", ".join(map(str, sizes)))
-    cells = parted.gated(config.gate, config.seed)
-    return TrainingArrays.unencoded(dataset, free, ids, parted.labels, config.vae.latent_dim, cells)
+    cells = parted.with_points(config.cell_points, config.seed)
+    nothing = np.zeros((dataset.scenario_count, config.vae.latent_dim), dtype=np.float32)
+    return TrainingArrays(free, ids, parted.labels, nothing, nothing, dataset.world, cells=cells)
 
 
 def encode_data(
@@ -175,16 +165,12 @@ def encode_data(
 
     An encoder that is yet to be trained with the generator leaves the latents at zero.
     """
-    config, images = job.config, dataset.images
-    if not config.joint:
-        encoder = load_encoder(config.vae, dataset.world.sensor, encoder_checkpoint(job, vae))
-        arrays = arrays.encoded(encoder, images)
-    looked_up = any(
-        part.points_per_link
-        for gan in (config.local, config.global_)
-        for part in (gan.generator_lookups, gan.critic_lookups)
-    )
-    return replace(arrays, images=np.asarray(images)) if looked_up else arrays
+    config, sensor = job.config, dataset.world.sensor
+    if not config.trains_encoder:
+        encoder = load_encoder(config.vae, sensor, encoder_checkpoint(job, vae))
+        mu, sigma = encode(encoder, sensor, dataset.images)
+        arrays = replace(arrays, mu=mu, sigma=sigma)
+    return replace(arrays, images=np.asarray(dataset.images)) if config.reads_pictures else arrays
 
 
 def uniform_free(dataset: Dataset) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
@@ -208,42 +194,30 @@ def partition(
     count, seed = config.clusters.count, config.seed
     if start is not None:
         return Partition.load(start / CLUSTERS_FILE, free, space)
-    cells = cluster(free, config.gate.cells or count, seed, space)
+    cells = cluster(free, config.cells, seed, space)
     return Partition(cells, group(cells, count, seed))
 
 
-def train_gate(job: Job[TrainConfig], arrays: TrainingArrays) -> tuple[TrainingArrays, TrialOutcome | None]:
-    """Stage 5, where there are cells: the gate, and what it says of every scenario."""
-    if arrays.cells is None:
-        return arrays, None
-    trial = TrialRequest.of(job, GATE, GATE)
-    gate = run_trials(gate_trial, [trial], _shared(job, arrays), job.config.resources)[0]
-    probabilities = gate_probabilities(load_gate(job.config, gate.checkpoint), arrays.mu)
-    return replace(arrays, cells=replace(arrays.cells, probabilities=probabilities)), gate
-
-
-def train_local(job: Job[TrainConfig], arrays: TrainingArrays) -> list[TrialOutcome]:
-    """Stage 6: one WGAN-GP a cluster, in parallel."""
-    count = job.config.local_trials
-    trials = [TrialRequest.of(job, "local", f"local-{index}", index) for index in range(count)]
-    return run_trials(local_trial, trials, _shared(job, arrays), job.config.resources)
-
-
-def train_global(
-    job: Job[TrainConfig], dataset: Dataset, arrays: TrainingArrays, local: Sequence[TrialOutcome]
+def train_family(
+    job: Job[TrainConfig], arrays: TrainingArrays, until: str | None = None
 ) -> list[TrialOutcome]:
-    """Stage 7: the global WGAN-GP, guided by the local critics or with the encoder that it trains.
+    """Stages 5 and on: what the model family trains from the latents; ``until`` names the last stage."""
+    config, outcomes = job.config, list[TrialOutcome]()
+    kind = family(config.clusters.form)
+    shared = {"kind": kind, "train": config, "arrays": arrays}
+    for stage, names in kind(config, arrays).stages().items():
+        trials = [TrialRequest.of(job, stage, name) for name in names]
+        outcomes += run_trials(
+            family_trial, trials, shared | {"done": checkpoints(outcomes)}, config.resources
+        )
+        if stage == until:
+            break
+    return outcomes
 
-    A mixture needs none, for its local generators are what is served.
-    """
-    if job.config.clusters.form == "mixture":
-        return []
-    trials, shared = [TrialRequest.of(job, GLOBAL, GLOBAL)], _shared(job, arrays)
-    resources = job.config.resources
-    if job.config.joint:
-        return run_trials(joint_trial, trials, shared | {"images": np.asarray(dataset.images)}, resources)
-    local_checkpoints = [outcome.checkpoint for outcome in local]
-    return run_trials(global_trial, trials, shared | {"local_checkpoints": local_checkpoints}, resources)
+
+def checkpoints(outcomes: Sequence[TrialOutcome]) -> dict[str, Path]:
+    """Where the weights of trials are, by their names."""
+    return {outcome.name: outcome.checkpoint for outcome in outcomes}
 
 
 def encoder_checkpoint(job: Job[TrainConfig], vae: TrialOutcome | None) -> Path:
@@ -272,11 +246,6 @@ def require_encoder(job: Job[TrainConfig], dataset: Dataset) -> None:
             got=f"{checkpoint}: {str(error)[:300]}",
             remedy="name another checkpoint, or set the sizes of its job",
         ) from error
-
-
-def _shared(job: Job[TrainConfig], arrays: TrainingArrays) -> dict[str, Any]:
-    """What every trial on configurations gets."""
-    return {"train": job.config, "arrays": arrays}
 
 
 BUNDLE_FOLDER = "bundle"
@@ -325,19 +294,16 @@ def run_job(job: Job[TrainConfig]) -> TrainResult:
         require_encoder(job, dataset)
         data = cluster_data(job, dataset)
         vae, head = train_on_pictures(job, dataset)
-        arrays, gate = train_gate(job, encode_data(job, dataset, vae, data))
-        local = train_local(job, arrays)
-        final = train_global(job, dataset, arrays, local)
+        arrays = encode_data(job, dataset, vae, data)
+        trained = train_family(job, arrays)
         _LOG.info("bundle: exporting")
-        generators = tuple(outcome.checkpoint for outcome in final or local)
-        encoder = generators[0] if job.config.joint else encoder_checkpoint(job, vae)
-        gate_at = _checkpoint(gate)
-        head_at = _checkpoint(head) or job.config.validity.scene_model_file
-        parts = TrainedParts(encoder, generators, gate_at, head_at, arrays, job.start_run_id)
+        encoder = trained[-1].checkpoint if config.trains_encoder else encoder_checkpoint(job, vae)
+        head_at = config.validity.scene_model_file if head is None else head.checkpoint
+        parts = TrainedParts(encoder, checkpoints(trained), head_at, arrays, job.start_run_id)
         bundle = kept_bundle(job.folder / BUNDLE_FOLDER)
         if bundle is None:
             bundle = make_bundle(job.folder / BUNDLE_FOLDER, config, dataset, parts)
-        outcomes = [outcome for outcome in (vae, head, gate, *local, *final) if outcome is not None]
+        outcomes = [*(outcome for outcome in (vae, head) if outcome is not None), *trained]
         figures = log_result(run, bundle, dataset, outcomes[-1])
         version = _register(job, model, dataset, bundle)
     return TrainResult(
@@ -350,10 +316,6 @@ def run_job(job: Job[TrainConfig]) -> TrainResult:
         trials={outcome.name: outcome.times_s for outcome in outcomes},
         figures=figures,
     )
-
-
-def _checkpoint(outcome: TrialOutcome | None) -> Path | None:
-    return None if outcome is None else outcome.checkpoint
 
 
 def _register(job: Job[TrainConfig], model: str, dataset: Dataset, bundle: Bundle) -> int:

@@ -9,8 +9,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from cspace.world import Sensor
-from training.models.networks import Decoder, Encoder, LeakyTanh
-from training.models.settings import VaeConfig
+from training.config import VaeConfig
+from training.models.modules import TrialModule
 
 # Voxels of a picture along a side of a coarse one.
 STRIDE = 4
@@ -28,6 +28,88 @@ def coarse(pictures: Tensor) -> Tensor:
     hidden = (code < _LAST_BEHIND).float() - free
     shares = functional.avg_pool3d(torch.cat([free, hidden, out], dim=1), STRIDE)
     return 2.0 * torch.cat([-functional.max_pool3d(-near, STRIDE), shares], dim=1) - 1.0
+
+
+class Encoder(nn.Module):
+    """Picture to the mean and log variance of its latent.
+
+    The picture is cut into patches that share their convolutions (4 in the paper, 1 for none).
+
+    Shapes: (b, 3, P, P) in [-1, 1] to (b, L), (b, L).
+    """
+
+    def __init__(self, pixels: int, latent_dim: int, width: int, patches: int = 4) -> None:
+        super().__init__()
+        self.cuts = {1: 1, 4: 2}[patches]
+        side = pixels // self.cuts // 8
+        self.features = nn.Sequential(
+            nn.Conv2d(3, width, 3, stride=2, padding=1),
+            nn.LeakyReLU(0.2),
+            nn.Conv2d(width, 2 * width, 3, stride=2, padding=1),
+            nn.LeakyReLU(0.2),
+            nn.Conv2d(2 * width, 4 * width, 3, stride=2, padding=1),
+            nn.LeakyReLU(0.2),
+            nn.Flatten(),
+        )
+        self.mean = nn.Linear(patches * 4 * width * side * side, latent_dim)
+        self.log_variance = nn.Linear(patches * 4 * width * side * side, latent_dim)
+        # A log variance that starts near zero blows up; it starts small and flat.
+        nn.init.normal_(self.log_variance.weight, std=1e-3)
+        nn.init.constant_(self.log_variance.bias, -3.0)
+
+    def forward(self, images: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and log variance of the latent."""
+        features = torch.cat([self.features(patch) for patch in self._patches(images)], dim=1)
+        return self.mean(features), self.log_variance(features).clamp(-8.0, 4.0)
+
+    def of_shown(self, images: Tensor) -> tuple[Tensor, Tensor]:
+        """The same: the decoder draws whole pictures."""
+        found: tuple[Tensor, Tensor] = self(images)
+        return found
+
+    def _patches(self, images: Tensor) -> list[Tensor]:
+        rows = torch.chunk(images, self.cuts, dim=2)
+        return [patch for row in rows for patch in torch.chunk(row, self.cuts, dim=3)]
+
+
+class LeakyTanh(nn.Module):
+    """tanh(x) + x / 20: bounded in effect, with a gradient everywhere."""
+
+    def forward(self, values: Tensor) -> Tensor:
+        """The same shape."""
+        return torch.tanh(values) + 0.05 * values
+
+
+class Decoder(nn.Module):
+    """Latent to picture by resize-convolutions, which leave no checkerboard: (b, L) to (b, 3, P, P).
+
+    Most of a picture is white, and a plain tanh that has once become white everywhere has no gradient that
+    leads back (one seed in five ended there), so the last one leaks.
+    """
+
+    def __init__(self, pixels: int, latent_dim: int, width: int) -> None:
+        super().__init__()
+        self.side = pixels // 8
+        self.width = width
+        self.first = nn.Linear(latent_dim, 4 * width * self.side * self.side)
+        self.layers = nn.Sequential(
+            nn.LeakyReLU(0.2),
+            nn.Upsample(scale_factor=2),
+            nn.Conv2d(4 * width, 2 * width, 3, padding=1),
+            nn.LeakyReLU(0.2),
+            nn.Upsample(scale_factor=2),
+            nn.Conv2d(2 * width, width, 3, padding=1),
+            nn.LeakyReLU(0.2),
+            nn.Upsample(scale_factor=2),
+            nn.Conv2d(width, 3, 3, padding=1),
+            LeakyTanh(),
+        )
+
+    def forward(self, latent: Tensor) -> Tensor:
+        """The decoded pictures, near [-1, 1]."""
+        first: Tensor = self.first(latent)
+        decoded: Tensor = self.layers(first.view(-1, 4 * self.width, self.side, self.side))
+        return decoded
 
 
 class GridVaeEncoder(nn.Module):
@@ -159,6 +241,19 @@ def blocks(sensor: Sensor, count: int) -> list[slice]:
     return [slice(start, start + size) for start in range(0, count, size)]
 
 
+def encode(
+    encoder: nn.Module, sensor: Sensor, images: NDArray[np.uint8]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Mean and standard deviation (S, L) of the latents of pictures (S, ...)."""
+    means, deviations = [], []
+    with torch.inference_mode():
+        for rows in blocks(sensor, len(images)):
+            mu, log_variance = encoder(torch.from_numpy(sensor.to_network(np.asarray(images[rows]))))
+            means.append(mu.numpy())
+            deviations.append((log_variance / 2.0).exp().numpy())
+    return np.concatenate(means), np.concatenate(deviations)
+
+
 def _counts(size: Sequence[int]) -> tuple[int, int, int]:
     x, y, z = (STRIDE * side for side in size[1:])
     return (x, y, z)
@@ -182,3 +277,48 @@ class NoveltyScores(nn.Module):
         error = (self.decoder(mu) - pictures).square().mean(dim=1, keepdim=True)
         worst = self.part(error).amax(dim=(1, 2, 3))
         return torch.stack([error.mean(dim=(1, 2, 3)), worst], dim=1)
+
+
+def kl_divergence(mu: Tensor, log_variance: Tensor) -> Tensor:
+    """KL(N(mu, s^2) | N(0, 1)) = sum(mu^2 + s^2 - log s^2 - 1) / 2 over the latent, (b,) (eq. kl, mended)."""
+    return 0.5 * (mu.square() + log_variance.exp() - log_variance - 1.0).sum(dim=-1)
+
+
+def reconstruction_loss(images: Tensor, decoded: Tensor) -> Tensor:
+    """Squared error summed over each picture, (b,)."""
+    return (images - decoded).square().flatten(1).sum(dim=-1)
+
+
+class VaeModule(TrialModule):
+    """The variational auto-encoder over pictures (Kingma and Welling 2014; eq. kl, mended)."""
+
+    images: Tensor
+
+    def __init__(self, config: VaeConfig, images: Tensor, seed: int) -> None:
+        super().__init__(seed)
+        self.config = config
+        self.register_buffer("images", images, persistent=False)
+        self.encoder = make_encoder(config, images.shape[1:])
+        self.decoder = make_decoder(config, images.shape[1:])
+        self.one_cycle(self.parameters(), config.learning_rate, config.steps)
+
+    def training_step(self, step: int, batch_index: int) -> None:
+        """One step of the evidence lower bound, its KL term warmed up and its gradient clipped."""
+        del step, batch_index
+        rows = torch.randint(
+            len(self.images), (self.config.batch_size,), generator=self.rng, device=self.device
+        )
+        # Pictures stay uint8 in memory; a float copy of thousands of them would be four times as large.
+        pictures = self.images[rows].float() / 127.5 - 1.0
+        mu, log_variance = self.encoder.of_shown(pictures)
+        latent = mu + (log_variance / 2.0).exp() * self.normal(*mu.shape)
+        reconstruction = reconstruction_loss(pictures, self.decoder(latent)).mean()
+        kl = kl_divergence(mu, log_variance).mean()
+        warmup = min(1.0, (self.global_step + 1) / max(1.0, self.config.kl_warmup * self.config.steps))
+        loss = reconstruction + self.config.kl_weight * warmup * kl
+        self.descend(loss, self.config.gradient_clip)
+        self.latest = {
+            "vae_loss": loss.detach(),
+            "reconstruction_loss": reconstruction.detach(),
+            "kl": kl.detach(),
+        }

@@ -16,8 +16,8 @@ from cspace.errors import ConfigError
 from cspace.files import replacing
 from cspace.simulator import derived_seed
 from cspace.world import World
+from training.config import GridConfig
 from training.models.grid_head import SceneModel
-from training.models.settings import GridConfig
 
 Network = TypeVar("Network", bound=nn.Module)
 

@@ -1,12 +1,15 @@
 """Batches: scenarios with their latents, configurations drawn from them, and pictures."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from typing import Self
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
-from torch.utils.data import IterableDataset
+
+from cspace.world import World
+from training.models.lookups import Scenes
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,14 +58,49 @@ class ScenarioSamples(Held):
         return Batch(self.configurations[rows], ids, self.mu[ids], self.sigma[ids])
 
 
-class StepCounter(IterableDataset[int]):
-    """Step numbers from ``first`` to ``last``: the modules draw their own batches on their own device."""
+@dataclass(frozen=True, slots=True)
+class Cells:
+    """Cells of the configuration space, with points spread evenly over each."""
 
-    def __init__(self, first: int, last: int) -> None:
-        self.first, self.last = first, last
+    points: NDArray[np.float32]  # (k, p, d) float32 rad
+    spacing_rad: NDArray[np.float32]  # (k,) float32, side of the cube that is one point's part of its cell
+    labels: NDArray[np.int64]  # (M,) int64 cell of each configuration
+    clusters: NDArray[np.int64]  # (k,) int64 cluster that each cell belongs to
 
-    def __iter__(self) -> Iterator[int]:
-        return iter(range(self.first, self.last))
 
-    def __len__(self) -> int:
-        return self.last - self.first
+@dataclass(frozen=True, slots=True)
+class TrainingArrays:
+    """What every trial on configurations reads."""
+
+    configurations: NDArray[np.float32]  # (M, d) float32 rad
+    ids: NDArray[np.int64]  # (M,) int64 scenario of each configuration
+    labels: NDArray[np.int64]  # (M,) int64 cluster of each configuration
+    mu: NDArray[np.float32]  # (S, L) float32 latent means
+    sigma: NDArray[np.float32]  # (S, L) float32 latent standard deviations
+    world: World
+    images: NDArray[np.uint8] | None = None  # (S, P, P, 3) uint8; None without look-ups
+    cells: Cells | None = None
+
+    @property
+    def scale(self) -> tuple[Tensor, Tensor]:
+        """Mean and standard deviation of all configurations, each (d,) rad."""
+        return torch.tensor(self.configurations.mean(axis=0)), torch.tensor(self.configurations.std(axis=0))
+
+    def samples(self, cluster: int | None) -> ScenarioSamples:
+        """The configurations of one cluster, or all of them; copied, for the shared ones are read-only."""
+        rows = slice(None) if cluster is None else np.flatnonzero(self.labels == cluster)
+        return ScenarioSamples(
+            *(
+                torch.tensor(array)
+                for array in (self.configurations[rows], self.ids[rows], self.mu, self.sigma)
+            )
+        )
+
+    def part(self, cluster: int | None) -> dict[str, float]:
+        """How much of the data a cluster has: ``configurations``, and their ``share_of_data``."""
+        count = len(self.labels) if cluster is None else int((self.labels == cluster).sum())
+        return {"configurations": count, "share_of_data": round(count / len(self.labels), 4)}
+
+    def scenes(self) -> Scenes | None:
+        """The pictures for look-ups, copied; None without."""
+        return None if self.images is None else Scenes(self.world, torch.tensor(self.images))

@@ -10,11 +10,9 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from cspace.bundle import RandomInput
 from cspace.space import JointSpace
 from training.models.joints import Joints
-from training.models.mixture import GatedSampler, LookupSampler
-from training.models.networks import MeansGenerator, TorusGenerator
-from training.models.validity import ValidityHead
 
 OPSET = 18
 
@@ -76,62 +74,30 @@ def novelty_graph(scores: nn.Module, pixels: int | Sequence[int], latent_dim: in
     return exported(_NoveltyGraph(scores), inputs, ["image", "mu"], ["scores"], ({}, {}))
 
 
-class _ValidityGraph(nn.Module):
-    """One picture and many configurations to the probability of each that it is free."""
+class Sampler(nn.Module):
+    """A trained generator as a bundle holds it: its randomness, and the picture, are inputs.
 
-    def __init__(self, head: ValidityHead) -> None:
-        super().__init__()
-        self.head = head
-
-    def forward(self, image: Tensor, configurations: Tensor) -> Tensor:
-        return torch.sigmoid(self.head.of_one(image, configurations))
-
-
-def validity_graph(head: ValidityHead, pixels: int, dim: int) -> bytes:
-    """ONNX bytes: ``image`` (1, 3, P, P) and ``configurations`` (n, d) rad to ``confidence`` (n,)."""
-    inputs = (torch.zeros(1, 3, pixels, pixels), torch.zeros(2, dim))
-    rows = {0: torch.export.Dim("configurations", min=1)}
-    return exported(_ValidityGraph(head), inputs, ["image", "configurations"], ["confidence"], ({}, rows))
-
-
-class _FromTorus(nn.Module):
-    """A sampler whose base is uniform on the torus and is brought within the limits first."""
-
-    def __init__(self, sampler: nn.Module, joints: Joints) -> None:
-        super().__init__()
-        self.sampler, self.joints = sampler, joints
-
-    def forward(self, latent: Tensor, base: Tensor, noise: Tensor, image: Tensor | None = None) -> Tensor:
-        seen = () if image is None else (image,)
-        samples: Tensor = self.sampler(latent, self.joints.from_torus(base), noise, *seen)
-        return samples
-
-
-def generator_graph(
-    sampler: TorusGenerator | MeansGenerator | LookupSampler | GatedSampler, latent_dim: int, pixels: int = 0
-) -> bytes:
-    """ONNX bytes: ``latent`` (m, L) and the sampler's random inputs to ``samples`` (m, K, d) rad.
-
-    ``base`` is uniform on the torus whatever the limits are. With look-ups it also takes ``image``
-    (1, 3, P, P).
+    ``forward`` takes latents (m, L), the random inputs in their order and, where it looks at it, the picture
+    (1, ...), and gives (m, K, d) rad.
     """
-    whole: nn.Module = sampler
-    if isinstance(sampler, MeansGenerator):
-        shapes: dict[str, tuple[int, ...]] = {"noise": (sampler.means, sampler.joints.dim)}
-    elif isinstance(sampler, GatedSampler):
-        dim = sampler.experts.joints.dim
-        shapes = {"cell": (1,), "place": (1,), "jitter": (dim,), "noise": (sampler.noise_dim,)}
-    else:
-        joints = (sampler.generator if isinstance(sampler, LookupSampler) else sampler).joints
-        shapes = {"base": (joints.dim,), "noise": (sampler.noise_dim,)}
-        whole = sampler if joints.is_torus else _FromTorus(sampler, joints)
+
+    random_inputs: tuple[RandomInput, ...]
+    looks_at_picture = False
+    samples_per_latent = 1
+    # Mean and standard deviation (d,) rad that the graph's angles are standardised by.
+    scale: tuple[Tensor, Tensor] | None = None
+
+
+def generator_graph(sampler: Sampler, latent_dim: int, pixels: int = 0) -> bytes:
+    """ONNX bytes: ``latent`` (m, L), the random inputs and ``image`` to ``samples`` (m, K, d) rad."""
+    shapes = {one.name: one.shape for one in sampler.random_inputs}
     inputs = [torch.zeros(2, latent_dim), *(torch.zeros(2, *shape) for shape in shapes.values())]
     names, axes = ["latent", *shapes], batched("latents", len(inputs))
-    if getattr(sampler, "lookups", None) is not None:
+    if sampler.looks_at_picture:
         inputs.append(pictures(1, pixels))
         names.append("image")
         axes = (*axes, {})
-    return exported(whole, tuple(inputs), names, ["samples"], axes)
+    return exported(sampler, tuple(inputs), names, ["samples"], axes)
 
 
 class _Uniform(nn.Module):

@@ -15,9 +15,9 @@ from torch.nn import functional
 
 from cspace.world import World
 from cspace.worlds.spatial.sensor import FREE, MOST_BEHIND, NO_READING
+from training.config import GridConfig
 from training.models.export import exported, pictures
 from training.models.grid_head import CHANNELS, GridEncoder
-from training.models.settings import GridConfig
 
 # Log odds before anything is learned; weights of voxels that were seen free, and that no pixel is about.
 _RARE, _SEEN_WEIGHT, _UNSURE_WEIGHT = -3.0, 0.1, 0.3

@@ -9,10 +9,10 @@ from torch.nn import functional
 
 from cspace.errors import ConfigError
 from cspace.world import GridArm, World
+from training.config import GridConfig, ValidityConfig
 from training.models.joints import table_of
 from training.models.kinematics import ArmFrames, SelfGap, buffer, frame_rows
-from training.models.networks import mlp
-from training.models.settings import GridConfig, ValidityConfig
+from training.models.modules import mlp
 
 Counts = tuple[int, int, int]
 

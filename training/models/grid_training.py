@@ -10,11 +10,11 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from cspace.world import GridArm, World
+from training.config import GridConfig, ValidityConfig
 from training.models.data import Held, rows_of
 from training.models.export import exported
 from training.models.grid_head import GridHead, HeadPrediction, counts_of
 from training.models.modules import TrialModule
-from training.models.settings import GridConfig, ValidityConfig
 
 # Of what is 1 at most, so that its logarithm's complement is finite.
 _MAX_LOG_FREE = -1e-6

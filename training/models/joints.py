@@ -6,7 +6,6 @@ import torch
 from torch import Tensor, nn
 
 from cspace.space import JointSpace
-from training.models import losses
 
 HARMONICS = 3
 
@@ -108,11 +107,8 @@ class Joints(nn.Module):
         return round_circles if self.is_torus else torch.where(self.limited, plain, round_circles)
 
     def interpolate(self, start: Tensor, end: Tensor, share: Tensor) -> Tensor:
-        """Points at shares (b, 1) of :meth:`difference`; (b, d) rad."""
-        wrapped = losses.wrapped_interpolation(end, start, share)
-        if self.is_torus:
-            return wrapped
-        return torch.where(self.limited, losses.straight_interpolation(end, start, share), wrapped)
+        """Points at shares (b, 1) of :meth:`difference` (eq. gangp on the torus); (b, d) rad."""
+        return start + share * self.difference(start, end)
 
     def unembed(self, embedded: Tensor) -> Tensor:
         """Cosines of the circles, their sines, places within the limits: (m, embedded_size) to (m, d) rad.

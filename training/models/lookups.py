@@ -3,12 +3,25 @@
 from dataclasses import dataclass
 
 import torch
+from pydantic import Field, model_validator
 from torch import Tensor, nn
 from torch.nn import functional
 
-from cspace.errors import ConfigError
 from cspace.world import World
-from training.models.settings import LookupConfig
+from training.section import Section
+
+
+class LookupConfig(Section):
+    """Where a network reads a picture of a plane: along the links and beside them."""
+
+    points_per_link: int = Field(0, ge=0, description="0 for no look-ups")
+    side_m: float = Field(0.0, ge=0, description="distance of the rows beside each link; 0 for none")
+
+    @model_validator(mode="after")
+    def _one_point_is_no_row(self) -> "LookupConfig":
+        if self.points_per_link == 1:
+            raise ValueError("points_per_link counts both ends of a link: 2 or more, or 0 for no look-ups")
+        return self
 
 
 class ArmLookups(nn.Module):
@@ -155,12 +168,8 @@ def make_reader(config: LookupConfig, scenes: Scenes | None) -> PictureReader | 
     """The reader that a configuration names; None for no look-ups."""
     if config.points_per_link == 0:
         return None
-    if scenes is None:
-        raise ConfigError(
-            "look-ups need the pictures", expected="pictures, or points_per_link=0", got="no pictures"
-        )
-    lookups = make_lookups(config, scenes.world)
-    return None if lookups is None else PictureReader(lookups, scenes.images)
+    assert scenes is not None  # noqa: S101 - for the type checker
+    return PictureReader(ArmLookups(scenes.world, config.points_per_link, config.side_m), scenes.images)
 
 
 def read(reader: PictureReader | None, ids: Tensor, configurations: Tensor) -> Tensor | None:
@@ -171,3 +180,11 @@ def read(reader: PictureReader | None, ids: Tensor, configurations: Tensor) -> T
 def values_read(found: PictureReader | ArmLookups | None) -> int:
     """How many values look-ups give for one configuration; 0 for none."""
     return 0 if found is None else found.values
+
+
+def look(lookups: ArmLookups | None, image: Tensor | None, base: Tensor) -> Tensor | None:
+    """What one picture (1, ...) shows at (m, d) configurations, (m, values); None without look-ups."""
+    if lookups is None or image is None:
+        return None
+    seen: Tensor = lookups(image, base.unsqueeze(0))
+    return seen.squeeze(0)

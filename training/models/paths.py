@@ -12,13 +12,11 @@ from cspace.dataset import Dataset
 from cspace.errors import DatasetError
 from cspace.planning.paths import spread_points
 from cspace.space import JointSpace
-from training.models import losses
+from training.config import PathGanConfig
 from training.models.data import Held
+from training.models.families.wgan_gp import AdversarialModule, Sizes
 from training.models.joints import Joints
-from training.models.lookups import PictureReader, read
-from training.models.modules import AdversarialModule
-from training.models.networks import Critic, Sizes, mlp
-from training.models.settings import PathGanConfig
+from training.models.modules import mlp
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +78,7 @@ MIN_POINTS = 2
 class PathBatch:
     """Points of paths."""
 
-    points: Tensor  # (b, d) rad, one of each path
+    configurations: Tensor  # (b, d) rad, a point of each path
     start: Tensor  # (b, d) rad
     goal: Tensor  # (b, d) rad
     ids: Tensor  # (b,) scenario
@@ -144,62 +142,32 @@ class PathGanModule(AdversarialModule):
     samples: PathSamples
     config: PathGanConfig
 
-    def __init__(
-        self,
-        config: PathGanConfig,
-        samples: PathSamples,
-        seed: int,
-        space: JointSpace,
-        guides: list[Critic] | None = None,
-        guide_reader: PictureReader | None = None,
-    ) -> None:
+    def __init__(self, config: PathGanConfig, samples: PathSamples, seed: int, space: JointSpace) -> None:
         super().__init__(seed)
         self.config, self.samples, self.joints = config, samples, Joints(space)
         sizes = point_sizes(config, space, samples.mu.shape[1])
         self.net = PathGenerator(sizes, config.noise_dim)
         self.critic = PathCritic(replace(sizes, hidden=config.critic_hidden, layers=config.critic_layers))
-        self.guides = nn.ModuleList(guides or []).requires_grad_(requires_grad=False)
-        self.guide_reader = guide_reader
-        self.set_optimisers(self.critic, self.net.parameters(), config.learning_rate)
+        self.set_optimisers(self.net.parameters(), config.learning_rate)
 
-    def _generate(self, batch: PathBatch) -> Tensor:
+    def generate(self, batch: PathBatch) -> Tensor:
+        """A point for each path's latent, start and goal, (b, 1, d) rad."""
         latent = batch.mu + batch.sigma * self.normal(*batch.mu.shape)
         noise = self.normal(len(batch.ids), self.net.noise_dim)
         points: Tensor = self.net(Condition(latent, batch.start, batch.goal), noise)
-        return points
+        return points.unsqueeze(1)
 
-    def _known(self, batch: PathBatch) -> Tensor:
-        """What the critic knows of the points: the latent's mean, not the draw that the generator got."""
-        return Condition(batch.mu, batch.start, batch.goal).features(self.joints)
+    def values(self, critic: nn.Module, configurations: Tensor, batch: PathBatch) -> Tensor:
+        """Critic values (b, 1); it knows the latent's mean, not the draw that the generator got."""
+        features = Condition(batch.mu, batch.start, batch.goal).features(self.joints)
+        values: Tensor = critic(configurations.squeeze(1), features)
+        return values.unsqueeze(1)
 
-    def critic_step_loss(self, batch: PathBatch) -> Tensor:
-        """f(fake) - f(real) with the penalty (Algorithm 1, line 7)."""
-        with torch.no_grad():
-            fake = self._generate(batch)
-        features = self._known(batch)
-
-        def value(points: Tensor) -> Tensor:
-            values: Tensor = self.critic(points, features)
-            return values
-
-        wasserstein = losses.critic_loss(value(batch.points), value(fake))
-        share = self.uniform(len(fake), 1)
-        interpolated = self.joints.interpolate(fake, batch.points, share)
-        penalty = losses.gradient_penalty(value, interpolated, one_sided=self.config.penalty == "one_sided")
-        self.latest |= {"wasserstein_estimate": -wasserstein.detach(), "gradient_penalty": penalty.detach()}
-        return wasserstein + self.config.penalty_weight * penalty
-
-    def generator_step_loss(self, batch: PathBatch) -> Tensor:
-        """-f(fake), with the guides' mean where they have a weight (line 11; eq. multiDirector)."""
-        fake = self._generate(batch)
-        values = self.critic(fake, self._known(batch))
-        guides = list(self.guides) if self.config.guide_weight > 0.0 else []
-        guided = [guide(fake, batch.mu, read(self.guide_reader, batch.ids, fake)) for guide in guides]
-        loss = losses.guided_generator_loss(values, guided, self.config.guide_weight)
-        self.latest["generator_loss"] = loss.detach()
-        return loss
+    def interpolate(self, real: Tensor, fake: Tensor) -> Tensor:
+        """Between each real point and its generated one, the shorter way on circles."""
+        return self.joints.interpolate(fake.squeeze(1), real, self.uniform(len(real), 1))
 
 
 def point_sizes(config: PathGanConfig, space: JointSpace, latent_dim: int) -> Sizes:
     """Sizes of the networks that settings name."""
-    return Sizes(space, latent_dim, config.hidden, config.layers, 0)
+    return Sizes(space, latent_dim, config.hidden, config.layers)

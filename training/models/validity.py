@@ -7,11 +7,11 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from cspace.world import World
+from training.config import ValidityConfig
 from training.models.data import Held, rows_of
+from training.models.export import exported
 from training.models.lookups import ArmLookups
-from training.models.modules import TrialModule
-from training.models.networks import mlp
-from training.models.settings import ValidityConfig
+from training.models.modules import TrialModule, mlp
 
 
 class ValidityHead(nn.Module):
@@ -43,6 +43,24 @@ def make_head(config: ValidityConfig, world: World) -> ValidityHead:
     return ValidityHead(
         ArmLookups(world, config.points_per_link, config.side_m), config.hidden, config.layers
     )
+
+
+class _ValidityGraph(nn.Module):
+    """One picture and many configurations to the probability of each that it is free."""
+
+    def __init__(self, head: ValidityHead) -> None:
+        super().__init__()
+        self.head = head
+
+    def forward(self, image: Tensor, configurations: Tensor) -> Tensor:
+        return torch.sigmoid(self.head.of_one(image, configurations))
+
+
+def validity_graph(head: ValidityHead, pixels: int, dim: int) -> bytes:
+    """ONNX bytes: ``image`` (1, 3, P, P) and ``configurations`` (n, d) rad to ``confidence`` (n,)."""
+    inputs = (torch.zeros(1, 3, pixels, pixels), torch.zeros(2, dim))
+    rows = {0: torch.export.Dim("configurations", min=1)}
+    return exported(_ValidityGraph(head), inputs, ["image", "configurations"], ["confidence"], ({}, rows))
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,14 +1,13 @@
 """From a trained path model to ONNX graphs and a bundle."""
 
 from pathlib import Path
-from typing import cast
 
 import torch
 from torch import Tensor, nn
 
 from cspace.bundle import Bundle, RandomInput
 from cspace.dataset import Dataset
-from training.config import PathModel, PathTrainConfig
+from training.config import PathTrainConfig
 from training.jobs.job import TAG_START, Job
 from training.models.export import batched, exported
 from training.models.paths import Condition, PathGenerator
@@ -49,10 +48,10 @@ def trained_bundle(
     dataset: Dataset,
 ) -> Bundle:
     """The bundle of one of a job's trials, which is named after its model."""
-    train, spec, name = job.config, source.spec, cast("PathModel", outcome.name)
-    graph = point_graph(load_points(name, train, arrays, outcome.checkpoint), spec.latent_dim)
+    train = job.config
+    graph = point_graph(load_points(train.wgan, arrays, outcome.checkpoint), source.spec.latent_dim)
     seeds = {"training": train.seed, "data": dataset.generator_seed}
-    recipe = {"path_model": name, "source_digest": source.digest, **train.to_dict()}
+    recipe = {"path_model": outcome.name, "source_digest": source.digest, **train.to_dict()}
     recipe |= {} if job.start_run_id is None else {TAG_START: job.start_run_id}
     metrics = {**outcome.metrics, "training_s": outcome.seconds}
     return write_path_bundle(folder, source, graph, dataset.digest, seeds, recipe, metrics)

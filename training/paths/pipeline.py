@@ -1,13 +1,10 @@
-"""The job of path models: data, what a bundle sees of them, one trial a model, bundles, registry."""
+"""The job of the path model: data, what a bundle sees of them, the trial, bundles, registry."""
 
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from cspace.bundle import Bundle
 from cspace.dataset import Dataset, open_dataset
@@ -20,12 +17,12 @@ from training.jobs.job import TAG_START, Job, kept_bundle, registered_name, worl
 from training.paths.bundling import trained_bundle
 from training.paths.writing import made_or_found, require_source, source_bundle
 from training.trials.launch import TrialOutcome, TrialRequest, run_trials
-from training.trials.paths import Guides, PathArrays, find_guides, path_arrays, path_trial, require_world
+from training.trials.paths import PathArrays, path_arrays, path_trial, require_world
 
 _LOG = logging.getLogger("training")
 
-# The sampler that is not trained on paths, registered beside those that are.
-UNTRAINED = "ways"
+# The model that is trained on paths, and the sampler that is not, registered beside it.
+MODEL, UNTRAINED = "wgan", "ways"
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,15 +59,14 @@ def run_job(job: Job[PathTrainConfig]) -> PathTrainResult:
         model = registered_name(job, source.spec.world, named, path=True)
         require_source(job.start_folder, source)
         require_world(source, config.world)
-        guides = None if config.guides is None else find_guides(config.guides, source.digest)
         dataset = _data(config, job.environment.data_folder)
         job.log_configuration()
         run.dataset(dataset.folder.name, dataset.digest, str(dataset.folder), "training")
         job.add_tags(world_tag(source.spec.world, named))
         arrays = path_arrays(source, dataset, config.points)
-        outcomes = _train(job, dataset, arrays, guides)
+        outcome = _train(job, arrays)
         run.flush()
-        bundles = _bundles(job, source, dataset, arrays, outcomes)
+        bundles = _bundles(job, source, dataset, arrays, outcome)
         versions = {
             name: job.patiently(f"registering {name}", partial(_register, job, registry, model, name, bundle))
             for name, bundle in bundles.items()
@@ -81,7 +77,7 @@ def run_job(job: Job[PathTrainConfig]) -> PathTrainResult:
             versions=versions,
             digests={name: bundle.digest for name, bundle in bundles.items()},
             data_digest=dataset.digest,
-            seconds={outcome.name: outcome.seconds for outcome in outcomes},
+            seconds={MODEL: outcome.seconds},
         )
 
 
@@ -91,19 +87,11 @@ def _data(config: PathTrainConfig, folder: Path) -> Dataset:
     return generate(config.data, folder / "datasets" / f"paths-{config.data.folder_name}")
 
 
-def _train(
-    job: Job[PathTrainConfig], dataset: Dataset, arrays: PathArrays, guides: Guides | None
-) -> list[TrialOutcome]:
-    config = job.config
-    trials = [TrialRequest.of(job, "models", name) for name in config.models]
-    _LOG.info("path models: %s on %d paths", ", ".join(config.models), len(arrays.ids))
-    shared: dict[str, Any] = {
-        "train": config,
-        "arrays": arrays,
-        "guides": guides,
-        "images": None if guides is None else np.asarray(dataset.images),
-    }
-    return run_trials(path_trial, trials, shared, config.resources)
+def _train(job: Job[PathTrainConfig], arrays: PathArrays) -> TrialOutcome:
+    _LOG.info("path model: %d paths", len(arrays.ids))
+    shared = {"train": job.config, "arrays": arrays}
+    (outcome,) = run_trials(path_trial, [TrialRequest.of(job, "models", MODEL)], shared, job.config.resources)
+    return outcome
 
 
 def _bundles(
@@ -111,19 +99,16 @@ def _bundles(
     source: Bundle,
     dataset: Dataset,
     arrays: PathArrays,
-    outcomes: list[TrialOutcome],
+    outcome: TrialOutcome,
 ) -> dict[str, Bundle]:
-    """The untrained sampler's bundle, where the source has a head for it, and those of all trials."""
+    """The untrained sampler's bundle, where the source has a head for it, and the trained one's."""
     bundles: dict[str, Bundle] = {}
     if source.has_validity:
         bundles[UNTRAINED] = made_or_found(source, job.folder / "bundles" / UNTRAINED)
-    for name, outcome in zip(job.config.models, outcomes, strict=True):
-        _LOG.info("bundle: exporting %s", name)
-        folder = job.folder / "bundles" / name
-        kept = kept_bundle(folder)
-        if kept is None:
-            kept = trained_bundle(folder, job, outcome, arrays, source, dataset)
-        bundles[name] = kept
+    _LOG.info("bundle: exporting %s", MODEL)
+    folder = job.folder / "bundles" / MODEL
+    kept = kept_bundle(folder)
+    bundles[MODEL] = kept or trained_bundle(folder, job, outcome, arrays, source, dataset)
     return bundles
 
 
@@ -137,10 +122,8 @@ def _register(
         "seed": str(job.config.seed),
     }
     tags |= {} if job.start_run_id is None else {TAG_START: job.start_run_id}
-    version = registry.register(
-        model, bundle.folder, job.child(name), bundle.digest, tags, alias=name.replace("_", "-")
-    )
-    if name == job.config.models[0]:
+    version = registry.register(model, bundle.folder, job.child(name), bundle.digest, tags, alias=name)
+    if name == MODEL:
         registry.set_alias(model, ALIAS_CHALLENGER, version.number)
     if name == UNTRAINED:
         # A run without a trial that would end it.

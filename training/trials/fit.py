@@ -16,10 +16,9 @@ from cspace.errors import RegistryError, RegistryUnavailableError
 from services.progress import Estimate
 from services.registry.errors import retry, set_timeouts
 from services.registry.tracking import RunLog, Tracking
-from training.config import ResourceConfig
+from training.config import ResourceConfig, TrialSettings
 from training.models.checkpoint import AtomicCheckpoints, start_from
 from training.models.modules import TrialModule
-from training.models.settings import TrialSettings
 from training.trials.launch import LAST, TrialRequest
 
 # Readers of a log want a line now and then, however fast the steps are.

@@ -14,25 +14,23 @@ from ray.tune.schedulers import ASHAScheduler
 from ray.tune.search.basic_variant import BasicVariantGenerator
 from torch import nn
 
+from cspace.bundle import RandomInput
 from cspace.errors import JobError
 from cspace.simulator import Split, derived_seed
 from cspace.world import World
 from services.evaluator.scenes import Scene, Stage
 from services.names import EXPERIMENT, TAG_STAGE
 from services.registry.tracking import RunLog, Tracking
-from training.config import ResourceConfig, TrainConfig
-from training.models.cells import UniformBase
-from training.models.mixture import Gate, GatedSampler, LookupSampler
-from training.models.modules import WganGpModule
-from training.models.networks import TorusGenerator
-from training.models.settings import GanConfig
-from training.trials.arrays import TrainingArrays, load_encoder
+from training.config import ResourceConfig
+from training.models.checkpoint import seeded_initialisation
+from training.models.data import TrainingArrays
+from training.models.export import Sampler
+from training.models.families.mixture import Gate, Mixture, MixtureConfig
+from training.models.families.wgan_gp import GanConfig, WganGpModule
+from training.trials.arrays import load_encoder
 from training.trials.fit import fit_module
-from training.trials.trainables import gated_sampler, load_gate, make_wgan
 
 SAMPLES = 1000
-
-TorchSampler = GatedSampler | LookupSampler | TorusGenerator
 
 
 @dataclass(frozen=True)
@@ -53,14 +51,14 @@ class Validation:
         stood = cls(encoder.eval(), scenes, held_out, 1.0)
         return replace(stood, uniform_energy=float(sum(row["energy"] for row in stood.rows(None))))
 
-    def rows(self, sampler: TorchSampler | None) -> list[Mapping[str, float]]:
+    def rows(self, sampler: Sampler | None) -> list[Mapping[str, float]]:
         """A sampler in every scenario; uniform samples for None."""
         return [
             scene.quality(self._sample(sampler, scene), real)
             for scene, real in zip(self.scenes, self.held_out, strict=True)
         ]
 
-    def measure(self, sampler: TorchSampler) -> dict[str, float]:
+    def measure(self, sampler: Sampler) -> dict[str, float]:
         """Means of precision and coverage, and the energy ratio, as ``validation_*``."""
         rows = self.rows(sampler)
         return {
@@ -69,24 +67,25 @@ class Validation:
             "validation_edr": float(np.sum([row["energy"] for row in rows])) / self.uniform_energy,
         }
 
-    def _sample(self, sampler: TorchSampler | None, scene: Scene) -> NDArray[np.float64]:
+    def _sample(self, sampler: Sampler | None, scene: Scene) -> NDArray[np.float64]:
         if sampler is None:
             return scene.space.sample_uniform(scene.rng(1), SAMPLES)
         rng = torch.Generator().manual_seed(scene.sampler_seed())
         image = torch.from_numpy(scene.stage.world.sensor.to_network(scene.image[None]))
-        dim = scene.space.dim
         with torch.inference_mode():
             mu, log_variance = self.encoder(image)
             latent = mu + (log_variance / 2.0).exp() * torch.randn(SAMPLES, mu.shape[1], generator=rng)
-            if isinstance(sampler, GatedSampler):
-                cell, place, jitter = (torch.rand(SAMPLES, size, generator=rng) for size in (1, 1, dim))
-                start = [cell, place, jitter - 0.5]
-            else:
-                start = [UniformBase(scene.space).draw(torch.zeros(SAMPLES), rng)]
-            noise = torch.randn(SAMPLES, sampler.noise_dim, generator=rng)
-            seen = [image] if getattr(sampler, "lookups", None) is not None else []
-            samples: torch.Tensor = sampler(latent, *start, noise, *seen)
+            drawn = [_drawn(one, rng) for one in sampler.random_inputs]
+            seen = [image] if sampler.looks_at_picture else []
+            samples: torch.Tensor = sampler(latent, *drawn, *seen)
         return scene.space.to_float32(samples.squeeze(1).numpy()).astype(np.float64)
+
+
+def _drawn(given: RandomInput, rng: torch.Generator) -> torch.Tensor:
+    if given.distribution == "normal":
+        return torch.randn(SAMPLES, *given.shape, generator=rng)
+    low, high = given.low or 0.0, given.high or 0.0
+    return low + (high - low) * torch.rand(SAMPLES, *given.shape, generator=rng)
 
 
 METRIC = "validation_edr"
@@ -94,7 +93,7 @@ METRIC = "validation_edr"
 
 def search_trial(
     config: Mapping[str, Any],
-    train: TrainConfig,
+    train: MixtureConfig,
     arrays: TrainingArrays,
     checkpoints: Mapping[str, str],
     parent_run_id: str,
@@ -108,15 +107,17 @@ def search_trial(
     gan = type(train.local).model_validate(train.local.model_dump() | settings)
     encoder = load_encoder(train.vae, arrays.world.sensor, Path(checkpoints["vae"]))
     validation = Validation.draw(encoder, arrays.world, scenarios)
-    module = make_wgan(gan, arrays, None, derived_seed(train.seed, "search"))
-    gate = load_gate(train, Path(checkpoints["gate"]))
+    mixture, seed = Mixture(train, arrays), derived_seed(train.seed, "search")
+    gate = mixture.load_gate(Path(checkpoints["gate"]))
+    with seeded_initialisation(seed):
+        module = mixture.local_module(gan, None, seed, gate)
     name = "search " + tune.get_context().get_trial_id()
     run = Tracking(tracking_uri).start(
         EXPERIMENT, name, parent_run_id=parent_run_id, tags={TAG_STAGE: "search-trial"}
     )
     with run:
         run.params({key: str(value) for key, value in settings.items()})
-        look = _Look(gan, arrays, gate, validation, run, -(-gan.steps // looks))
+        look = _Look(gan, mixture, gate, validation, run, -(-gan.steps // looks))
         fit_module(module, gan.steps, callbacks=[look])
 
 
@@ -126,13 +127,13 @@ class _Look(lightning.Callback):
     def __init__(
         self,
         gan: GanConfig,
-        arrays: TrainingArrays,
+        mixture: Mixture,
         gate: Gate,
         validation: Validation,
         run: RunLog,
         every: int,
     ) -> None:
-        self.gan, self.arrays, self.gate = gan, arrays, gate
+        self.gan, self.mixture, self.gate = gan, mixture, gate
         self.validation, self.run, self.every = validation, run, every
 
     def on_train_batch_end(
@@ -140,10 +141,9 @@ class _Look(lightning.Callback):
     ) -> None:
         """Measure and report every so many steps, and at the end."""
         del others
-        step, gan = trainer.global_step, self.gan
-        if isinstance(pl_module, WganGpModule) and (step % self.every == 0 or step == gan.steps):
-            sampler = gated_sampler(self.gate, self.arrays, [pl_module.generator], gan.generator_lookups)
-            found = self.validation.measure(sampler)
+        step = trainer.global_step
+        if isinstance(pl_module, WganGpModule) and (step % self.every == 0 or step == self.gan.steps):
+            found = self.validation.measure(self.mixture.gated(self.gate, [pl_module.generator], self.gan))
             self.run.metrics(pl_module.metrics() | found, step)
             # Tune ends a trial that falls behind inside of report, so the run must be whole by then.
             self.run.flush()

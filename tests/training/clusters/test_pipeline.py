@@ -31,10 +31,10 @@ LOCAL_STEPS = 1200
 WHITE = np.full((48, 48, 3), 255, dtype=np.uint8)
 
 
-def run_job(uri, data_folder, *overrides):
+def run_job(uri, data_folder, *overrides, preset="smoke"):
     """Run the job as a user does and return its result line."""
     settings = [part for override in overrides for part in ("--set", override)]
-    return submit(uri, data_folder, "--preset", "smoke", *settings)
+    return submit(uri, data_folder, "--preset", preset, *settings)
 
 
 def submit(uri, data_folder, *arguments, script="cluster_train.py"):
@@ -105,8 +105,9 @@ def test_the_bundle_is_the_challenger_with_its_lineage_and_samples(result, serve
 def test_an_encoder_trained_with_the_generator_makes_a_bundle_and_a_resumed_job_trains_nothing_twice(
     server, data_folder, tmp_path
 ):
-    joint = ("global.encoder=joint", "global.critic_condition=projection", "global.local_critic_weight=0")
-    first = run_job(server, data_folder, *joint, "clusters.count=1", "validity.steps=0")
+    settings = (*(f"global.{part}=16" for part in ("hidden", "critic_hidden")), "global.steps=8",
+                "vae.latent_dim=8", "data.scenario_count=24", "data.free_per_scenario=64")  # fmt: skip
+    first = run_job(server, data_folder, *settings, preset="paper_joint")
     assert set(first["trials"]) == {"global"}
     assert {"reconstruction_loss", "kl", "generator_loss"} <= set(first["metrics"])
     again = submit(server, data_folder, "--resume", first["run_id"])
@@ -132,13 +133,12 @@ def test_a_three_link_arm_runs_through_the_same_job(server, data_folder, tmp_pat
 
 
 LOOKUPS = "{points_per_link: 3, side_m: 0.1}"
-GATED = ("gate.cells=4", "gate.steps=20", "gate.points=32", f"local.generator_lookups={LOOKUPS}")
 
 
 def test_guided_clusters_with_look_ups_end_in_a_bundle_that_answers(server, data_folder, tmp_path):
-    result = run_job(server, data_folder, "clusters.form=guided", *GATED, f"local.critic_lookups={LOOKUPS}",
-                     f"global.generator_lookups={LOOKUPS}", f"global.critic_lookups={LOOKUPS}")  # fmt: skip
-    assert set(result["trials"]) == {"vae", "validity", "gate", "local-0", "local-1", "global"}
+    looking = [f"{part}.critic_lookups={LOOKUPS}" for part in ("local", "global")]
+    result = run_job(server, data_folder, *looking, f"global.generator_lookups={LOOKUPS}")
+    assert set(result["trials"]) == {"vae", "validity", "local-0", "local-1", "global"}
     bundle = bundle_of(server, MODEL_NAME, result["version"], tmp_path / "bundle")
     assert bundle.spec.looks_at_picture
     assert bundle.sample(WHITE, 9, 1, min_confidence=0.0).samples.shape == (9, 2)
@@ -159,8 +159,7 @@ def weights(data_folder, run_id, trial):
 
 
 def test_a_grown_data_set_is_trained_on_from_the_weights_of_a_version(server, data_folder, tmp_path, client):
-    gated = ("clusters.form=mixture", *GATED, f"local.critic_lookups={LOOKUPS}")
-    first = run_job(server, data_folder, *gated)
+    first = run_job(server, data_folder, preset="smoke_mixture")
     parts = []
     for seed in (0, 1):
         config = DatasetConfig(
@@ -172,9 +171,10 @@ def test_a_grown_data_set_is_trained_on_from_the_weights_of_a_version(server, da
     reference = f"{MODEL_NAME}/{first['version']}"
     # So small a step that what was learned is still to be seen in what comes of it.
     gentle = ("generator_learning_rate=1e-7", "critic_learning_rate=1e-7")
-    tuned = run_job(server, data_folder, *gated, f"data_folder={grown.folder}", f"start_from={reference}",
+    tuned = run_job(server, data_folder, f"data_folder={grown.folder}", f"start_from={reference}",
                     *(f"local.{rate}" for rate in gentle), "gate.learning_rate=1e-7",
-                    "vae.learning_rate=1e-7", "validity.learning_rate=1e-7")  # fmt: skip
+                    "vae.learning_rate=1e-7", "validity.learning_rate=1e-7",
+                    preset="smoke_mixture")  # fmt: skip
     assert tuned["data_digest"] == grown.digest
     for trial in ("vae", "validity", "gate", "local-0", "local-1"):
         before, after = (weights(data_folder, job["run_id"], trial) for job in (first, tuned))
@@ -201,9 +201,7 @@ def test_the_log_ends_with_a_block_that_tells_where_bundle_and_json_lie(result, 
 
 
 def test_a_search_tries_settings_and_ends_weak_trials_early(server, data_folder, client):
-    tiny = ["gate.cells=4", "gate.steps=20", "gate.points=32", "local.steps=18"]
-    options = [part for override in tiny for part in ("--set", override)]
-    options += ["--preset", "smoke", "--trials", "4", "--scenarios", "2"]
+    options = ["--preset", "smoke_mixture", "--set", "local.steps=18", "--trials", "4", "--scenarios", "2"]
     result = submit(server, data_folder, *options, script="search.py")
     tried = result["tried"]
     assert len(tried) == 4

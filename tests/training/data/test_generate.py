@@ -14,12 +14,12 @@ from cspace.worlds.planar.world import Disc, Scenario
 from cspace.worlds.spatial.obstacles import obstacles_of
 from cspace.worlds.spatial.scenes import SpatialScene
 from training.clusters.pipeline import uniform_free
+from training.config import GridConfig
 from training.data import generate as module
 from training.data.config import DatasetConfig
 from training.data.configurations import ConfigurationRecipe
 from training.data.generate import generate, save_shard
 from training.data.merge import merge
-from training.models.settings import GridConfig
 from training.trials.arrays import grid_samples
 
 SMALL = DatasetConfig(

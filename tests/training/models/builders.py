@@ -7,11 +7,11 @@ import lightning
 import torch
 
 from cspace.space import circles
+from training.config import VaeConfig
 from training.models.checkpoint import seeded_initialisation
 from training.models.data import ScenarioSamples
-from training.models.joint import JointModule
-from training.models.modules import WganGpModule
-from training.models.settings import GanConfig, GlobalConfig, VaeConfig
+from training.models.families.joint import JointGanConfig, JointModule
+from training.models.families.wgan_gp import GanConfig, WganGpModule
 from training.trials.fit import fit_module
 
 TINY = {
@@ -44,13 +44,13 @@ def tiny_module(seed: int = 0, **changes: object) -> WganGpModule:
 
 def tiny_joint_module(seed: int = 0, **changes: object) -> JointModule:
     """A WGAN-GP that trains its encoder, too; two scenarios with a picture each."""
-    small = {"critic_condition": "projection", "encoder": "joint", "generator": "means", "steps": 20}
-    config = GlobalConfig.model_validate(TINY | small | changes)
+    small = {"critic_condition": "projection", "generator": "means", "steps": 20}
+    config = JointGanConfig.model_validate(TINY | small | changes)
     vae = VaeConfig(latent_dim=3, width=4, batch_size=2)
     images = torch.zeros(2, 3, 48, 48, dtype=torch.uint8)
     images[1, :, 12:36] = 255
     with seeded_initialisation(seed):
-        return JointModule(config, vae, ring_samples(), images, SCALE, seed, SPACE)
+        return JointModule(config, ring_samples(), SCALE, seed, SPACE, vae=vae, images=images)
 
 
 def run(module: lightning.LightningModule, steps: int, last: Path | None = None) -> torch.nn.Module:

@@ -9,11 +9,11 @@ from cspace.space import circles
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
-from training.models.autoencoders import NoveltyScores
-from training.models.export import encoder_graph, generator_graph, novelty_graph, validity_graph
-from training.models.networks import Decoder, Encoder, MeansGenerator, Sizes, TorusGenerator
-from training.models.settings import ValidityConfig
-from training.models.validity import make_head
+from training.config import ValidityConfig
+from training.models.autoencoders import Decoder, Encoder, NoveltyScores
+from training.models.export import encoder_graph, generator_graph, novelty_graph
+from training.models.families.wgan_gp import MeansGenerator, Sizes, TorusGenerator, make_sampler
+from training.models.validity import make_head, validity_graph
 
 
 def check(graph, network, *feeds, atol=1e-5):
@@ -53,14 +53,14 @@ def test_the_torus_generators_graph_answers_as_the_network():
         {"latent": torch.randn(count, 6), "base": torch.randn(count, 3), "noise": torch.randn(count, 2)}
         for count in (1, 33)
     ]
-    check(generator_graph(generator, 6), generator, *feeds)
+    check(generator_graph(make_sampler(generator), 6), generator, *feeds)
 
 
 @pytest.mark.slow
 def test_the_means_generators_graph_answers_as_the_network():
     generator = MeansGenerator(Sizes(circles(2), 6, 16, 2), 4, 0.1, (torch.zeros(2), torch.ones(2)))
     feeds = {"latent": torch.randn(9, 6), "noise": torch.randn(9, 4, 2)}
-    check(generator_graph(generator, 6), generator, feeds)
+    check(generator_graph(make_sampler(generator), 6), generator, feeds)
 
 
 @pytest.mark.slow

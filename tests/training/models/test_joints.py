@@ -3,10 +3,10 @@ import pytest
 import torch
 
 from cspace.space import JointSpace, circles
-from training.models import losses
-from training.models.cells import CellBase, CellPoints, UniformBase
+from training.models.data import Cells
+from training.models.families.mixture import CellBase
+from training.models.families.wgan_gp import MeansGenerator, Sizes, TorusGenerator, UniformBase
 from training.models.joints import Joints, harmonics, on_torus, torus_features
-from training.models.networks import MeansGenerator, Sizes, TorusGenerator
 
 TORUS = Joints(circles(3))
 # A circle between two joints with limits, one of them beyond half a turn and one wider than a turn.
@@ -27,8 +27,7 @@ def test_without_limits_every_number_is_that_of_the_torus():
     torch.testing.assert_close(TORUS.pair_features(first), torus_features(first), rtol=0, atol=0)
     way = torch.remainder(second - first + torch.pi, 2.0 * torch.pi) - torch.pi
     torch.testing.assert_close(TORUS.difference(first, second), way, rtol=0, atol=0)
-    between = losses.wrapped_interpolation(second, first, share)
-    torch.testing.assert_close(TORUS.interpolate(first, second, share), between, rtol=0, atol=0)
+    torch.testing.assert_close(TORUS.interpolate(first, second, share), first + share * way, rtol=0, atol=0)
     embedded = torch.cat([torch.cos(first), torch.sin(first)], dim=1)
     torch.testing.assert_close(TORUS.unembed(embedded), on_torus(embedded), rtol=0, atol=0)
 
@@ -85,7 +84,8 @@ def test_features_tell_turns_of_a_limited_joint_apart_and_not_those_of_a_circle(
 
 
 def test_points_of_cells_that_are_spread_beyond_a_limit_are_folded_back():
-    points = CellPoints(np.array([[[3.99, 0.0, 0.99]]], dtype=np.float32), np.ones(1, dtype=np.float32))
+    points, none = np.array([[[3.99, 0.0, 0.99]]], dtype=np.float32), np.zeros(1, np.int64)
+    points = Cells(points, np.ones(1, dtype=np.float32), none, none)
     _, drawn = CellBase(points, torch.ones(1, 1), SPACE).draw_in_cells(
         torch.zeros(2000, dtype=torch.int64), RNG
     )

@@ -10,27 +10,29 @@ from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from tests.training.models.builders import run
-from training.models.cells import CellBase, CellPoints
 from training.models.checkpoint import seeded_initialisation
+from training.models.data import Cells
 from training.models.export import generator_graph
-from training.models.lookups import ArmLookups
-from training.models.mixture import (
+from training.models.families.mixture import (
+    CellBase,
     Experts,
     Gate,
+    GateConfig,
     GatedSampler,
     GateModule,
-    LookupSampler,
     gate_probabilities,
 )
-from training.models.networks import Sizes, TorusGenerator
-from training.models.settings import GateConfig
+from training.models.families.wgan_gp import Sizes, TorusGenerator, TorusSampler
+from training.models.lookups import ArmLookups
 
 SPACE = circles(2)
-CELLS = CellPoints(
+CELLS = Cells(
     np.array(
         [[[-2.0, -2.0], [-2.0, -1.0]], [[1.0, 1.0], [1.0, 2.0]], [[2.5, -2.5], [2.5, -1.5]]], np.float32
     ),
     np.array([0.5, 0.25, 0.1], np.float32),
+    np.zeros(0, np.int64),
+    np.array([0, 1, 1]),
 )
 
 
@@ -118,7 +120,7 @@ def test_the_mixtures_graph_answers_as_the_network(lookups):
 def test_a_graph_with_lookups_answers_as_the_network():
     look = ArmLookups(PlanarWorld(TWO_LINK, Camera()), 3, 0.0)
     (generator, *_), _ = experts(looked_up=look.values)
-    sampler = LookupSampler(generator, look)
+    sampler = TorusSampler(generator, look)
     graph = generator_graph(sampler, 4, 48)
     for count in (1, 33):
         drawn = random_inputs(count, lookups=True)

@@ -2,10 +2,12 @@ import pytest
 import torch
 from pydantic import ValidationError
 
-from tests.training.models.builders import ring_samples, run, tiny_module, weights
+from tests.training.models.builders import SCALE, SPACE, TINY, ring_samples, run, tiny_module, weights
+from training.config import VaeConfig
+from training.models.autoencoders import VaeModule
 from training.models.checkpoint import seeded_initialisation
-from training.models.modules import VaeModule
-from training.models.settings import GanConfig, VaeConfig
+from training.models.families.guided import GlobalConfig, GuidedModule
+from training.models.families.wgan_gp import GanConfig
 
 
 def test_the_same_seed_trains_to_the_same_weights_and_another_to_others():
@@ -62,9 +64,9 @@ def test_every_part_of_the_paper_is_a_switch_that_trains(changes):
 def test_local_critics_are_frozen_and_change_the_generators_way():
     guide = run(tiny_module(seed=9), 30).critic
     plain = run(tiny_module(), 3)
-    guided = tiny_module()
-    guided.local_critics.append(guide.requires_grad_(requires_grad=False))
-    guided.local_weight = 1.0
+    config = GlobalConfig.model_validate(TINY | {"steps": 20, "local_critic_weight": 1.0})
+    with seeded_initialisation(0):
+        guided = GuidedModule(config, ring_samples(), SCALE, 0, SPACE, critics=[guide])
     before = weights(guide)
     run(guided, 3)
     assert torch.equal(before, weights(guide))

@@ -4,14 +4,8 @@ import pytest
 import torch
 
 from cspace.space import circles
-from training.models.networks import (
-    Critic,
-    Decoder,
-    Encoder,
-    MeansGenerator,
-    Sizes,
-    TorusGenerator,
-)
+from training.models.autoencoders import Decoder, Encoder
+from training.models.families.wgan_gp import Critic, MeansGenerator, Sizes, TorusGenerator
 
 SCALE = (torch.zeros(3), torch.ones(3))
 SIZES = Sizes(circles(3), 5, 16, 2)

@@ -12,8 +12,8 @@ from cspace.worlds.planar.render import render
 from cspace.worlds.planar.world import PlanarWorld
 from tests.scenarios import random_scenarios
 from tests.training.models.builders import run
+from training.config import ValidityConfig
 from training.models.checkpoint import seeded_initialisation
-from training.models.settings import ValidityConfig
 from training.models.validity import OccupancySamples, ValidityModule
 
 TINY = ValidityConfig(

@@ -8,7 +8,7 @@ from tests.fakes.run_log import RecordingRun
 from tests.training.models.builders import tiny_module
 from training.config import ResourceConfig
 from training.models.checkpoint import read_checkpoint
-from training.models.modules import WganGpModule
+from training.models.families.wgan_gp import WganGpModule
 from training.trials.fit import fit
 
 

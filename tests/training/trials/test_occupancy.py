@@ -11,9 +11,8 @@ from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
 from tests.training.models.builders import run, save
 from training.clusters.bundling import head_graphs
-from training.config import HeadConfig
+from training.config import GridConfig, HeadConfig, ValidityConfig
 from training.models.checkpoint import load_scene_model
-from training.models.settings import GridConfig, ValidityConfig
 from training.trials.arrays import has_occupancy, head_module, occupancy_samples
 
 HEAD = ValidityConfig(free_share=0.5)

@@ -12,7 +12,7 @@ STAGES = {
     "gate": ("gate",),
     "local": tuple(f"local-{index}" for index in range(8)),
     "global": ("global",),
-    "models": ("wgan", "wgan_guided"),
+    "models": ("wgan",),
 }
 
 

@@ -16,6 +16,7 @@ from cspace.worlds.spatial.obstacles import Obstacles
 from cspace.worlds.spatial.visibility import lookup
 from cspace.worlds.spatial.world import shipped, usual
 from tests.training.models.grids.plain_head import ArmPoints, plain_answers
+from training.config import GridConfig, ValidityConfig
 from training.models.checkpoint import seeded_initialisation
 from training.models.grid_head import GridHead
 from training.models.grid_training import (
@@ -28,7 +29,6 @@ from training.models.grid_training import (
     map_graph,
 )
 from training.models.kinematics import ArmFrames, SelfGap
-from training.models.settings import GridConfig, ValidityConfig
 from training.trials.fit import fit_module
 
 WORLD = examples()["panda"]

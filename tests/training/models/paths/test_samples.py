@@ -17,7 +17,7 @@ def test_a_point_lies_on_the_path_between_the_ends_that_come_with_it():
     batch = samples().draw(500, generator())
     space = TWO_LINK.space
     way = space.difference(batch.start.numpy(), batch.goal.numpy())
-    at = space.difference(batch.start.numpy(), batch.points.numpy())
+    at = space.difference(batch.start.numpy(), batch.configurations.numpy())
     share = np.sum(at * way, axis=1, keepdims=True) / np.sum(way * way, axis=1, keepdims=True)
     np.testing.assert_allclose(at, share * way, atol=1e-4)
     assert share.min() >= -1e-6
