@@ -16,7 +16,7 @@ from training.data.generate import generate
 from training.jobs.job import TAG_START, Job, kept_bundle, registered_name, world_tag
 from training.paths.bundling import trained_bundle
 from training.paths.writing import made_or_found, require_source, source_bundle
-from training.trials.launch import TrialOutcome, TrialRequest, run_trials
+from training.trials.launch import TrialOutcome, run_trials
 from training.trials.paths import PathArrays, path_arrays, path_trial, require_world
 
 _LOG = logging.getLogger("training")
@@ -89,8 +89,7 @@ def _data(config: PathTrainConfig, folder: Path) -> Dataset:
 
 def _train(job: Job[PathTrainConfig], arrays: PathArrays) -> TrialOutcome:
     _LOG.info("path model: %d paths", len(arrays.ids))
-    shared = {"train": job.config, "arrays": arrays}
-    (outcome,) = run_trials(path_trial, [TrialRequest.of(job, "models", MODEL)], shared, job.config.resources)
+    (outcome,) = run_trials(job, "models", [MODEL], path_trial, arrays=arrays)
     return outcome
 
 
