@@ -2,7 +2,6 @@
 
 import argparse
 import dataclasses
-import json
 import logging
 import sys
 from collections.abc import Callable, Sequence
@@ -12,7 +11,7 @@ from typing import Any
 from cspace.errors import CspaceError, InputError
 from services.commands import report_error, report_result
 from training.config import JobConfig
-from training.jobs.environment import Environment, job_environment, job_folder, job_tags
+from training.section import described
 
 # The exit code of a job that was asked to stop.
 STOPPED = 3
@@ -43,26 +42,26 @@ class JobCommand:
         try:
             config = self.config.load(options.preset, options.overrides)
             if options.print_config:
-                # With the keys that are told only where they are set.
-                print(json.dumps(config.model_dump(mode="json", by_alias=True), indent=2))
+                print("\n".join(described(config)))
                 return 0
-            environment = job_environment()
-            result = self.run(self._job(config, environment, options))
+            job = self._job(config, options)
+            result = self.run(job)
         except CspaceError as error:
             return report_error(error, InputError, program=self.program)
         except KeyboardInterrupt:
             again = "submit it again" if options.job else "go on with --resume and the run's id"
             print(f"{self.program}: stopped; nothing is lost: {again}", file=sys.stderr)
             return STOPPED
-        folder = job_folder(environment, result.run_id)
-        report_result(dataclasses.asdict(result), result.rows(folder), folder)
+        report_result(dataclasses.asdict(result), result.rows(job.folder), job.folder)
         return 0
 
-    def _job(self, config: JobConfig, environment: Environment, options: argparse.Namespace) -> Any:
+    def _job(self, config: JobConfig, options: argparse.Namespace) -> Any:
         """The job that is to be run: a new one, or one that goes on."""
-        from training.jobs.job import Job  # noqa: PLC0415
+        from training.jobs.job import Job, job_environment  # noqa: PLC0415
+        from training.jobs.provenance import job_tags  # noqa: PLC0415
         from training.trials.launch import connect  # noqa: PLC0415
 
+        environment = job_environment()
         connect()
         if options.resume:
             return Job.resume(options.resume, environment, self.config)
@@ -92,6 +91,6 @@ class JobCommand:
             "--resume", metavar="RUN_ID", help="go on with a stopped job, by its own configuration"
         )
         parser.add_argument(
-            "--print-config", action="store_true", help="print the whole configuration and end"
+            "--print-config", action="store_true", help="print all keys with their values, and end"
         )
         return parser

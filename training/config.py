@@ -52,11 +52,9 @@ class JobConfig(Section):
 
     SCRIPT: ClassVar[str]
     PRESETS: ClassVar[Path]
-    # Files of a job's folder without which no other job can start from it.
-    KEPT: ClassVar[tuple[str, ...]] = ()
 
     preset: str
-    seed: int = Field(0, ge=0)
+    seed: int = Field(0, ge=0, description="of everything that is drawn, except the data")
     data: GeneratedConfig = GeneratedConfig()
     data_folder: AbsolutePath | None = Field(
         None, description="absolute: an existing data set in the documented format"
@@ -150,7 +148,6 @@ class ClusterConfig(Section):
     """k-means over the configuration space, and what is made of the clusters."""
 
     count: int = Field(2, ge=1, description="trials that train side by side, one a cluster")
-    fit_samples: int = Field(50_000, ge=10)
     form: str = Field(
         "guided",
         description="the model family. guided: local critics guide a global generator, as in the paper; "
@@ -247,24 +244,24 @@ class ResourceConfig(Section):
     """What a trial gets from the cluster and how it survives faults."""
 
     cpus_per_trial: float = Field(1.0, gt=0, description="a trial computes on so many threads, at least one")
-    gpus_per_trial: float = Field(0.0, ge=0)
+    gpus_per_trial: float = Field(0.0, ge=0, description="shares of a GPU can be given")
     memory_mb_per_trial: float = Field(
         0.0,
         ge=0,
         description="MiB that a node must have free for a trial, so that none is overfilled; 0 to ignore",
     )
-    max_failures: int = Field(2, ge=0)
-    log_every_steps: int = Field(20, ge=1)
-    checkpoint_every_steps: int = Field(250, ge=1)
+    max_failures: int = Field(2, ge=0, description="after so many faults a trial fails, and with it the job")
+    log_every_steps: int = Field(20, ge=1, description="steps between two points of a curve")
+    checkpoint_every_steps: int = Field(250, ge=1, description="steps that a fault loses at most")
 
     @property
     def threads(self) -> int:
         """On which a trial computes."""
         return max(1, int(self.cpus_per_trial))
 
-    def of_a_task(self) -> dict[str, float]:
-        """What a trial claims, as options of a Ray task; memory in bytes."""
-        claimed = {"num_cpus": self.cpus_per_trial, "num_gpus": self.gpus_per_trial}
+    def of_a_trial(self) -> dict[str, float]:
+        """What a trial claims, as Tune's resources; memory in bytes."""
+        claimed = {"cpu": self.cpus_per_trial, "gpu": self.gpus_per_trial}
         return claimed | ({"memory": self.memory_mb_per_trial * 2**20} if self.memory_mb_per_trial else {})
 
 
@@ -273,7 +270,6 @@ class TrainConfig(JobConfig):
 
     SCRIPT = "cluster_train.py"
     PRESETS = Path(__file__).parent / "presets"
-    KEPT = (CLUSTERS_FILE,)
     # Whether the encoder is trained with the generator.
     trains_encoder: ClassVar[bool] = False
 

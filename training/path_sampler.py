@@ -20,7 +20,7 @@ from cspace.errors import CspaceError, InputError
 from services.commands import report_error
 from services.names import model_name, recorded_name
 from services.registry import tracking_uri
-from training.jobs.registration import ALIASES, register_untrained
+from training.jobs.job import ALIASES, register_untrained
 from training.paths.writing import made_or_found
 
 

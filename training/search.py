@@ -14,6 +14,7 @@ import logging
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,6 @@ import numpy as np
 from cspace.errors import ConfigError, CspaceError, InputError
 from services.commands import report_error, report_result
 from training.config import TrainConfig
-from training.jobs.environment import Environment, job_environment, job_folder
 
 _LOG = logging.getLogger("training")
 LOOKS = 9
@@ -57,18 +57,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
             )
         # Its trials look along the links: told here, and not after the encoder was trained.
         config.world.levers(points_per_link=2, side_m=0.0)
-        environment = job_environment()
-        found = run(config, environment, options.trials, options.scenarios)
+        found, folder = run(config, options.trials, options.scenarios)
     except CspaceError as error:
         return report_error(error, InputError, program="search")
     best = found["tried"][0]
     rows = {"run": found["run_id"], "best settings": json.dumps(best["settings"])}
-    report_result(found, rows, job_folder(environment, found["run_id"]))
+    report_result(found, rows, folder)
     return 0
 
 
-def run(config: TrainConfig, environment: Environment, trials: int, scenarios: int) -> dict[str, Any]:
-    """Search, and return the run's id with what was tried, best first."""
+def run(config: TrainConfig, trials: int, scenarios: int) -> tuple[dict[str, Any], Path]:
+    """Search, and return the run's id with what was tried, best first, and the folder of the job."""
     # Imported here so that a wrong key is told at once, not after the frameworks have loaded.
     from training.clusters.pipeline import (  # noqa: PLC0415
         cluster_data,
@@ -78,15 +77,16 @@ def run(config: TrainConfig, environment: Environment, trials: int, scenarios: i
         train_family,
         train_on_pictures,
     )
-    from training.jobs.job import Job, log_configuration  # noqa: PLC0415
+    from training.jobs.job import Job, job_environment  # noqa: PLC0415
     from training.trials.launch import connect  # noqa: PLC0415
     from training.trials.search import search  # noqa: PLC0415
 
+    environment = job_environment()
     connect()
     job = Job.start(config, environment, {"preset": config.preset, "search": "asha"}, stage="search")
     with job.running() as parent:
         dataset = prepare_data(config, environment.data_folder)
-        log_configuration(parent, config)
+        job.log_configuration()
         data = cluster_data(job, dataset)
         vae, _ = train_on_pictures(job, dataset)
         arrays = encode_data(job, dataset, vae, data)
@@ -108,10 +108,8 @@ def run(config: TrainConfig, environment: Environment, trials: int, scenarios: i
             quality = " / ".join(f"{value:.3f}" for value in one.metrics.values())
             _LOG.info("step %d: precision / coverage / EDr %s, %s", one.step, quality, dict(one.settings))
         parent.metrics(dict(tried[0].metrics), 0)
-        return {
-            "run_id": parent.run_id,
-            "tried": [{"settings": dict(one.settings), "step": one.step, **one.metrics} for one in tried],
-        }
+        rows = [{"settings": dict(one.settings), "step": one.step, **one.metrics} for one in tried]
+        return {"run_id": parent.run_id, "tried": rows}, job.folder
 
 
 if __name__ == "__main__":

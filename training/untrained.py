@@ -26,8 +26,8 @@ from services.names import label, model_name
 from services.registry import tracking_uri
 from training.clusters.bundling import FALLBACK_THRESHOLD, head_graphs, with_choices
 from training.config import HeadConfig, TrainConfig
-from training.jobs.environment import provenance
-from training.jobs.registration import ALIASES, register_untrained
+from training.jobs.job import ALIASES, register_untrained
+from training.jobs.provenance import provenance
 from training.models.autoencoders import network_size
 from training.models.export import blind_encoder_graph, uniform_graph
 

@@ -20,8 +20,8 @@ from training.clusters.calibration import (
     validation_scores,
 )
 from training.config import HeadConfig, TrainConfig
-from training.jobs.environment import provenance
 from training.jobs.job import TAG_START
+from training.jobs.provenance import provenance
 from training.models.autoencoders import network_size
 from training.models.belief import belief_graph
 from training.models.checkpoint import load_scene_model, load_weights, trained

@@ -25,40 +25,22 @@ from training.clusters.bundling import TrainedParts, make_bundle
 from training.clusters.clustering import Partition, cluster, group
 from training.config import CLUSTERS_FILE, TrainConfig
 from training.data.generate import generate
-from training.jobs.figures import PANELS, own_curves, wgan_curves
-from training.jobs.job import TAG_START, Job, kept_bundle, log_configuration, registered_name, world_tag
+from training.jobs.job import TAG_START, Job, kept_bundle, registered_name, world_tag
 from training.models.autoencoders import encode, shown
 from training.models.data import TrainingArrays
 from training.models.families import family
 from training.trials.arrays import has_occupancy, load_encoder
-from training.trials.launch import TrialOutcome, TrialRequest, run_trials
+from training.trials.launch import TrialOutcome, run_trials
 from training.trials.trainables import VAE, VALIDITY, family_trial, picture_trial
 
 SHOWN_SCENARIOS = 3
 
 
-def log_start(run: RunLog, config: TrainConfig, *datasets: Dataset | None) -> None:
-    """The configuration as parameters and the data sets as inputs with their digests."""
-    log_configuration(run, config)
-    for one in datasets:
-        if one is not None:
-            run.dataset(one.folder.name, one.digest, str(one.folder), "training")
-
-
-def log_result(
-    run: RunLog, bundle: Bundle, dataset: Dataset, outcomes: Sequence[TrialOutcome]
-) -> tuple[str, ...]:
-    """Curves of all trials, samples against truth for seen and unseen scenarios; returns their names."""
-    histories = {outcome.name: outcome.history for outcome in outcomes}
-    own = {name: own_curves(name, histories.pop(name)) for name in PANELS if name in histories}
-    figures = {
-        **{f"{name}-losses": figure for name, figure in own.items()},
-        **({"wgan-losses": wgan_curves(histories)} if histories else {}),
-        **_galleries(bundle, dataset),
-    }
+def log_result(run: RunLog, bundle: Bundle, dataset: Dataset, final: TrialOutcome) -> tuple[str, ...]:
+    """Samples against truth for seen and unseen scenarios, and the last metrics; the figures' names."""
+    figures = _galleries(bundle, dataset)
     for name, figure in figures.items():
         run.figure(figure, name)
-    final = outcomes[-1]
     last = {f"last/{name}": value for name, value in final.metrics.items() if name != "steps_per_s"}
     # The same moment for a job that goes on, so that it is one point.
     run.metrics(last, 0, round(1e3 * final.times_s[1]))
@@ -147,13 +129,8 @@ def train_on_pictures(
     if not names:
         return None, None
     _LOG.info("%s: %d pictures", " and ".join(names), len(images))
-    trials = [TrialRequest.of(job, "pictures", name) for name in names]
-    shared = {
-        "train": config,
-        "images": images,
-        "data_folder": dataset.folder.absolute(),
-    }
-    done = run_trials(picture_trial, trials, shared, config.resources)
+    folder = dataset.folder.absolute()
+    done = run_trials(job, "pictures", names, picture_trial, images=images, data_folder=folder)
     outcomes = {outcome.name: outcome for outcome in done}
     return outcomes.get(VAE), outcomes.get(VALIDITY)
 
@@ -212,7 +189,7 @@ def partition(
     count, seed = config.clusters.count, config.seed
     if start is not None:
         return Partition.load(start / CLUSTERS_FILE, free, space)
-    cells = cluster(free, config.cells, config.clusters.fit_samples, seed, space)
+    cells = cluster(free, config.cells, seed, space)
     return Partition(cells, group(cells, count, seed))
 
 
@@ -222,12 +199,9 @@ def train_family(
     """Stages 5 and on: what the model family trains from the latents; ``until`` names the last stage."""
     config, outcomes = job.config, list[TrialOutcome]()
     kind = family(config.clusters.form)
-    shared = {"kind": kind, "train": config, "arrays": arrays}
     for stage, names in kind(config, arrays).stages().items():
-        trials = [TrialRequest.of(job, stage, name) for name in names]
-        outcomes += run_trials(
-            family_trial, trials, shared | {"done": checkpoints(outcomes)}, config.resources
-        )
+        done = checkpoints(outcomes)
+        outcomes += run_trials(job, stage, names, family_trial, kind=kind, arrays=arrays, done=done)
         if stage == until:
             break
     return outcomes
@@ -304,7 +278,10 @@ def run_job(job: Job[TrainConfig]) -> TrainResult:
             named = recorded_name(dataset.manifest.generator) or label(dataset.world)
             config = config.model_copy(update={"robot_name": named})
         model = registered_name(job, dataset.world, config.robot_name, path=False)
-        log_start(run, job.config, dataset, open_outcomes(job.config, dataset))
+        job.log_configuration()
+        for one in (dataset, open_outcomes(job.config, dataset)):
+            if one is not None:
+                run.dataset(one.folder.name, one.digest, str(one.folder), "training")
         job.add_tags(world_tag(dataset.world, config.robot_name))
         require_encoder(job, dataset)
         data = cluster_data(job, dataset)
@@ -319,7 +296,7 @@ def run_job(job: Job[TrainConfig]) -> TrainResult:
         if bundle is None:
             bundle = make_bundle(job.folder / BUNDLE_FOLDER, config, dataset, parts)
         outcomes = [*(outcome for outcome in (vae, head) if outcome is not None), *trained]
-        figures = log_result(run, bundle, dataset, outcomes)
+        figures = log_result(run, bundle, dataset, outcomes[-1])
         version = _register(job, model, dataset, bundle)
     return TrainResult(
         run_id=job.run.run_id,

@@ -2,25 +2,27 @@
 
 import json
 import logging
+import os
 import re
-import tempfile
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from pydantic import ValidationError
 
-from cspace.bundle import Bundle
+from cspace.bundle import Bundle, BundleSpec
 from cspace.dataset import require_room
 from cspace.errors import BundleError, ConfigError, JobError, StorageError
-from cspace.files import HALF_SUFFIX, discard, holding, write_json
+from cspace.files import HALF_SUFFIX, discard, holding, replacing
 from cspace.strict_json import refused
 from cspace.world import World
 from cspace.worlds import robot_digest
 from services.names import (
+    ALIAS_CHALLENGER,
+    ALIAS_CHAMPION,
     EXPERIMENT,
     TAG_JOB,
     TAG_PRESET,
@@ -28,27 +30,65 @@ from services.names import (
     TAG_STAGE,
     TAG_WORLD,
     model_name,
+    recorded_name,
     robot_name,
 )
-from services.registry.entities import ID, flatten
+from services.registry import connect, tracking_uri
+from services.registry.entities import ID, ModelReference, flatten
 from services.registry.errors import retry
 from services.registry.models import ModelRegistry
 from services.registry.tracking import RunLog, Tracking
 from training.config import JobConfig
-from training.jobs.environment import (
-    RECORD,
-    Environment,
-    explanation,
-    job_folder,
-    pointer,
-    run_of,
-    submission_id,
-)
-from training.jobs.fine_tuning import earlier_job, require_folder
-from training.section import Section
 
 LONGEST = 100
 """Characters of a parameter."""
+# In a job's folder, and an artifact of its run.
+CONFIGURATION = "configuration.json"
+# On a run and a version: the run of the job whose weights it started from.
+TAG_START = "start_from.run_id"
+# On a trial's run: its name in the job.
+TAG_TRIAL = "trial"
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}")
+_RUN_ID = re.compile(r"[0-9a-f]{32}")
+_LOG = logging.getLogger("training")
+
+Config = TypeVar("Config", bound=JobConfig)
+Answer = TypeVar("Answer")
+
+
+@dataclass(frozen=True, slots=True)
+class Environment:
+    """Where a job works."""
+
+    tracking_uri: str
+    data_folder: Path
+    patience_s: float = 600.0
+
+
+def job_environment() -> Environment:
+    """MLFLOW_TRACKING_URI and CSPACE_DATA_DIR, which the Ray head of ``make up`` hands to its jobs.
+
+    CSPACE_TRACKING_PATIENCE_S, where it is set, is how long a job waits for a tracking server that is away.
+    """
+    folder = os.environ.get("CSPACE_DATA_DIR", "")
+    remedy = "submit to the Ray head of `make up`, which sets both, or export them"
+    uri = tracking_uri(remedy=remedy)
+    if not Path(folder).is_absolute():
+        raise ConfigError(
+            "CSPACE_DATA_DIR does not fit", expected="an absolute folder", got=repr(folder), remedy=remedy
+        )
+    patience = os.environ.get("CSPACE_TRACKING_PATIENCE_S") or "600"
+    try:
+        return Environment(uri, Path(folder), float(patience))
+    except ValueError as error:
+        raise ConfigError(
+            "CSPACE_TRACKING_PATIENCE_S does not fit", expected="seconds", got=repr(patience)
+        ) from error
+
+
+def job_folder(environment: Environment, run_id: str) -> Path:
+    """Where the job of a run keeps its trials."""
+    return environment.data_folder / "jobs" / Path(run_id).name
 
 
 def job_label(config: JobConfig, name: str | None) -> str:
@@ -66,43 +106,16 @@ def world_tag(world: World, given: str | None) -> dict[str, str]:
     return {TAG_WORLD: f"{world.kind}, {robot_name(world, given)}"}
 
 
-def log_configuration(run: RunLog, config: JobConfig) -> None:
-    """The settings as parameters, one each, and the whole of them as ``configuration.json``.
-
-    Those that are longer than a column of a table are left to the file, and those that are not set.
-    """
-    values = config.to_dict()
-    short = {key: text for key, text in flatten(values).items() if text != "None" and len(text) <= LONGEST}
-    run.params(short)
-    with tempfile.TemporaryDirectory(prefix="cspace-configuration-") as folder:
-        path = Path(folder) / "configuration.json"
-        path.write_text(json.dumps(values, indent=1), encoding="utf-8")
-        run.artifact(path)
-
-
-# On a run and a version: the run of the job whose weights it started from.
-TAG_START = "start_from.run_id"
-# On a trial's run: its name in the job.
-TAG_TRIAL = "trial"
-# Under which of Ray's ids the job runs; there while it does.
-_RUNNING = "running.json"
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}")
-_LOG = logging.getLogger("training")
-
-Config = TypeVar("Config", bound=JobConfig)
-Answer = TypeVar("Answer")
-
-
 @dataclass(frozen=True, slots=True)
 class Job(Generic[Config]):
-    """A job under way."""
+    """A job under way. Its run in MLflow has its tags and its trials, its folder all else."""
 
     config: Config
     environment: Environment
     tracking: Tracking
     run: RunLog
     folder: Path
-    children: dict[str, str]
+    children: dict[str, str]  # runs of trials
     name: str | None = None
     start_run_id: str | None = None
     extra_tags: dict[str, str] = field(default_factory=dict)
@@ -123,80 +136,85 @@ class Job(Generic[Config]):
                 expected="1 to 63 letters, digits, - and _, a letter or digit first",
                 got=repr(name),
             )
-        prepare(environment)
-        known = None if name is None else run_of(environment, name)
-        if known is not None:
-            return cls.resume(known, environment, type(config)).same(config)
-        start = config.start_from and earlier_job(config, config.start_from, environment)
-        tags = {**tags, "start_from": config.start_from or "", TAG_START: start} if start else tags
+        named = _prepared(environment) / (name or "")
+        if named.is_file():
+            return cls.resume(named.read_text(encoding="utf-8"), environment, type(config)).same(config)
         tracking = Tracking(environment.tracking_uri, wait_s=environment.patience_s)
+        start = config.start_from and _earlier_job(config, config.start_from, environment, tracking)
+        tags = {**tags, "start_from": config.start_from or "", TAG_START: start} if start else tags
         title, tags = f"{job_label(config, name)}, {ID}", {**tags, **shown_tags(config, name, stage)}
+        # A driver that was killed here finds its run by the key.
         key = None if name is None else f"job/{name}"
-        run = tracking.start(EXPERIMENT, title, None, tags, key=key)
-        folder = job_folder(environment, run.run_id)
-        if not (folder / RECORD).exists():
-            folder.mkdir(parents=True, exist_ok=True)
-            _record(folder, config, {}, name, start)
+        run_id = tracking.start(EXPERIMENT, title, None, tags, key=key).run_id
+        path = job_folder(environment, run_id) / CONFIGURATION
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if not path.exists():
+            _write(path, json.dumps(config.to_dict(), indent=1))
         if name is not None:
-            write_json(pointer(environment, name), {"run_id": run.run_id})
-        return cls.resume(run.run_id, environment, type(config)).same(config)
+            _write(named, run_id)
+        return cls.resume(run_id, environment, type(config)).same(config)
 
     @classmethod
     def resume(cls, run_id: str, environment: Environment, kind: type[Config]) -> "Job[Config]":
         """A job that was stopped, with the runs that it had."""
         folder = job_folder(environment, run_id)
         try:
-            record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
+            config = kind.from_dict(json.loads((folder / CONFIGURATION).read_bytes()))
+        except OSError as error:
             raise ConfigError(
                 "there is no such job to go on with",
-                expected=f"a run's id with {RECORD} under {folder.parent}",
+                expected=f"a run's id with {CONFIGURATION} under {folder.parent}",
                 got=repr(run_id),
                 remedy="take the id of the line `run: ...` at the start of the job's log",
             ) from error
-        try:
-            config = kind.from_dict(record["config"])
         except ValidationError as error:
             raise refused(error, ConfigError, f"the job is no {kind.__name__}") from error
         tracking = Tracking(environment.tracking_uri, wait_s=environment.patience_s)
-        children, named, start = dict(record["children"]), record.get("name"), record.get("start")
-        run = tracking.resume(run_id)
-        return cls(config, environment, tracking, run, folder, children, named, start)
+        run, tags = tracking.resume(run_id), tracking.run(run_id).tags
+        trials = retry("looking at the trials", partial(tracking.children, run_id), environment.patience_s)
+        children = {one.tags[TAG_TRIAL]: one.run_id for one in trials if TAG_TRIAL in one.tags}
+        name, start = tags.get(TAG_JOB) or None, tags.get(TAG_START)
+        return cls(config, environment, tracking, run, folder, children, name, start)
 
     @contextmanager
     def running(self) -> Iterator[RunLog]:
         """The run, while this process works on the job."""
-        with holding(self.folder / "lock", self._busy()):
+        busy = JobError(
+            "the job is running already", got=f"run {self.run.run_id}", remedy="wait for it, or stop it first"
+        )
+        with holding(self.folder / "lock", busy):
             _LOG.info("run: %s", self.run.run_id)
-            self._tidy()
-            submission = submission_id()
-            for line in explanation(submission):
-                _LOG.info("%s", line)
-            if submission is not None:
-                write_json(self.folder / _RUNNING, {"submission_id": submission})
+            # What processes that were killed had begun to write.
+            for half in (*self.folder.rglob(f"*{HALF_SUFFIX}"), *self.folder.glob(".*")):
+                discard(half)
             with self.run as run:
                 yield run
-                self._tidy()
+
+    def log_configuration(self) -> None:
+        """The settings as parameters, one each, and the whole of them as a file.
+
+        Those that are longer than a column of a table are left to the file, and those that are not set.
+        """
+        values = flatten(self.config.to_dict())
+        self.run.params(
+            {key: text for key, text in values.items() if text != "None" and len(text) <= LONGEST}
+        )
+        self.run.artifact(self.folder / CONFIGURATION)
 
     def child(self, name: str) -> str:
         """A trial's run, made here so that a retried trial and a resumed job continue it."""
         if name not in self.children:
             title, parent = f"{name}, {job_label(self.config, self.name)}", self.run.run_id
-            tags = (
-                shown_tags(self.config, self.name, name.partition("-")[0])
-                | self.extra_tags
-                | {TAG_TRIAL: name}
-            )
-            run = self.tracking.start(EXPERIMENT, title, parent, tags, key=f"{parent}/{name}")
-            self.children[name] = run.run_id
-            _record(self.folder, self.config, self.children, self.name, self.start_run_id)
+            tags = shown_tags(self.config, self.name, name.partition("-")[0])
+            tags |= self.extra_tags | {TAG_TRIAL: name}
+            self.children[name] = self.tracking.start(EXPERIMENT, title, parent, tags).run_id
         return self.children[name]
 
     @property
     def start_folder(self) -> Path | None:
         """The folder of the job whose weights its trials start from; None where they start from nothing."""
         start = self.start_run_id
-        return None if start is None else require_folder(job_folder(self.environment, start))
+        return None if start is None else _require_folder(job_folder(self.environment, start))
 
     def add_tags(self, tags: Mapping[str, str]) -> None:
         """Tags for the run and for its children, those that are there and those to come."""
@@ -209,31 +227,93 @@ class Job(Generic[Config]):
         """The answer of ``call``, asked again while the tracking server is away."""
         return retry(action, call, self.environment.patience_s)
 
-    def _busy(self) -> JobError:
-        """That another process works on the job, with Ray's id of it where it has one."""
-        got, remedy = f"run {self.run.run_id}", "wait for it, or stop it first"
-        with suppress(OSError, ValueError, LookupError):
-            running = json.loads((self.folder / _RUNNING).read_text(encoding="utf-8"))["submission_id"]
-            got, remedy = f"{got}, submitted as {running}", f"{remedy}: ray job stop {running}"
-        return JobError("the job is running already", got=got, remedy=remedy)
-
-    def _tidy(self) -> None:
-        """Delete what processes that were killed had begun to write, and what tells of one under way."""
-        for half in (*self.folder.rglob(f"*{HALF_SUFFIX}"), *self.folder.glob(".*"), self.folder / _RUNNING):
-            discard(half)
-
     def same(self, config: Config) -> "Job[Config]":
         """This job, if it has these settings."""
         ours, given = flatten(self.config.to_dict()), flatten(config.to_dict())
-        changed = sorted(key for key in ours.keys() | given.keys() if ours.get(key) != given.get(key))
-        if changed:
-            raise ConfigError(
-                f"the job {self.name} has other settings",
-                expected=", ".join(f"{key}={ours.get(key)}" for key in changed[:5]),
-                got=", ".join(f"{key}={given.get(key)}" for key in changed[:5]),
-                remedy=f"take another name, or go on as it began by --resume {self.run.run_id}",
-            )
+        _require_equal(
+            ours,
+            given,
+            f"the job {self.name} has other settings",
+            f"take another name, or go on as it began by --resume {self.run.run_id}",
+        )
         return self
+
+
+def _prepared(environment: Environment) -> Path:
+    """The folder of the jobs' names, where the data folder can be written and has room."""
+    names = environment.data_folder / "jobs" / "names"
+    try:
+        names.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(
+            "the data folder cannot be written",
+            expected="a folder with room and rights",
+            got=str(error),
+            remedy="set CSPACE_DATA_DIR to another one",
+        ) from error
+    require_room(environment.data_folder, 0)
+    return names
+
+
+def _write(path: Path, text: str) -> None:
+    with replacing(path, "the job's folder") as beside:
+        beside.write_text(text, encoding="utf-8")
+
+
+def _require_equal(expected: Mapping[str, str], got: Mapping[str, str], what: str, remedy: str) -> None:
+    other = [key for key in sorted(expected.keys() | got.keys()) if expected.get(key) != got.get(key)]
+    if other:
+        raise ConfigError(
+            f"{what}: {', '.join(other[:5])}",
+            expected=", ".join(f"{key}={expected.get(key)}" for key in other[:5]),
+            got=", ".join(f"{key}={got.get(key)}" for key in other[:5]),
+            remedy=remedy,
+        )
+
+
+def _earlier_job(config: JobConfig, start_from: str, environment: Environment, tracking: Tracking) -> str:
+    """The run of the job that ``start_from`` means, whose networks are of the configuration's shapes."""
+    run_id = start_from
+    if not _RUN_ID.fullmatch(start_from):
+        reference = ModelReference.parse_version(
+            start_from, "start_from does not fit", "name@alias, name/version or a run's id"
+        )
+        registry = ModelRegistry(environment.tracking_uri)
+        look_up = partial(registry.look_up, reference)
+        run_id = retry(f"looking {start_from} up", look_up, environment.patience_s).run_id
+    # Path models are registered by their trials' runs.
+    run_id = tracking.run(run_id).parent_run_id or run_id
+    folder = _require_folder(job_folder(environment, run_id))
+    try:
+        earlier = type(config).from_dict(json.loads((folder / CONFIGURATION).read_bytes()))
+    except ValidationError as error:
+        raise refused(error, ConfigError, f"start_from={start_from} is a job of another kind") from error
+    made = [*folder.glob("bundle/bundle.json"), *folder.glob("bundles/*/bundle.json")]
+    if not made:
+        raise ConfigError(
+            f"start_from={start_from} is a job that has not finished",
+            expected=f"its bundle in {folder}",
+            remedy="let it finish, or name another version",
+        )
+    worlds = BundleSpec.from_json(made[0].read_bytes()).world.to_dict(), config.world.to_dict()
+    setting = "data.robot" if config.data_folder is None else "data_folder"
+    remedy = "set them as they were, or train without start_from"
+    _require_equal(earlier.shapes, config.shapes, f"other shapes than start_from={start_from}", remedy)
+    there, ours = (flatten({setting: world}) for world in worlds)
+    _require_equal(there, ours, f"another robot or camera than start_from={start_from}", remedy)
+    return run_id
+
+
+def _require_folder(folder: Path) -> Path:
+    """A job's folder, whose weights another one starts from."""
+    if (folder / CONFIGURATION).is_file():
+        return folder
+    raise ConfigError(
+        "the weights that start_from means are gone",
+        expected=f"the folder {folder} of the job that made them",
+        got="none: it was deleted, or the version was imported or made in another data folder",
+        remedy="put the folder back, name another version, or train without start_from",
+    )
 
 
 def kept_bundle(folder: Path) -> Bundle | None:
@@ -243,30 +323,6 @@ def kept_bundle(folder: Path) -> Bundle | None:
     except BundleError:
         discard(folder)
         return None
-
-
-def prepare(environment: Environment) -> None:
-    """See that the data folder can be written and has room, before the long work."""
-    try:
-        (environment.data_folder / "jobs" / "names").mkdir(parents=True, exist_ok=True)
-        probe = environment.data_folder / "jobs" / ".probe"
-        probe.write_text("", encoding="utf-8")
-        probe.unlink(missing_ok=True)
-    except OSError as error:
-        raise StorageError(
-            "the data folder cannot be written",
-            expected="a folder with room and rights",
-            got=str(error),
-            remedy="set CSPACE_DATA_DIR to another one",
-        ) from error
-    require_room(environment.data_folder, 0)
-
-
-def _record(
-    folder: Path, config: Section, children: Mapping[str, str], name: str | None, start: str | None
-) -> None:
-    record = {"config": config.to_dict(), "children": dict(children), "name": name}
-    write_json(folder / RECORD, record | ({"start": start} if start else {}), indent=2)
 
 
 def registered_name(job: Job[Config], world: World, given: str | None, *, path: bool) -> str:
@@ -286,3 +342,21 @@ def registered_name(job: Job[Config], world: World, given: str | None, *, path: 
                 remedy="set robot_name to another name",
             )
     return name
+
+
+ALIASES = (ALIAS_CHALLENGER, ALIAS_CHAMPION)
+
+
+def register_untrained(bundle: Bundle, uri: str, model: str, alias: str, stage: str) -> str:
+    """Make a bundle that no job made the next version of a model, by a run of its own; ``name/version``."""
+    tracking, registry = connect(uri)
+    provenance = bundle.spec.provenance
+    tags = {TAG_STAGE: stage, **world_tag(bundle.spec.world, recorded_name(provenance.config))}
+    # The same bundle is registered once, however often it is given.
+    key = f"{stage}/{model}/{bundle.digest}"
+    with tracking.start(EXPERIMENT, f"{model}, untrained, {ID}", tags=tags, key=key) as run:
+        run.params(dict(provenance.config))
+        source: Any = provenance.config["source_digest"]
+        tags = {"data_digest": provenance.data_digest or "", "source_digest": source}
+        version = registry.register(model, bundle.folder, run.run_id, bundle.digest, tags, alias=alias)
+    return str(version)

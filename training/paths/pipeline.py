@@ -13,11 +13,10 @@ from services.names import ALIAS_CHALLENGER, TAG_MODEL, recorded_name
 from services.registry.models import ModelRegistry
 from training.config import PathTrainConfig
 from training.data.generate import generate
-from training.jobs.figures import path_curves
-from training.jobs.job import TAG_START, Job, kept_bundle, log_configuration, registered_name, world_tag
+from training.jobs.job import TAG_START, Job, kept_bundle, registered_name, world_tag
 from training.models.paths import point_graph
 from training.paths.writing import made_or_found, require_source, source_bundle, write_path_bundle
-from training.trials.launch import TrialOutcome, TrialRequest, run_trials
+from training.trials.launch import TrialOutcome, run_trials
 from training.trials.paths import PathArrays, load_points, path_arrays, path_trial, require_world
 
 _LOG = logging.getLogger("training")
@@ -61,12 +60,11 @@ def run_job(job: Job[PathTrainConfig]) -> PathTrainResult:
         require_source(job.start_folder, source)
         require_world(source, config.world)
         dataset = _data(config, job.environment.data_folder)
-        log_configuration(run, config)
+        job.log_configuration()
         run.dataset(dataset.folder.name, dataset.digest, str(dataset.folder), "training")
         job.add_tags(world_tag(source.spec.world, named))
         arrays = path_arrays(source, dataset, config.points)
         outcome = _train(job, arrays)
-        run.figure(path_curves({MODEL: outcome.history}), "path-losses")
         run.flush()
         bundles = _bundles(job, source, dataset, arrays, outcome)
         versions = {
@@ -91,8 +89,7 @@ def _data(config: PathTrainConfig, folder: Path) -> Dataset:
 
 def _train(job: Job[PathTrainConfig], arrays: PathArrays) -> TrialOutcome:
     _LOG.info("path model: %d paths", len(arrays.ids))
-    shared = {"train": job.config, "arrays": arrays}
-    (outcome,) = run_trials(path_trial, [TrialRequest.of(job, "models", MODEL)], shared, job.config.resources)
+    (outcome,) = run_trials(job, "models", [MODEL], path_trial, arrays=arrays)
     return outcome
 
 

@@ -12,7 +12,7 @@ from cspace.bundle.verification import load_verified
 from cspace.errors import BundleError, ConfigError
 from services.registry.entities import ModelReference
 from services.registry.models import ModelRegistry
-from training.jobs.environment import provenance
+from training.jobs.provenance import provenance
 
 
 def source_bundle(source: str, registry: ModelRegistry, folder: Path) -> Bundle:

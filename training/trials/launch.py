@@ -1,4 +1,4 @@
-"""Trials on the cluster: a Ray task each, with resources and retries; their files tell what is done."""
+"""Trials on the cluster: one Tuner a stage, with resources and retries; checkpoints tell what is done."""
 
 import logging
 import os
@@ -11,14 +11,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import ray
-from ray.exceptions import RayError
+from ray import tune
+from ray.tune.experiment import Trial
 
-from cspace.errors import JobError
+from cspace.errors import JobError, RegistryError
 from cspace.files import holding
 from cspace.simulator import derived_seed
-from services.evaluator.cluster import cancel, join
-from training.config import ResourceConfig
+from services.evaluator.cluster import join
+from services.registry.tracking import RunLog, Tracking
 from training.jobs.job import Job
 from training.models.checkpoint import read_checkpoint
 from training.models.modules import Metrics
@@ -32,19 +32,18 @@ BUSY_S = 120.0
 
 @dataclass(frozen=True, slots=True)
 class TrialRequest:
-    """A trial; it travels to its worker through the object store."""
+    """A trial; it its worker gets it by Tune."""
 
     folder: Path
     run_id: str = ""
     seed: int = 0
-    cluster: int | None = None
     start: Path | None = None
     job: str = ""
     tracking_uri: str = ""
     patience_s: float = 0.0
 
     @classmethod
-    def of(cls, job: Job[Any], stage: str, name: str, cluster: int | None = None) -> "TrialRequest":
+    def of(cls, job: Job[Any], stage: str, name: str) -> "TrialRequest":
         """A trial of a job, with the run that it has there and a seed of its own."""
         seed = derived_seed(job.config.seed, stage, name)
         earlier = None if job.start_folder is None else job.start_folder / stage / name / FINAL
@@ -52,17 +51,12 @@ class TrialRequest:
         label = f"{job.name or job.run.run_id[:8]}, seed {job.config.seed}"
         uri, patience_s = job.environment.tracking_uri, job.environment.patience_s
         folder = job.folder / stage / name
-        return cls(folder, job.child(name), seed, cluster, start, label, uri, patience_s)
+        return cls(folder, job.child(name), seed, start, label, uri, patience_s)
 
     @property
     def name(self) -> str:
         """The trial's name in its stage."""
         return self.folder.name
-
-    @property
-    def stage(self) -> Path:
-        """The folder of the stage's trials."""
-        return self.folder.parent
 
 
 @dataclass(frozen=True)
@@ -99,10 +93,16 @@ class TrialOutcome:
         return last - first
 
 
-# The job's log is for its own progress; what the libraries print of theirs is switched off.
+# The job's log is for its own progress; what the libraries print of theirs is switched off. An interrupt ends
+# a job at once: what it loses lies behind the last checkpoints.
 QUIET = {
     "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true",
     "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false",
+    "RAY_AIR_NEW_OUTPUT": "0",
+    "RAY_CHDIR_TO_TRIAL_DIR": "0",
+    "TUNE_DISABLE_AUTO_CALLBACK_LOGGERS": "1",
+    "TUNE_DISABLE_SIGINT_HANDLER": "1",
+    "TUNE_WARN_EXCESSIVE_EXPERIMENT_CHECKPOINT_SYNC_THRESHOLD_S": "0",
 }
 
 
@@ -113,7 +113,8 @@ def connect() -> None:
     """
     for name, value in QUIET.items():
         os.environ.setdefault(name, value)
-    logging.getLogger("mlflow").setLevel(logging.ERROR)
+    for library in ("mlflow", "ray.tune", "ray.train"):
+        logging.getLogger(library).setLevel(logging.ERROR)
     join(runtime_env={"env_vars": QUIET})
     # After ray.init, which sets a handler of its own.
     if threading.current_thread() is threading.main_thread():
@@ -121,73 +122,69 @@ def connect() -> None:
 
 
 def run_trials(
-    trainable: Callable[..., None],
-    trials: Sequence[TrialRequest],
-    shared: Mapping[str, Any],
-    resources: ResourceConfig,
+    job: Job[Any], stage: str, names: Sequence[str], trainable: Callable[..., None], **shared: Any
 ) -> list[TrialOutcome]:
-    """Run the trials of a stage, as many at once as the cluster has room for.
+    """Run the trials of a stage by Ray Tune, as many at once as the cluster has room for.
 
-    In the folders of a job that was stopped, finished trials are not run again, and the others go on from
-    their checkpoints.
+    ``trainable`` gets the request, the configuration as ``train``, and what is shared, in the object store.
+
+    Trials that an earlier attempt of the job has finished are not run again, and the others go on from their
+    own checkpoints. ``Tuner.restore`` is not for this: a driver that was killed may not know the last
+    checkpoint, and what lies behind an older one would be counted twice.
 
     Returns:
-        Outcomes in the order of ``trials``.
+        Outcomes in the order of ``names``.
     """
-    left = [trial for trial in trials if not (trial.folder / FINAL).exists()]
+    trials, resources = [TrialRequest.of(job, stage, name) for name in names], job.config.resources
+    left = {trial.name: trial for trial in trials if not (trial.folder / FINAL).exists()}
     if len(left) < len(trials):
-        _LOG.info(
-            "%s: %d of %d trials are finished", trials[0].stage.name, len(trials) - len(left), len(trials)
-        )
+        _LOG.info("%s: %d of %d trials are finished", stage, len(trials) - len(left), len(trials))
     if left:
-        _run_all(trainable, left, shared, resources)
+        tuner = tune.Tuner(
+            tune.with_resources(
+                tune.with_parameters(_run_trial, trials=left, run=trainable, train=job.config, **shared),
+                resources.of_a_trial(),
+            ),
+            param_space={"trial": tune.grid_search(list(left))},
+            tune_config=tune.TuneConfig(
+                trial_name_creator=_name_of, trial_dirname_creator=_name_of, reuse_actors=False
+            ),
+            run_config=tune.RunConfig(
+                name=stage,
+                storage_path=str(job.folder / "tune"),
+                failure_config=tune.FailureConfig(max_failures=resources.max_failures),
+                verbose=0,
+            ),
+        )
+        try:
+            grid = tuner.fit()
+        except KeyboardInterrupt:
+            for trial in left.values():
+                with suppress(RegistryError):
+                    RunLog(Tracking(trial.tracking_uri), trial.run_id).finish("KILLED")
+            raise
+        if grid.errors:
+            raise JobError(
+                f"{len(grid.errors)} of {len(trials)} trials failed",
+                expected=f"at most {resources.max_failures} faults each",
+                got=str(grid.errors[0]).strip().splitlines()[-1],
+                remedy=f"submit the job again: it goes on from the checkpoints under {job.folder / stage}",
+            )
     return [TrialOutcome(trial.folder / FINAL) for trial in trials]
 
 
-def _run_all(
-    trainable: Callable[..., None],
-    trials: Sequence[TrialRequest],
-    shared: Mapping[str, Any],
-    resources: ResourceConfig,
+def _name_of(trial: Trial) -> str:
+    return str(trial.config["trial"])
+
+
+def _run_trial(
+    config: Mapping[str, str],
+    trials: Mapping[str, TrialRequest],
+    run: Callable[..., None],
+    **shared: Any,
 ) -> None:
-    # A worker ends with its trial, and what torch has allocated with it.
-    task = ray.remote(max_calls=1)(_run_trial)
-    stored = {name: ray.put(value) for name, value in shared.items()}
-    references = [
-        task.options(
-            name=f"{trial.stage.name}/{trial.name}",
-            max_retries=resources.max_failures,
-            retry_exceptions=True,
-            **resources.of_a_task(),
-        ).remote(trainable, trial, **stored)
-        for trial in trials
-    ]
-    try:
-        ray.wait(references, num_returns=len(references))
-        failed = [text for reference in references for text in _failure(reference)]
-    finally:
-        with suppress(RayError, ConnectionError):
-            cancel(references)
-    if failed:
-        raise JobError(
-            f"{len(failed)} of {len(trials)} trials failed",
-            expected=f"at most {resources.max_failures} faults each",
-            got=failed[0].strip().splitlines()[-1],
-            remedy=f"their checkpoints are under {trials[0].stage}; submit the job again to go on from them",
-        )
-
-
-def _failure(reference: "ray.ObjectRef[Any]") -> list[str]:
-    """Why a task failed for good, in one text; nothing where it did not."""
-    try:
-        ray.get(reference)
-    except RayError as error:
-        return [str(error)]
-    return []
-
-
-def _run_trial(trainable: Callable[..., None], trial: TrialRequest, **shared: Any) -> None:
     """Run a trial in a worker, alone, unless another attempt has finished it meanwhile."""
+    trial = trials[config["trial"]]
     trial.folder.mkdir(parents=True, exist_ok=True)
     busy = JobError(
         f"the trial {trial.name} is run by another process",
@@ -196,5 +193,5 @@ def _run_trial(trainable: Callable[..., None], trial: TrialRequest, **shared: An
     )
     with holding(trial.folder / "lock", busy, BUSY_S):
         if not (trial.folder / FINAL).exists():
-            trainable(trial, **shared)
+            run(trial, **shared)
             (trial.folder / LAST).rename(trial.folder / FINAL)

@@ -1,7 +1,5 @@
 """The hyperparameter search: Tune's ASHA over settings of the generators, on validation scenarios."""
 
-import logging
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -105,7 +103,6 @@ def search_trial(
 ) -> None:
     """Train with one choice of settings, and report the quality ``looks`` times."""
     torch.set_num_threads(train.resources.threads)
-    logging.getLogger("ray.tune").setLevel(logging.ERROR)
     settings = dict(config["settings"])
     gan = type(train.local).model_validate(train.local.model_dump() | settings)
     encoder = load_encoder(train.vae, arrays.world.sensor, Path(checkpoints["vae"]))
@@ -181,24 +178,10 @@ def space() -> dict[str, Any]:
     }
 
 
-def claimed(resources: ResourceConfig) -> dict[str, float]:
-    """What a trial of a search claims: no GPU, for its networks and its measurements stay on processors."""
-    memory = {name: claim for name, claim in resources.of_a_task().items() if name == "memory"}
-    return {"cpu": resources.cpus_per_trial, "gpu": 0.0, **memory}
-
-
-# What Tune prints of its own is switched off.
-QUIET = {"RAY_AIR_NEW_OUTPUT": "0", "TUNE_WARN_EXCESSIVE_EXPERIMENT_CHECKPOINT_SYNC_THRESHOLD_S": "0"}
-
-
 def search(
     shared: Mapping[str, Any], steps: int, trials: int, seed: int, resources: ResourceConfig, storage: Path
 ) -> list[Tried]:
     """Asynchronous successive halving (Li et al. 2020) on the validation energy ratio, best first."""
-    for name, value in QUIET.items():
-        os.environ.setdefault(name, value)
-    for library in ("ray.tune", "ray.train"):
-        logging.getLogger(library).setLevel(logging.ERROR)
     # Two cuts. Tune kills what it ends, so neither a third cut nor max_t may fall on a trial's last step.
     scheduler = ASHAScheduler(
         time_attr="step",
@@ -209,7 +192,8 @@ def search(
     tuner = tune.Tuner(
         tune.with_resources(
             tune.with_parameters(search_trial, **shared),
-            claimed(resources),
+            # No GPU, for its networks and its measurements stay on processors.
+            resources.of_a_trial() | {"gpu": 0.0},
         ),
         param_space={"settings": space()},
         tune_config=tune.TuneConfig(

@@ -1,4 +1,3 @@
-import json
 import re
 from dataclasses import replace
 
@@ -123,7 +122,10 @@ def test_the_free_share_of_own_data_is_that_of_their_world(monkeypatch, tmp_path
 
 def test_the_command_prints_its_configuration(capsys):
     assert COMMAND.main(["--preset", "smoke", "--print-config"]) == 0
-    assert json.loads(capsys.readouterr().out)["preset"] == "smoke"
+    lines = capsys.readouterr().out.splitlines()
+    assert 'preset="smoke"' in lines
+    assert any(line.startswith("resources.max_failures=2 ") and "# after so many" in line for line in lines)
+    assert any(line.startswith("global.local_critic_weight=") for line in lines)
 
 
 def test_the_command_ends_with_two_on_settings_that_are_wrong_missing_or_too_many(capsys, monkeypatch):
@@ -138,14 +140,14 @@ def test_the_command_ends_with_two_on_settings_that_are_wrong_missing_or_too_man
 
 
 def test_a_trial_claims_what_the_configuration_says_and_no_memory_unless_it_does():
-    assert TrainConfig.load("smoke").resources.of_a_task() == {"num_cpus": 1.0, "num_gpus": 0.0}
+    assert TrainConfig.load("smoke").resources.of_a_trial() == {"cpu": 1.0, "gpu": 0.0}
     half = [
         "resources.gpus_per_trial=0.5",
         "resources.cpus_per_trial=2",
         "resources.memory_mb_per_trial=1500",
     ]
-    claimed = TrainConfig.load("smoke", half).resources.of_a_task()
-    assert claimed == {"num_cpus": 2.0, "num_gpus": 0.5, "memory": 1500 * 1024 * 1024}
+    claimed = TrainConfig.load("smoke", half).resources.of_a_trial()
+    assert claimed == {"cpu": 2.0, "gpu": 0.5, "memory": 1500 * 1024 * 1024}
     # It computes on as many threads.
     for cpus, threads in ((0.5, 1), (3.5, 3)):
         assert TrainConfig.load("smoke", [f"resources.cpus_per_trial={cpus}"]).resources.threads == threads

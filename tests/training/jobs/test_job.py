@@ -4,11 +4,19 @@ import json
 import pytest
 
 from cspace.errors import ConfigError, JobError, StorageError
-from services.names import TAG_KEY
+from cspace.worlds import default_world
 from tests.fakes.registry import FakeTracking
 from training.config import TrainConfig
-from training.jobs.environment import RECORD, Environment, job_environment, job_folder, run_of, submission_id
-from training.jobs.job import Job, kept_bundle
+from training.jobs.job import (
+    LONGEST,
+    Environment,
+    Job,
+    job_folder,
+    job_label,
+    kept_bundle,
+    shown_tags,
+    world_tag,
+)
 
 SMOKE = TrainConfig.load("smoke", ["seed=4"])
 
@@ -36,6 +44,25 @@ def test_a_trial_keeps_its_run_however_often_it_is_asked_for_and_in_a_resumed_jo
     assert resumed.run.run_id == job.run.run_id
 
 
+def test_a_job_goes_by_its_name_or_by_its_preset():
+    config = TrainConfig.load("paper", ["seed=3"])
+    assert job_label(config, "arm-1") == "arm-1, seed 3"
+    assert job_label(config, None) == "paper, seed 3"
+    assert shown_tags(config, None, "local") == {"stage": "local", "job": "", "preset": "paper"}
+    assert world_tag(default_world(), None) == {"world": "planar, two-link"}
+
+
+def test_settings_are_parameters_one_each_and_a_file_has_all_of_them(environment, tracking):
+    config = TrainConfig.load("quickstart", [f"data_folder=/{LONGEST * 'x'}"])
+    job = Job.start(config, environment, {})
+    job.log_configuration()
+    kept = tracking.runs[job.run.run_id]
+    assert kept.params["local.steps"] == str(config.local.steps)
+    assert "data_folder" not in kept.params
+    assert not any(value == "None" or len(value) > LONGEST for value in kept.params.values())
+    assert json.loads(kept.artifacts["configuration.json"]) == config.to_dict()
+
+
 @pytest.mark.parametrize("run_id", ["nothing", "../.."])
 def test_a_job_that_never_was_is_an_error_that_says_what_to_give(environment, run_id):
     with pytest.raises(ConfigError, match="run's id"):
@@ -54,16 +81,9 @@ def test_a_name_names_one_job_and_those_without_one_are_different_ones(environme
     assert len(tracking.runs) == 3
 
 
-def test_a_driver_that_is_killed_before_it_could_note_its_run_finds_it(environment, tracking, monkeypatch):
-    started = tracking.start("cspace-sampler", "cluster-train", key="job/arm-1")
+def test_a_driver_that_is_killed_before_it_could_note_its_run_finds_it(environment, tracking):
+    started = tracking.start("cspace-sampler", "cluster-train", tags={"job": "arm-1"}, key="job/arm-1")
     assert Job.start(SMOKE, environment, {}, name="arm-1").run.run_id == started.run_id
-    # The same for a trial's run: it is there, and the record does not know of it.
-    job = Job.start(SMOKE, environment, {}, name="arm-1")
-    child = job.child("vae")
-    path = job.folder / RECORD
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"children": {}}))
-    assert Job.start(SMOKE, environment, {}, name="arm-1").child("vae") == child
-    assert tracking.runs[child].tags[TAG_KEY] == f"{job.run.run_id}/vae"
 
 
 def test_a_name_of_other_settings_is_refused_with_the_difference(environment, tracking):
@@ -84,35 +104,9 @@ def test_a_job_that_runs_is_not_run_twice(environment, tracking):
         fcntl.flock(handle, fcntl.LOCK_EX)
         with pytest.raises(JobError, match=r"running already; got run [0-9a-f]+; wait"), job.running():
             pass
-        (job.folder / "running.json").write_text('{"submission_id": "raysubmit_1"}')
-        refused = pytest.raises(JobError, match=r"submitted as raysubmit_1; .*ray job stop raysubmit_1")
-        with refused, job.running():
-            pass
     with job.running() as run:
         assert run.run_id == job.run.run_id
     assert tracking.runs[job.run.run_id].status == "FINISHED"
-
-
-def test_a_submitted_job_says_first_how_to_stop_it_and_keeps_rays_id_while_it_runs(
-    environment, tracking, monkeypatch, caplog
-):
-    job_config = {"runtime_env": {}, "metadata": {"job_submission_id": "raysubmit_1"}}
-    monkeypatch.setenv("RAY_JOB_CONFIG_JSON_ENV_VAR", json.dumps(job_config))
-    job = Job.start(SMOKE, environment, {}, name="arm-1")
-    with caplog.at_level("INFO", logger="training"), job.running():
-        assert json.loads((job.folder / "running.json").read_text()) == {"submission_id": "raysubmit_1"}
-    first, _, stop, follow = caplog.messages[:4]
-    assert first == f"run: {job.run.run_id}"
-    assert stop.endswith("ray job stop raysubmit_1")
-    assert follow.endswith("ray job logs --follow raysubmit_1")
-    assert not (job.folder / "running.json").exists()
-
-
-def test_a_job_that_nobody_submitted_says_nothing_of_it(environment, tracking, monkeypatch, caplog):
-    monkeypatch.delenv("RAY_JOB_CONFIG_JSON_ENV_VAR", raising=False)
-    with caplog.at_level("INFO", logger="training"), Job.start(SMOKE, environment, {}).running() as run:
-        assert caplog.messages == [f"run: {run.run_id}"]
-    assert submission_id({"RAY_JOB_CONFIG_JSON_ENV_VAR": '{"metadata": null}'}) is None
 
 
 def test_what_an_attempt_left_half_is_gone_in_the_next(environment, tracking):
@@ -121,7 +115,7 @@ def test_what_an_attempt_left_half_is_gone_in_the_next(environment, tracking):
     (job.folder / "local" / ".write-last.ckpt-1.tmp").touch()
     (job.folder / ".bundle-abc").mkdir()
     with Job.start(SMOKE, environment, {}, name="arm-1").running():
-        assert sorted(path.name for path in job.folder.rglob("*")) == ["job.json", "local", "lock"]
+        assert sorted(path.name for path in job.folder.rglob("*")) == ["configuration.json", "local", "lock"]
 
 
 def test_an_interrupted_job_is_a_killed_run(environment, tracking):
@@ -151,19 +145,5 @@ def test_half_a_bundle_is_not_kept(tmp_path):
     assert kept_bundle(tmp_path / "half") is None
 
 
-def test_the_patience_is_a_setting(monkeypatch, tmp_path):
-    monkeypatch.setenv("MLFLOW_TRACKING_URI", "http://127.0.0.1:1")
-    monkeypatch.setenv("CSPACE_DATA_DIR", str(tmp_path))
-    assert job_environment().patience_s == 600.0
-    monkeypatch.setenv("CSPACE_TRACKING_PATIENCE_S", "5")
-    assert job_environment().patience_s == 5.0
-    monkeypatch.setenv("CSPACE_TRACKING_PATIENCE_S", "long")
-    with pytest.raises(ConfigError, match="seconds"):
-        job_environment()
-
-
-def test_a_job_is_found_by_its_name_within_the_data_folder(environment, tracking):
+def test_a_job_lies_within_the_data_folder(environment):
     assert job_folder(environment, "../../run") == environment.data_folder / "jobs" / "run"
-    job = Job.start(SMOKE, environment, {}, name="point")
-    assert run_of(environment, "point") == job.run.run_id
-    assert run_of(environment, "nobody") is None

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from training.jobs import environment
-from training.jobs.environment import UNKNOWN, SourceState, command_line, source_state
+from training.jobs import provenance
+from training.jobs.provenance import UNKNOWN, SourceState, command_line, source_state
 
 
 def git(folder: Path, *arguments: str) -> str:
@@ -25,9 +25,9 @@ def git(folder: Path, *arguments: str) -> str:
 
 @pytest.fixture
 def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A repository with a module at training/jobs/environment.py and a file that uploads leave out."""
+    """A repository with a module at training/jobs/provenance.py and a file that uploads leave out."""
     root = tmp_path / "checkout"
-    for name in ("training/jobs/environment.py", "tests/large.txt"):
+    for name in ("training/jobs/provenance.py", "tests/large.txt"):
         (root / name).parent.mkdir(parents=True)
         (root / name).write_text("as committed\n")
     git(root, "init", "--quiet")
@@ -40,7 +40,7 @@ def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def run_from(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(environment, "__file__", str(root / "training" / "jobs" / "environment.py"))
+    monkeypatch.setattr(provenance, "__file__", str(root / "training" / "jobs" / "provenance.py"))
 
 
 @pytest.fixture
@@ -65,7 +65,7 @@ def test_an_uploaded_copy_is_compared_with_the_history_it_came_from(
     monkeypatch.setenv("CSPACE_GIT_DIR", str(checkout / ".git"))
     commit = git(checkout, "rev-parse", "HEAD")
     assert source_state() == SourceState(commit, dirty=False)
-    (copy / "training" / "jobs" / "environment.py").write_text("changed\n")
+    (copy / "training" / "jobs" / "provenance.py").write_text("changed\n")
     assert source_state() == SourceState(commit, dirty=True)
     assert git(checkout, "status", "--porcelain") == ""
 

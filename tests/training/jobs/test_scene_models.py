@@ -7,7 +7,7 @@ import pytest
 from cspace.errors import BundleIntegrityError, InputError, ModelNotFoundError
 from services.names import SCENE_MODEL_FILE, SCENE_MODEL_NAME, SCENE_MODELS_EXPERIMENT
 from tests.fakes.registry import FakeRegistry, FakeTracking
-from training.jobs.scene_models import fetch, register
+from training.scene_model import fetch, register
 
 
 class Kept:

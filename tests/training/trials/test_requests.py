@@ -6,7 +6,6 @@ import torch
 from training.config import TrainConfig
 from training.models.checkpoint import seeded_initialisation
 from training.trials.launch import TrialRequest
-from training.trials.search import claimed
 
 STAGES = {
     "pictures": ("vae", "validity"),
@@ -35,13 +34,6 @@ def test_no_two_trials_have_one_seed_in_whatever_job(tmp_path: Path) -> None:
     assert len(set(seeds)) == len(seeds)
     again = [request.seed for request in requests(0, tmp_path)]
     assert seeds[: len(again)] == again
-
-
-def test_a_trial_of_a_search_claims_no_gpu_that_it_would_not_use() -> None:
-    resources = TrainConfig.load(
-        "smoke", ["resources.gpus_per_trial=1", "resources.cpus_per_trial=2"]
-    ).resources
-    assert claimed(resources) == {"cpu": 2.0, "gpu": 0.0}
 
 
 def test_networks_start_from_other_numbers_than_the_training_draws() -> None:
