@@ -47,14 +47,9 @@ class PathGenerator(nn.Module):
         inputs = condition_size(sizes.latent_dim, self.joints) + code_dim
         self.net = mlp(inputs, sizes.hidden, sizes.layers, self.joints.embedded_size)
 
-    def embedded(self, condition: Condition, code: Tensor) -> Tensor:
-        """Cosines, then sines, of any length, then places within limits; (m, e)."""
-        values: Tensor = self.net(torch.cat([condition.features(self.joints), code], dim=1))
-        return values
-
     def forward(self, condition: Condition, noise: Tensor) -> Tensor:
         """Points (m, d) rad."""
-        return self.joints.unembed(self.embedded(condition, noise))
+        return self.joints.unembed(self.net(torch.cat([condition.features(self.joints), noise], dim=1)))
 
 
 class PathCritic(nn.Module):
@@ -96,24 +91,16 @@ class PathSamples(Held):
     mu: Tensor  # (S, L) float32
     sigma: Tensor  # (S, L) float32
 
-    def draw_rows(self, size: int, rng: torch.Generator) -> tuple[Tensor, Tensor]:
-        """Numbers of paths (b,), and which of them are walked from goal to start (b,): every other one."""
-        rows = torch.randint(len(self.ids), (size,), generator=rng, device=self.ids.device)
-        # What is a near-optimal path one way is one the other way.
-        return rows, torch.rand(size, generator=rng, device=self.ids.device) < 0.5
-
-    def walked(self, rows: Tensor, back: Tensor) -> Tensor:
-        """Those paths, (b, P, d) rad."""
-        paths = self.paths[rows]
-        return torch.where(back.view(-1, 1, 1), paths.flip(1), paths)
-
     def draw(self, size: int, rng: torch.Generator) -> PathBatch:
-        """One point of each of so many paths, both with replacement."""
-        rows, back = self.draw_rows(size, rng)
-        paths, ids = self.walked(rows, back), self.ids[rows]
-        count = paths.shape[1]
-        at = torch.randint(count, (size,), generator=rng, device=ids.device)
-        points = paths[torch.arange(size, device=ids.device), at]
+        """One point of each of so many paths, drawn with replacement, every other one from goal to start."""
+        device = self.ids.device
+        rows = torch.randint(len(self.ids), (size,), generator=rng, device=device)
+        # What is a near-optimal path one way is one the other way.
+        back = torch.rand(size, generator=rng, device=device) < 0.5
+        paths, ids = self.paths[rows], self.ids[rows]
+        paths = torch.where(back.view(-1, 1, 1), paths.flip(1), paths)
+        at = torch.randint(paths.shape[1], (size,), generator=rng, device=device)
+        points = paths[torch.arange(size, device=device), at]
         return PathBatch(points, paths[:, 0], paths[:, -1], ids, self.mu[ids], self.sigma[ids])
 
 

@@ -148,15 +148,11 @@ class CellBase(nn.Module):
 
     def draw(self, ids: Tensor, rng: torch.Generator) -> Tensor:
         """(b, d) rad for scenarios (b,)."""
-        return self.draw_in_cells(ids, rng)[1]
-
-    def draw_in_cells(self, ids: Tensor, rng: torch.Generator) -> tuple[Tensor, Tensor]:
-        """The cells (b,) that were drawn for scenarios (b,), and a point in each, (b, d) rad."""
         count, device = len(ids), ids.device
         cell = torch.multinomial(self.probabilities[ids], 1, generator=rng).squeeze(1)
         place = torch.randint(self.points.shape[1], (count,), generator=rng, device=device)
         jitter = torch.rand(count, self.points.shape[2], generator=rng, device=device) - 0.5
-        return cell, self.joints.fold(self.points[cell, place] + self.spacing[cell].unsqueeze(1) * jitter)
+        return self.joints.fold(self.points[cell, place] + self.spacing[cell].unsqueeze(1) * jitter)
 
 
 class Experts(nn.Module):
