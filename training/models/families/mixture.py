@@ -23,12 +23,12 @@ from training.models.families.guided import local_names
 from training.models.families.wgan_gp import (
     GanConfig,
     TorusGenerator,
+    UniformBase,
     WganConfig,
     WganGp,
     WganGpModule,
     beside,
 )
-from training.models.joints import Joints
 from training.models.lookups import ArmLookups, look, make_lookups
 from training.models.modules import TrialModule, mlp
 
@@ -129,7 +129,7 @@ def gate_probabilities(gate: Gate, mu: NDArray[np.float32]) -> NDArray[np.float3
     return probabilities
 
 
-class CellBase(nn.Module):
+class CellBase(UniformBase):
     """A torus generator starts evenly inside cells that are drawn by their probability under the scenario.
 
     ``probabilities`` (S, k) float32, not negative; a row need not sum to one.
@@ -140,8 +140,7 @@ class CellBase(nn.Module):
     probabilities: Tensor
 
     def __init__(self, cells: Cells, probabilities: Tensor, space: JointSpace) -> None:
-        super().__init__()
-        self.joints = Joints(space)
+        super().__init__(space)
         self.register_buffer("points", torch.tensor(cells.points), persistent=False)
         self.register_buffer("spacing", torch.tensor(cells.spacing_rad), persistent=False)
         self.register_buffer("probabilities", probabilities, persistent=False)

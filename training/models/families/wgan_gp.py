@@ -381,7 +381,7 @@ class WganGpModule(AdversarialModule):
         scale: tuple[Tensor, Tensor],
         seed: int,
         space: JointSpace,
-        base: nn.Module | None = None,
+        base: UniformBase | None = None,
         scenes: Scenes | None = None,
     ) -> None:
         super().__init__(seed)
@@ -413,7 +413,7 @@ class WganGpModule(AdversarialModule):
         if isinstance(self.generator, MeansGenerator):
             samples: Tensor = self.generator(latent, self.normal(size, self.config.means, dim))
         else:
-            base = self.base.draw(batch.ids, self.rng)  # type: ignore[operator]
+            base = self.base.draw(batch.ids, self.rng)
             seen = read(self.generator_reader, batch.ids, base)
             samples = self.generator(latent, base, self.normal(size, self.config.noise_dim), seen)
         return samples
@@ -472,7 +472,7 @@ class WganGp(Family[Any]):
         del name, done
         return Trial(WganGpModule(self.config.global_, *self.given(None, seed)), self.config.global_)
 
-    def given(self, cluster: int | None, seed: int, base: nn.Module | None = None) -> tuple[Any, ...]:
+    def given(self, cluster: int | None, seed: int, base: UniformBase | None = None) -> tuple[Any, ...]:
         """What a module of :class:`WganGpModule` takes after its settings: one cluster's data, or all."""
         arrays = self.arrays
         return arrays.samples(cluster), arrays.scale, seed, arrays.world.space, base, arrays.scenes()
