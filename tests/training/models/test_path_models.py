@@ -7,7 +7,7 @@ import torch
 
 from cspace.worlds.planar.arm import TWO_LINK
 from tests.training.models.builders import run
-from tests.training.models.path_builders import LATENT, arrays
+from tests.training.models.path_builders import LATENT, samples
 from training.config import PathGanConfig
 from training.models.checkpoint import seeded_initialisation
 from training.models.paths import Condition, PathGanModule, point_graph
@@ -17,7 +17,7 @@ SMALL = PathGanConfig(hidden=32, layers=2, critic_hidden=32, critic_layers=2, st
 
 def path_module(**sizes):
     with seeded_initialisation(0):
-        return PathGanModule(SMALL, arrays(**sizes).samples(), 0, TWO_LINK.space)
+        return PathGanModule(SMALL, samples(**sizes), 0, TWO_LINK.space)
 
 
 def trained():
