@@ -12,14 +12,13 @@ from filelock import FileLock
 
 from cspace.bundle import BundleSpec, RandomInput, write_bundle
 from cspace.worlds import examples
-from training.config import GridConfig, VaeConfig, ValidityConfig
-from training.models.autoencoders import GridVaeDecoder, make_encoder, network_size, shown_size
+from training.config import GridConfig, ValidityConfig
+from training.models.autoencoders import Decoder, Encoder, NoveltyScores, network_size, shown_size
 from training.models.checkpoint import seeded_initialisation
 from training.models.export import encoder_graph, generator_graph, novelty_graph
 from training.models.families.wgan_gp import Sizes, TorusGenerator, TorusSampler
 from training.models.grid_head import GridHead
 from training.models.grid_training import grid_validity_graph, map_graph
-from training.trials.arrays import GridNovelty
 
 WORLD = examples()["panda"]
 LATENT = 5
@@ -55,15 +54,14 @@ def space_graphs() -> Mapping[str, bytes]:
 def _exported() -> dict[str, bytes]:
     sensor, size = WORLD.sensor, network_size(WORLD.sensor)
     with seeded_initialisation(0):
-        encoder = make_encoder(VaeConfig(latent_dim=LATENT, width=4), shown_size(sensor))
-        x, y, z, _ = sensor.picture_shape
-        decoder = GridVaeDecoder((x, y, z), LATENT, 4)
+        encoder = Encoder(shown_size(sensor), LATENT, 4)
+        decoder = Decoder(shown_size(sensor), LATENT, 4)
         generator = TorusGenerator(Sizes(WORLD.space, LATENT, 8, 1), 2)
         head = GridHead.of(HEAD, WORLD).eval()
     return {
         "encoder": encoder_graph(encoder, size),
         "generator": generator_graph(TorusSampler(generator), LATENT),
-        "novelty": novelty_graph(GridNovelty(decoder).eval(), size, LATENT),
+        "novelty": novelty_graph(NoveltyScores(decoder, shown_size(sensor)).eval(), size, LATENT),
         "map": map_graph(head),
         "validity": grid_validity_graph(head, WORLD.dim),
     }

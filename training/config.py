@@ -39,19 +39,19 @@ def _set(values: dict[str, Any], override: str) -> None:
     values[last] = read_yaml(text, f"the value of {key!r}", ConfigError)
 
 
-# Settings that tell which networks there are and what their weights fit, in whatever section they stand.
-_SHAPING = {
-    *("latent_dim", "width", "patches", "checkpoint", "count", "form", "cells", "hidden", "layers"),
-    *("noise_dim", "means", "generator", "critic_condition", "critic_features", "critic_hidden"),
-    *("critic_layers", "points_per_link", "side_m", "encoder", "place", "code_dim", "refinements", "ways"),
-}
-
-
 class JobConfig(Section):
     """What fixes any training job."""
 
     SCRIPT: ClassVar[str]
     PRESETS: ClassVar[Path]
+    # Settings that tell which networks there are and what their weights fit, in whatever section they stand.
+    SHAPING: ClassVar[frozenset[str]] = frozenset(
+        (
+            *("latent_dim", "width", "patches", "checkpoint", "count", "form", "cells", "hidden", "layers"),
+            *("noise_dim", "means", "generator", "critic_condition", "critic_features", "critic_hidden"),
+            *("critic_layers", "points_per_link", "side_m"),
+        )
+    )
 
     preset: str
     seed: int = Field(0, ge=0, description="of everything that is drawn, except the data")
@@ -112,7 +112,7 @@ class JobConfig(Section):
         return {
             key: value
             for key, value in flatten(self.to_dict()).items()
-            if key.rpartition(".")[2] in _SHAPING and not key.startswith("data.")
+            if key.rpartition(".")[2] in self.SHAPING and not key.startswith("data.")
         }
 
 
@@ -148,7 +148,6 @@ class ClusterConfig(Section):
     """k-means over the configuration space, and what is made of the clusters."""
 
     count: int = Field(2, ge=1, description="trials that train side by side, one a cluster")
-    fit_samples: int = Field(50_000, ge=10, description="configurations that the centres are fitted to")
     form: str = Field(
         "guided",
         description="the model family. guided: local critics guide a global generator, as in the paper; "

@@ -15,7 +15,7 @@ from cspace.simulator import derived_seed
 from cspace.space import JointSpace
 from training.models.data import Cells
 
-_BLOCK = 100_000
+_BLOCK, _FIT_SAMPLES = 100_000, 50_000
 # Cells differ in size; one that is too small for this many draws repeats the points that it has.
 _DRAWS_PER_POINT = 5
 
@@ -101,7 +101,6 @@ class Partition:
 def cluster(
     configurations: NDArray[np.float32],
     count: int,
-    fit_samples: int,
     seed: int,
     space: JointSpace,
 ) -> Clustering:
@@ -115,7 +114,7 @@ def cluster(
             remedy="lower clusters.count or raise data.free_per_scenario",
         )
     rng = np.random.default_rng(derived_seed(seed, "rows of k-means"))
-    rows = rng.choice(total, size=min(total, fit_samples), replace=False)
+    rows = rng.choice(total, size=min(total, _FIT_SAMPLES), replace=False)
     model = KMeans(count, n_init=4, random_state=_state(seed, "cells")).fit(space.embed(configurations[rows]))
     labels = [
         model.predict(space.embed(configurations[start : start + _BLOCK]))

@@ -30,7 +30,7 @@ from training.models.autoencoders import encode, shown
 from training.models.data import TrainingArrays
 from training.models.families import family
 from training.trials.arrays import has_occupancy, load_encoder
-from training.trials.launch import TrialOutcome, TrialRequest, run_trials
+from training.trials.launch import TrialOutcome, run_trials
 from training.trials.trainables import VAE, VALIDITY, family_trial, picture_trial
 
 SHOWN_SCENARIOS = 3
@@ -129,13 +129,8 @@ def train_on_pictures(
     if not names:
         return None, None
     _LOG.info("%s: %d pictures", " and ".join(names), len(images))
-    trials = [TrialRequest.of(job, "pictures", name) for name in names]
-    shared = {
-        "train": config,
-        "images": images,
-        "data_folder": dataset.folder.absolute(),
-    }
-    done = run_trials(picture_trial, trials, shared, config.resources)
+    folder = dataset.folder.absolute()
+    done = run_trials(job, "pictures", names, picture_trial, images=images, data_folder=folder)
     outcomes = {outcome.name: outcome for outcome in done}
     return outcomes.get(VAE), outcomes.get(VALIDITY)
 
@@ -194,7 +189,7 @@ def partition(
     count, seed = config.clusters.count, config.seed
     if start is not None:
         return Partition.load(start / CLUSTERS_FILE, free, space)
-    cells = cluster(free, config.cells, config.clusters.fit_samples, seed, space)
+    cells = cluster(free, config.cells, seed, space)
     return Partition(cells, group(cells, count, seed))
 
 
@@ -204,12 +199,9 @@ def train_family(
     """Stages 5 and on: what the model family trains from the latents; ``until`` names the last stage."""
     config, outcomes = job.config, list[TrialOutcome]()
     kind = family(config.clusters.form)
-    shared = {"kind": kind, "train": config, "arrays": arrays}
     for stage, names in kind(config, arrays).stages().items():
-        trials = [TrialRequest.of(job, stage, name) for name in names]
-        outcomes += run_trials(
-            family_trial, trials, shared | {"done": checkpoints(outcomes)}, config.resources
-        )
+        done = checkpoints(outcomes)
+        outcomes += run_trials(job, stage, names, family_trial, kind=kind, arrays=arrays, done=done)
         if stage == until:
             break
     return outcomes

@@ -159,7 +159,7 @@ class Job(Generic[Config]):
         """A job that was stopped, with the runs that it had."""
         folder = job_folder(environment, run_id)
         try:
-            config = kind.model_validate_json((folder / CONFIGURATION).read_bytes())
+            config = kind.from_dict(json.loads((folder / CONFIGURATION).read_bytes()))
         except OSError as error:
             raise ConfigError(
                 "there is no such job to go on with",
@@ -285,7 +285,7 @@ def _earlier_job(config: JobConfig, start_from: str, environment: Environment, t
     run_id = tracking.run(run_id).parent_run_id or run_id
     folder = _require_folder(job_folder(environment, run_id))
     try:
-        earlier = type(config).model_validate_json((folder / CONFIGURATION).read_bytes())
+        earlier = type(config).from_dict(json.loads((folder / CONFIGURATION).read_bytes()))
     except ValidationError as error:
         raise refused(error, ConfigError, f"start_from={start_from} is a job of another kind") from error
     made = [*folder.glob("bundle/bundle.json"), *folder.glob("bundles/*/bundle.json")]

@@ -4,7 +4,7 @@ import contextlib
 import io
 import logging
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import torch
@@ -22,56 +22,27 @@ def pictures(count: int, size: int | Sequence[int]) -> Tensor:
     return torch.zeros(count, *((3, size, size) if isinstance(size, int) else size))
 
 
-class _EncoderGraph(nn.Module):
-    """Picture to mean and standard deviation (not the log variance) of its latent."""
+def encoder_graph(encoder: nn.Module, pixels: int | Sequence[int]) -> bytes:
+    """ONNX bytes: ``image`` (b, 3, P, P), or of the size given, to ``mu`` and ``sigma`` (b, L)."""
 
-    def __init__(self, encoder: nn.Module) -> None:
-        super().__init__()
-        self.encoder = encoder
-
-    def forward(self, image: Tensor) -> tuple[Tensor, Tensor]:
-        mu, log_variance = self.encoder(image)
+    def mean_and_deviation(image: Tensor) -> tuple[Tensor, Tensor]:
+        mu, log_variance = encoder(image)
         return mu, (log_variance / 2.0).exp()
 
-
-def encoder_graph(encoder: nn.Module, pixels: int | Sequence[int]) -> bytes:
-    """ONNX bytes: ``image`` (b, 3, P, P), or of the size given, to ``mu`` (b, L) and ``sigma`` (b, L)."""
-    return exported(
-        _EncoderGraph(encoder),
-        (pictures(2, pixels),),
-        ["image"],
-        ["mu", "sigma"],
-        batched("images", 1),
-    )
-
-
-class _Blind(nn.Module):
-    def forward(self, image: Tensor) -> tuple[Tensor, Tensor]:
-        nothing = 0.0 * image.flatten(1)[:, :1]
-        return nothing, nothing
+    graph, inputs = Graph(mean_and_deviation, encoder), (pictures(2, pixels),)
+    return exported(graph, inputs, ["image"], ["mu", "sigma"], batched("images", 1))
 
 
 def blind_encoder_graph(size: Sequence[int]) -> bytes:
     """ONNX bytes of an encoder that sees nothing: ``image`` to ``mu`` (b, 1), 0, and ``sigma`` (b, 1), 1."""
-    return encoder_graph(_Blind(), size)
-
-
-class _NoveltyGraph(nn.Module):
-    """One picture with its latent mean to its scores."""
-
-    def __init__(self, scores: nn.Module) -> None:
-        super().__init__()
-        self.scores = scores
-
-    def forward(self, image: Tensor, mu: Tensor) -> Tensor:
-        scores: Tensor = self.scores(image, mu)
-        return scores.squeeze(0)
+    return encoder_graph(Graph(lambda image: (0.0 * image.flatten(1)[:, :1],) * 2), size)
 
 
 def novelty_graph(scores: nn.Module, pixels: int | Sequence[int], latent_dim: int) -> bytes:
     """ONNX bytes: ``image`` (1, 3, P, P), or of the size given, and ``mu`` (1, L) to ``scores`` (2,)."""
     inputs = (pictures(1, pixels), torch.zeros(1, latent_dim))
-    return exported(_NoveltyGraph(scores), inputs, ["image", "mu"], ["scores"], ({}, {}))
+    graph = Graph(lambda image, mu: scores(image, mu).squeeze(0), scores)
+    return exported(graph, inputs, ["image", "mu"], ["scores"], ({}, {}))
 
 
 class Sampler(nn.Module):
@@ -100,22 +71,26 @@ def generator_graph(sampler: Sampler, latent_dim: int, pixels: int = 0) -> bytes
     return exported(sampler, tuple(inputs), names, ["samples"], axes)
 
 
-class _Uniform(nn.Module):
-    def __init__(self, joints: Joints) -> None:
-        super().__init__()
-        self.joints = joints
-
-    def forward(self, latent: Tensor, base: Tensor) -> Tensor:
-        return (self.joints.from_torus(base) + 0.0 * latent)[:, None]
-
-
 def uniform_graph(space: JointSpace) -> bytes:
     """ONNX bytes: ``latent`` (m, 1) and ``base`` (m, d), uniform on the torus, to ``samples`` (m, 1, d) rad.
 
     They are uniform in the joint space, whatever the latent is.
     """
-    inputs = (torch.zeros(2, 1), torch.zeros(2, space.dim))
-    return exported(_Uniform(Joints(space)), inputs, ["latent", "base"], ["samples"], batched("latents", 2))
+    joints, inputs = Joints(space), (torch.zeros(2, 1), torch.zeros(2, space.dim))
+    graph = Graph(lambda latent, base: (joints.from_torus(base) + 0.0 * latent)[:, None], joints)
+    return exported(graph, inputs, ["latent", "base"], ["samples"], batched("latents", 2))
+
+
+class Graph(nn.Module):
+    """A function of tensors, and the networks that it calls."""
+
+    def __init__(self, function: Callable[..., Any], *networks: nn.Module) -> None:
+        super().__init__()
+        self.function, self.networks = function, nn.ModuleList(networks)
+
+    def forward(self, *inputs: Tensor) -> Any:
+        """The function's value."""
+        return self.function(*inputs)
 
 
 def batched(axis: str, count: int) -> tuple[dict[int, Any], ...]:
@@ -139,7 +114,7 @@ def exported(
             inputs,
             input_names=names,
             output_names=outputs,
-            dynamic_shapes=free_axes,
+            dynamic_shapes=(free_axes,) if isinstance(module, Graph) else free_axes,
             opset_version=OPSET,
             dynamo=True,
             verbose=False,

@@ -6,13 +6,13 @@ from typing import Self
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn import functional
 
 from cspace.world import GridArm, World
 from training.config import GridConfig, ValidityConfig
 from training.models.data import Held, rows_of
-from training.models.export import exported
+from training.models.export import Graph, exported
 from training.models.grid_head import GridHead, HeadPrediction, counts_of
 from training.models.modules import TrialModule
 
@@ -154,28 +154,9 @@ def _turns_upright(arm: GridArm, counts: tuple[int, int, int]) -> bool:
     return bool(upright and np.allclose(middle[:2], arm.origins[0, :2, 3]) and counts[0] == counts[1])
 
 
-class _MapGraph(nn.Module):
-    def __init__(self, head: GridHead) -> None:
-        super().__init__()
-        self.head = head
-
-    def forward(self, image: Tensor) -> Tensor:
-        return self.head.encode(image)
-
-
-class _ValidityGraph(nn.Module):
-    def __init__(self, head: GridHead) -> None:
-        super().__init__()
-        self.head = head
-
-    def forward(self, image: Tensor, map_: Tensor, configurations: Tensor) -> tuple[Tensor, Tensor]:
-        prediction = self.head(image, map_, configurations.unsqueeze(0))
-        return prediction.free.squeeze(0), prediction.unseen.squeeze(0)
-
-
 def map_graph(head: GridHead) -> bytes:
     """ONNX bytes: ``image`` (1, 2, X, Y, Z) to ``map`` (X Y Z / 64, C), what the scene is taken to be."""
-    return exported(_MapGraph(head), (torch.zeros(1, 2, *head.counts),), ["image"], ["map"], ({},))
+    return exported(Graph(head.encode, head), (torch.zeros(1, 2, *head.counts),), ["image"], ["map"], ({},))
 
 
 def grid_validity_graph(head: GridHead, dim: int) -> bytes:
@@ -186,4 +167,9 @@ def grid_validity_graph(head: GridHead, dim: int) -> bytes:
     rows = {0: torch.export.Dim("configurations", min=1)}
     inputs = (image, seen, torch.zeros(2, dim))
     names, outputs = ["image", "map", "configurations"], ["confidence", "unseen"]
-    return exported(_ValidityGraph(head), inputs, names, outputs, ({}, {}, rows))
+
+    def confidence_and_unseen(image: Tensor, map_: Tensor, configurations: Tensor) -> tuple[Tensor, Tensor]:
+        prediction = head(image, map_, configurations.unsqueeze(0))
+        return prediction.free.squeeze(0), prediction.unseen.squeeze(0)
+
+    return exported(Graph(confidence_and_unseen, head), inputs, names, outputs, ({}, {}, rows))

@@ -14,6 +14,7 @@ from cspace.planning.paths import spread_points
 from cspace.space import JointSpace
 from training.config import PathGanConfig
 from training.models.data import Held
+from training.models.export import Graph, batched, exported
 from training.models.families.wgan_gp import AdversarialModule, Sizes
 from training.models.joints import Joints
 from training.models.modules import mlp
@@ -46,14 +47,9 @@ class PathGenerator(nn.Module):
         inputs = condition_size(sizes.latent_dim, self.joints) + code_dim
         self.net = mlp(inputs, sizes.hidden, sizes.layers, self.joints.embedded_size)
 
-    def embedded(self, condition: Condition, code: Tensor) -> Tensor:
-        """Cosines, then sines, of any length, then places within limits; (m, e)."""
-        values: Tensor = self.net(torch.cat([condition.features(self.joints), code], dim=1))
-        return values
-
     def forward(self, condition: Condition, noise: Tensor) -> Tensor:
         """Points (m, d) rad."""
-        return self.joints.unembed(self.embedded(condition, noise))
+        return self.joints.unembed(self.net(torch.cat([condition.features(self.joints), noise], dim=1)))
 
 
 class PathCritic(nn.Module):
@@ -95,24 +91,16 @@ class PathSamples(Held):
     mu: Tensor  # (S, L) float32
     sigma: Tensor  # (S, L) float32
 
-    def draw_rows(self, size: int, rng: torch.Generator) -> tuple[Tensor, Tensor]:
-        """Numbers of paths (b,), and which of them are walked from goal to start (b,): every other one."""
-        rows = torch.randint(len(self.ids), (size,), generator=rng, device=self.ids.device)
-        # What is a near-optimal path one way is one the other way.
-        return rows, torch.rand(size, generator=rng, device=self.ids.device) < 0.5
-
-    def walked(self, rows: Tensor, back: Tensor) -> Tensor:
-        """Those paths, (b, P, d) rad."""
-        paths = self.paths[rows]
-        return torch.where(back.view(-1, 1, 1), paths.flip(1), paths)
-
     def draw(self, size: int, rng: torch.Generator) -> PathBatch:
-        """One point of each of so many paths, both with replacement."""
-        rows, back = self.draw_rows(size, rng)
-        paths, ids = self.walked(rows, back), self.ids[rows]
-        count = paths.shape[1]
-        at = torch.randint(count, (size,), generator=rng, device=ids.device)
-        points = paths[torch.arange(size, device=ids.device), at]
+        """One point of each of so many paths, drawn with replacement, every other one from goal to start."""
+        device = self.ids.device
+        rows = torch.randint(len(self.ids), (size,), generator=rng, device=device)
+        # What is a near-optimal path one way is one the other way.
+        back = torch.rand(size, generator=rng, device=device) < 0.5
+        paths, ids = self.paths[rows], self.ids[rows]
+        paths = torch.where(back.view(-1, 1, 1), paths.flip(1), paths)
+        at = torch.randint(paths.shape[1], (size,), generator=rng, device=device)
+        points = paths[torch.arange(size, device=device), at]
         return PathBatch(points, paths[:, 0], paths[:, -1], ids, self.mu[ids], self.sigma[ids])
 
 
@@ -171,3 +159,16 @@ class PathGanModule(AdversarialModule):
 def point_sizes(config: PathGanConfig, space: JointSpace, latent_dim: int) -> Sizes:
     """Sizes of the networks that settings name."""
     return Sizes(space, latent_dim, config.hidden, config.layers)
+
+
+def point_graph(net: PathGenerator, latent_dim: int) -> bytes:
+    """ONNX bytes: latent, start, goal and noise to points (m, 1, d) rad."""
+    shapes = {"latent": (latent_dim,), "start": (net.joints.dim,), "goal": (net.joints.dim,)}
+    rows = tuple(torch.zeros(2, *shape) for shape in (*shapes.values(), (net.noise_dim,)))
+
+    def points(latent: Tensor, start: Tensor, goal: Tensor, noise: Tensor) -> Tensor:
+        found: Tensor = net(Condition(latent, start, goal), noise)
+        return found.unsqueeze(1)
+
+    names, axes = [*shapes, "noise"], batched("latents", len(rows))
+    return exported(Graph(points, net), rows, names, ["samples"], axes)

@@ -9,7 +9,7 @@ from torch.nn import functional
 from cspace.world import World
 from training.config import ValidityConfig
 from training.models.data import Held, rows_of
-from training.models.export import exported
+from training.models.export import Graph, exported
 from training.models.lookups import ArmLookups
 from training.models.modules import TrialModule, mlp
 
@@ -25,16 +25,12 @@ class ValidityHead(nn.Module):
         self.lookups, self.net = lookups, mlp(lookups.values, hidden, layers, 1)
 
     def forward(self, pictures: Tensor, configurations: Tensor) -> Tensor:
-        """The logit of being free."""
-        logits: Tensor = self.net(self.lookups(pictures, configurations)).squeeze(-1)
-        return logits
-
-    def of_one(self, picture: Tensor, configurations: Tensor) -> Tensor:
-        """The same of one picture (1, 3, P, P) and (n, d), as a served graph computes it: (n,).
+        """The logit of being free.
 
         Each layer is one product of two matrices, which onnxruntime computes in one with its bias.
         """
-        logits: Tensor = self.net(self.lookups(picture, configurations.unsqueeze(0)).squeeze(0)).squeeze(-1)
+        values = self.lookups(pictures, configurations)
+        logits: Tensor = self.net(values.flatten(0, 1)).view(configurations.shape[:2])
         return logits
 
 
@@ -45,22 +41,12 @@ def make_head(config: ValidityConfig, world: World) -> ValidityHead:
     )
 
 
-class _ValidityGraph(nn.Module):
-    """One picture and many configurations to the probability of each that it is free."""
-
-    def __init__(self, head: ValidityHead) -> None:
-        super().__init__()
-        self.head = head
-
-    def forward(self, image: Tensor, configurations: Tensor) -> Tensor:
-        return torch.sigmoid(self.head.of_one(image, configurations))
-
-
 def validity_graph(head: ValidityHead, pixels: int, dim: int) -> bytes:
     """ONNX bytes: ``image`` (1, 3, P, P) and ``configurations`` (n, d) rad to ``confidence`` (n,)."""
     inputs = (torch.zeros(1, 3, pixels, pixels), torch.zeros(2, dim))
     rows = {0: torch.export.Dim("configurations", min=1)}
-    return exported(_ValidityGraph(head), inputs, ["image", "configurations"], ["confidence"], ({}, rows))
+    graph = Graph(lambda image, rows: torch.sigmoid(head(image, rows.unsqueeze(0))).squeeze(0), head)
+    return exported(graph, inputs, ["image", "configurations"], ["confidence"], ({}, rows))
 
 
 @dataclass(frozen=True, slots=True)

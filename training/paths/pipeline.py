@@ -6,18 +6,19 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from cspace.bundle import Bundle
+from cspace.bundle import Bundle, RandomInput
 from cspace.dataset import Dataset, open_dataset
+from cspace.space import JointSpace
 from services.commands import numbers
 from services.names import ALIAS_CHALLENGER, TAG_MODEL, recorded_name
 from services.registry.models import ModelRegistry
 from training.config import PathTrainConfig
 from training.data.generate import generate
 from training.jobs.job import TAG_START, Job, kept_bundle, registered_name, world_tag
-from training.paths.bundling import trained_bundle
-from training.paths.writing import made_or_found, require_source, source_bundle
-from training.trials.launch import TrialOutcome, TrialRequest, run_trials
-from training.trials.paths import PathArrays, path_arrays, path_trial, require_world
+from training.models.paths import PathSamples, point_graph
+from training.paths.writing import made_or_found, require_source, source_bundle, write_path_bundle
+from training.trials.launch import TrialOutcome, run_trials
+from training.trials.paths import load_points, path_samples, path_trial, require_world
 
 _LOG = logging.getLogger("training")
 
@@ -63,10 +64,10 @@ def run_job(job: Job[PathTrainConfig]) -> PathTrainResult:
         job.log_configuration()
         run.dataset(dataset.folder.name, dataset.digest, str(dataset.folder), "training")
         job.add_tags(world_tag(source.spec.world, named))
-        arrays = path_arrays(source, dataset, config.points)
-        outcome = _train(job, arrays)
+        samples = path_samples(source, dataset, config.points)
+        outcome = _train(job, samples, dataset.world.space)
         run.flush()
-        bundles = _bundles(job, source, dataset, arrays, outcome)
+        bundles = _bundles(job, source, dataset, outcome)
         versions = {
             name: job.patiently(f"registering {name}", partial(_register, job, registry, model, name, bundle))
             for name, bundle in bundles.items()
@@ -87,10 +88,9 @@ def _data(config: PathTrainConfig, folder: Path) -> Dataset:
     return generate(config.data, folder / "datasets" / f"paths-{config.data.folder_name}")
 
 
-def _train(job: Job[PathTrainConfig], arrays: PathArrays) -> TrialOutcome:
-    _LOG.info("path model: %d paths", len(arrays.ids))
-    shared = {"train": job.config, "arrays": arrays}
-    (outcome,) = run_trials(path_trial, [TrialRequest.of(job, "models", MODEL)], shared, job.config.resources)
+def _train(job: Job[PathTrainConfig], samples: PathSamples, space: JointSpace) -> TrialOutcome:
+    _LOG.info("path model: %d paths", len(samples.ids))
+    (outcome,) = run_trials(job, "models", [MODEL], path_trial, samples=samples, space=space)
     return outcome
 
 
@@ -98,7 +98,6 @@ def _bundles(
     job: Job[PathTrainConfig],
     source: Bundle,
     dataset: Dataset,
-    arrays: PathArrays,
     outcome: TrialOutcome,
 ) -> dict[str, Bundle]:
     """The untrained sampler's bundle, where the source has a head for it, and the trained one's."""
@@ -108,8 +107,26 @@ def _bundles(
     _LOG.info("bundle: exporting %s", MODEL)
     folder = job.folder / "bundles" / MODEL
     kept = kept_bundle(folder)
-    bundles[MODEL] = kept or trained_bundle(folder, job, outcome, arrays, source, dataset)
+    bundles[MODEL] = kept or trained_bundle(folder, job, outcome, source, dataset)
     return bundles
+
+
+def trained_bundle(
+    folder: Path,
+    job: Job[PathTrainConfig],
+    outcome: TrialOutcome,
+    source: Bundle,
+    dataset: Dataset,
+) -> Bundle:
+    """The bundle of one of a job's trials, which is named after its model."""
+    train = job.config
+    net = load_points(train.wgan, source.spec, outcome.checkpoint)
+    graph, noise = point_graph(net, source.spec.latent_dim), RandomInput("noise", "normal", (net.noise_dim,))
+    seeds = {"training": train.seed, "data": dataset.generator_seed}
+    recipe = {"path_model": outcome.name, "source_digest": source.digest, **train.to_dict()}
+    recipe |= {} if job.start_run_id is None else {TAG_START: job.start_run_id}
+    metrics = {**outcome.metrics, "training_s": outcome.seconds}
+    return write_path_bundle(folder, source, graph, (noise,), dataset.digest, seeds, recipe, metrics)
 
 
 def _register(

@@ -1,7 +1,7 @@
 """Path samplers as bundles that see with a source's encoder and validity head; no torch."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -42,44 +42,35 @@ def require_source(start: Path | None, source: Bundle) -> None:
 _TAKEN = {"encoder": ENCODER_FILE, "validity": VALIDITY_FILE, "novelty": NOVELTY_FILE, "map": MAP_FILE}
 
 
-@dataclass(frozen=True, slots=True)
-class PathGraph:
-    """A path model's graph.
-
-    Args:
-        model: ONNX bytes: ``latent`` (m, L), the random inputs, ``start`` and ``goal`` (m, d) rad and,
-            where it looks at it, ``image`` (1, 3, P, P) to ``samples`` (m, 1, d) rad; None for a search.
-    """
-
-    model: bytes | None
-    random_inputs: tuple[RandomInput, ...] = ()
-    looks_at_picture: bool = False
-
-
 def write_path_bundle(
     folder: Path,
     source: Bundle,
-    graph: PathGraph,
+    generator: bytes | None,
+    random_inputs: tuple[RandomInput, ...],
     data_digest: str | None,
     seeds: Mapping[str, Any],
     recipe: Mapping[str, Any],
     metrics: Mapping[str, Any] | None = None,
 ) -> Bundle:
-    """Write a path sampler with another bundle's encoder, head and novelty, and load it again."""
+    """Write a path sampler with another bundle's encoder, head and novelty, and load it again.
+
+    ``generator`` ONNX bytes: ``latent`` (m, L), the random inputs, ``start`` and ``goal`` (m, d) rad to
+    ``samples`` (m, 1, d) rad; None for the search.
+    """
     found = {name: source.folder / file for name, file in _TAKEN.items()}
     # A map that the source's generator alone looks at goes with it.
     if not source.head_looks_at_map:
         del found["map"]
     graphs = {name: file.read_bytes() for name, file in found.items() if file.is_file()}
-    graphs |= {} if graph.model is None else {"generator": graph.model}
+    graphs |= {} if generator is None else {"generator": generator}
     spec = replace(
         source.spec,
         kind="path",
-        model_kind="generator" if graph.model else WAYS,
-        looks_at_picture=graph.looks_at_picture,
+        model_kind="generator" if generator else WAYS,
+        looks_at_picture=False,
         looks_at_map=False,
         samples_per_latent=1,
-        random_inputs=graph.random_inputs,
+        random_inputs=random_inputs,
         standardisation=None,
         # A planner drops what collides by itself, and a passage that the head closes keeps its samples.
         confidence_threshold=0.0 if source.has_validity else None,
@@ -93,9 +84,7 @@ def make_path_bundle(source: Bundle, folder: Path) -> Bundle:
     if not source.has_validity:
         raise BundleError("the bundle has no validity head", expected=VALIDITY_FILE, got=str(source.folder))
     origin = source.spec.provenance
-    return write_path_bundle(
-        folder, source, PathGraph(None), origin.data_digest, origin.seeds, _recipe(source)
-    )
+    return write_path_bundle(folder, source, None, (), origin.data_digest, origin.seeds, _recipe(source))
 
 
 def made_or_found(source: Bundle, folder: Path) -> Bundle:

@@ -5,39 +5,29 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import nn
 
 from cspace.dataset import Dataset, open_dataset
 from cspace.world import Sensor
 from cspace.worlds import simulator_of
 from training.config import GridConfig, HeadConfig, VaeConfig, ValidityConfig
-from training.models.autoencoders import (
-    Encoder,
-    GridNovelty,
-    GridVaeDecoder,
-    GridVaeEncoder,
-    NoveltyScores,
-    make_decoder,
-    make_encoder,
-    shown_size,
-)
+from training.models.autoencoders import Decoder, Encoder, NoveltyScores, shown_size
 from training.models.checkpoint import load_scene_model, trained
 from training.models.grid_training import ArmSamples, GridHeadModule, GridSamples
 from training.models.modules import TrialModule
 from training.models.validity import OccupancySamples, ValidityModule
 
 
-def load_encoder(config: VaeConfig, sensor: Sensor, checkpoint: Path) -> Encoder | GridVaeEncoder:
+def load_encoder(config: VaeConfig, sensor: Sensor, checkpoint: Path) -> Encoder:
     """The encoder of a VAE trial's checkpoint, ready to be asked."""
-    return trained(lambda: make_encoder(config, shown_size(sensor)), checkpoint, "encoder")
+    sizes = (shown_size(sensor), config.latent_dim, config.width, config.patches)
+    return trained(lambda: Encoder(*sizes), checkpoint, "encoder")
 
 
-def load_scores(config: VaeConfig, sensor: Sensor, checkpoint: Path) -> nn.Module:
+def load_scores(config: VaeConfig, sensor: Sensor, checkpoint: Path) -> NoveltyScores:
     """The novelty scores by the decoder of a VAE trial's checkpoint."""
-    decoder = trained(lambda: make_decoder(config, shown_size(sensor)), checkpoint, "decoder")
-    if isinstance(decoder, GridVaeDecoder):
-        return GridNovelty(decoder).eval()
-    return NoveltyScores(decoder, sensor.pixels).eval()
+    size = shown_size(sensor)
+    decoder = trained(lambda: Decoder(size, config.latent_dim, config.width), checkpoint, "decoder")
+    return NoveltyScores(decoder, size).eval()
 
 
 def has_occupancy(dataset: Dataset, config: ValidityConfig) -> bool:

@@ -202,7 +202,6 @@ def fit_tracked(
 
 def _parameters(trial: TrialRequest, module: TrialModule, settings: TrialSettings) -> dict[str, Any]:
     """What trials are compared by; settings keep their names."""
-    cluster = {} if trial.cluster is None else {"cluster": trial.cluster}
     device = "cuda" if torch.cuda.is_available() else "cpu"
     sizes = {"parameters": sum(one.numel() for one in module.parameters())}
-    return settings.to_dict() | cluster | sizes | {"seed": trial.seed, "device": device}
+    return settings.to_dict() | sizes | {"seed": trial.seed, "device": device}

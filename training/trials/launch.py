@@ -19,7 +19,6 @@ from cspace.files import holding
 from cspace.simulator import derived_seed
 from services.evaluator.cluster import join
 from services.registry.tracking import RunLog, Tracking
-from training.config import ResourceConfig
 from training.jobs.job import Job
 from training.models.checkpoint import read_checkpoint
 from training.models.modules import Metrics
@@ -38,14 +37,13 @@ class TrialRequest:
     folder: Path
     run_id: str = ""
     seed: int = 0
-    cluster: int | None = None
     start: Path | None = None
     job: str = ""
     tracking_uri: str = ""
     patience_s: float = 0.0
 
     @classmethod
-    def of(cls, job: Job[Any], stage: str, name: str, cluster: int | None = None) -> "TrialRequest":
+    def of(cls, job: Job[Any], stage: str, name: str) -> "TrialRequest":
         """A trial of a job, with the run that it has there and a seed of its own."""
         seed = derived_seed(job.config.seed, stage, name)
         earlier = None if job.start_folder is None else job.start_folder / stage / name / FINAL
@@ -53,17 +51,12 @@ class TrialRequest:
         label = f"{job.name or job.run.run_id[:8]}, seed {job.config.seed}"
         uri, patience_s = job.environment.tracking_uri, job.environment.patience_s
         folder = job.folder / stage / name
-        return cls(folder, job.child(name), seed, cluster, start, label, uri, patience_s)
+        return cls(folder, job.child(name), seed, start, label, uri, patience_s)
 
     @property
     def name(self) -> str:
         """The trial's name in its stage."""
         return self.folder.name
-
-    @property
-    def stage(self) -> Path:
-        """The folder of the stage's trials."""
-        return self.folder.parent
 
 
 @dataclass(frozen=True)
@@ -129,28 +122,27 @@ def connect() -> None:
 
 
 def run_trials(
-    trainable: Callable[..., None],
-    trials: Sequence[TrialRequest],
-    shared: Mapping[str, Any],
-    resources: ResourceConfig,
+    job: Job[Any], stage: str, names: Sequence[str], trainable: Callable[..., None], **shared: Any
 ) -> list[TrialOutcome]:
     """Run the trials of a stage by Ray Tune, as many at once as the cluster has room for.
+
+    ``trainable`` gets the request, the configuration as ``train``, and what is shared, in the object store.
 
     Trials that an earlier attempt of the job has finished are not run again, and the others go on from their
     own checkpoints. ``Tuner.restore`` is not for this: a driver that was killed may not know the last
     checkpoint, and what lies behind an older one would be counted twice.
 
     Returns:
-        Outcomes in the order of ``trials``.
+        Outcomes in the order of ``names``.
     """
+    trials, resources = [TrialRequest.of(job, stage, name) for name in names], job.config.resources
     left = {trial.name: trial for trial in trials if not (trial.folder / FINAL).exists()}
-    stage = trials[0].stage
     if len(left) < len(trials):
-        _LOG.info("%s: %d of %d trials are finished", stage.name, len(trials) - len(left), len(trials))
+        _LOG.info("%s: %d of %d trials are finished", stage, len(trials) - len(left), len(trials))
     if left:
         tuner = tune.Tuner(
             tune.with_resources(
-                tune.with_parameters(_run_trial, trials=left, run=trainable, **shared),
+                tune.with_parameters(_run_trial, trials=left, run=trainable, train=job.config, **shared),
                 resources.of_a_trial(),
             ),
             param_space={"trial": tune.grid_search(list(left))},
@@ -158,8 +150,8 @@ def run_trials(
                 trial_name_creator=_name_of, trial_dirname_creator=_name_of, reuse_actors=False
             ),
             run_config=tune.RunConfig(
-                name=stage.name,
-                storage_path=str(stage.parent / "tune"),
+                name=stage,
+                storage_path=str(job.folder / "tune"),
                 failure_config=tune.FailureConfig(max_failures=resources.max_failures),
                 verbose=0,
             ),
@@ -176,7 +168,7 @@ def run_trials(
                 f"{len(grid.errors)} of {len(trials)} trials failed",
                 expected=f"at most {resources.max_failures} faults each",
                 got=str(grid.errors[0]).strip().splitlines()[-1],
-                remedy=f"their checkpoints are under {stage}; submit the job again to go on from them",
+                remedy=f"submit the job again: it goes on from the checkpoints under {job.folder / stage}",
             )
     return [TrialOutcome(trial.folder / FINAL) for trial in trials]
 

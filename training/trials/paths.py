@@ -1,16 +1,15 @@
-"""The trial of the path model: its arrays and its training."""
+"""The trial of the path model: its samples and its training."""
 
 import logging
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
-from cspace.bundle import Bundle
+from cspace.bundle import Bundle, BundleSpec
 from cspace.dataset import Dataset
 from cspace.errors import ConfigError
+from cspace.space import JointSpace
 from cspace.world import World
 from services.progress import Progress
 from training.config import PathGanConfig, PathTrainConfig
@@ -28,21 +27,6 @@ from training.trials.launch import TrialRequest
 _LOG = logging.getLogger("training")
 
 
-@dataclass(frozen=True, slots=True)
-class PathArrays:
-    """Paths with what a bundle tells of their pictures."""
-
-    world: World
-    paths: NDArray[np.float32]  # (T, P, d) float32 rad, points at equal distances
-    ids: NDArray[np.int64]  # (T,) int64 scenario of each
-    mu: NDArray[np.float32]  # (S, L) float32
-    sigma: NDArray[np.float32]  # (S, L) float32
-
-    def samples(self) -> PathSamples:
-        """Tensors for the modules; copied, for the shared arrays are read-only."""
-        return PathSamples(*(torch.tensor(part) for part in (self.paths, self.ids, self.mu, self.sigma)))
-
-
 def require_world(bundle: Bundle, world: World) -> None:
     """See that paths are of the world that a bundle sees."""
     if world != bundle.spec.world:
@@ -53,28 +37,27 @@ def require_world(bundle: Bundle, world: World) -> None:
         )
 
 
-def path_arrays(bundle: Bundle, dataset: Dataset, points: int) -> PathArrays:
-    """Paths and latents of all scenarios."""
+def path_samples(bundle: Bundle, dataset: Dataset, points: int) -> PathSamples:
+    """Paths, and the latents of all scenarios that a bundle's encoder tells."""
     require_world(bundle, dataset.world)
     paths, ids = equal_paths(dataset, points)
-    images = dataset.images
     latents = []
-    with Progress("pictures", len(images), _LOG.info, "picture") as progress:
-        for image in images:
+    with Progress("pictures", len(dataset.images), _LOG.info, "picture") as progress:
+        for image in dataset.images:
             latents.append(bundle.encode(image))
             progress.advance()
     mu, sigma = (np.stack([getattr(one, name) for one in latents]) for name in ("mu", "sigma"))
-    return PathArrays(dataset.world, paths, ids, mu, sigma)
+    return PathSamples(*(torch.tensor(part) for part in (paths, ids, mu, sigma)))
 
 
-def path_trial(trial: TrialRequest, train: PathTrainConfig, arrays: PathArrays) -> None:
+def path_trial(trial: TrialRequest, train: PathTrainConfig, samples: PathSamples, space: JointSpace) -> None:
     """Train the path model."""
     with seeded_initialisation(trial.seed):
-        module = PathGanModule(train.wgan, arrays.samples(), trial.seed, arrays.world.space)
+        module = PathGanModule(train.wgan, samples, trial.seed, space)
     fit_tracked(trial, module, train.wgan, train.resources)
 
 
-def load_points(config: PathGanConfig, arrays: PathArrays, checkpoint: Path) -> PathGenerator:
-    """The generator of a trial's checkpoint."""
-    sizes = point_sizes(config, arrays.world.space, arrays.mu.shape[1])
+def load_points(config: PathGanConfig, spec: BundleSpec, checkpoint: Path) -> PathGenerator:
+    """The generator of a trial's checkpoint, which sees as a bundle does."""
+    sizes = point_sizes(config, spec.world.space, spec.latent_dim)
     return trained(lambda: PathGenerator(sizes, config.noise_dim), checkpoint, "net")

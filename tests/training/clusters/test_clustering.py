@@ -17,20 +17,20 @@ def two_groups(count=300):
 
 
 def test_a_group_across_the_seam_stays_one_cluster_and_the_same_seed_gives_the_same():
-    labels = cluster(two_groups(), 2, 100, 0, SPACE).labels
-    np.testing.assert_array_equal(labels, cluster(two_groups(), 2, 100, 0, SPACE).labels)
+    labels = cluster(two_groups(), 2, 0, SPACE).labels
+    np.testing.assert_array_equal(labels, cluster(two_groups(), 2, 0, SPACE).labels)
     assert len(set(labels[:300])) == len(set(labels[300:])) == 1
     assert labels[0] != labels[-1]
 
 
 def test_more_clusters_than_configurations_are_refused():
     with pytest.raises(ConfigError, match="at least 5"):
-        cluster(np.zeros((3, 2), dtype=np.float32), 5, 10, 0, SPACE)
+        cluster(np.zeros((3, 2), dtype=np.float32), 5, 0, SPACE)
 
 
 def test_data_that_leave_a_cluster_of_an_earlier_job_empty_are_refused(tmp_path):
     data = two_groups()
-    earlier = Partition(cluster(data, 2, 100, 0, SPACE), np.arange(2))
+    earlier = Partition(cluster(data, 2, 0, SPACE), np.arange(2))
     earlier.save(tmp_path / "clusters.npz")
     again = Partition.load(tmp_path / "clusters.npz", data, SPACE)
     np.testing.assert_array_equal(again.labels, earlier.labels)

@@ -72,7 +72,7 @@ def test_a_trial_starts_from_the_last_checkpoint_of_its_namesake(environment, tr
     # Budgets and data may differ.
     job = start(environment, EARLIER, "local.steps=9", "seed=5", "data.seed=7", "data.scenario_count=30")
     known = job.start_folder / "local" / "local-0" / FINAL
-    assert TrialRequest.of(job, "local", "local-0", 0).start == known
+    assert TrialRequest.of(job, "local", "local-0").start == known
     assert TrialRequest.of(job, "pictures", "vae").start is None
 
 
@@ -99,7 +99,7 @@ def test_weights_that_go_while_a_job_is_stopped_are_told_before_a_trial_starts(e
     again = start(environment, EARLIER, name="night")
     assert again.run.run_id == job.run.run_id
     with pytest.raises(ConfigError, match="weights that start_from means are gone"):
-        TrialRequest.of(again, "local", "local-0", 0)
+        TrialRequest.of(again, "local", "local-0")
 
 
 @pytest.mark.parametrize(

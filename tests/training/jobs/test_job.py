@@ -45,7 +45,7 @@ def test_a_trial_keeps_its_run_however_often_it_is_asked_for_and_in_a_resumed_jo
 
 
 def test_a_job_goes_by_its_name_or_by_its_preset():
-    config = TrainConfig(preset="paper", seed=3)
+    config = TrainConfig.load("paper", ["seed=3"])
     assert job_label(config, "arm-1") == "arm-1, seed 3"
     assert job_label(config, None) == "paper, seed 3"
     assert shown_tags(config, None, "local") == {"stage": "local", "job": "", "preset": "paper"}
@@ -53,7 +53,7 @@ def test_a_job_goes_by_its_name_or_by_its_preset():
 
 
 def test_settings_are_parameters_one_each_and_a_file_has_all_of_them(environment, tracking):
-    config = TrainConfig(robot_name=None, data_folder="/" + LONGEST * "x")
+    config = TrainConfig.load("quickstart", [f"data_folder=/{LONGEST * 'x'}"])
     job = Job.start(config, environment, {})
     job.log_configuration()
     kept = tracking.runs[job.run.run_id]

@@ -4,10 +4,7 @@ import numpy as np
 import torch
 
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.camera import Camera
-from cspace.worlds.planar.world import PlanarWorld
 from training.models.paths import PathSamples
-from training.trials.paths import PathArrays
 
 LATENT = 3
 POINTS = 17
@@ -23,16 +20,10 @@ def straight_paths(count: int = 40, seed: int = 0) -> np.ndarray:
     return space.wrap(ways).astype(np.float32)
 
 
-def arrays(count: int = 40, scenarios: int = 4) -> PathArrays:
+def samples(count: int = 40, scenarios: int = 4) -> PathSamples:
     """Straight paths in scenarios without an obstacle."""
-    zeros = np.zeros((scenarios, LATENT), np.float32)
-    ids = np.arange(count) % scenarios
-    return PathArrays(PlanarWorld(TWO_LINK, Camera()), straight_paths(count), ids, zeros, zeros)
-
-
-def samples(count: int = 40) -> PathSamples:
-    """The same as tensors."""
-    return arrays(count).samples()
+    ids, latents = torch.arange(count) % scenarios, torch.zeros(scenarios, LATENT)
+    return PathSamples(torch.tensor(straight_paths(count)), ids, latents, latents)
 
 
 def generator(seed: int = 0) -> torch.Generator:

@@ -12,7 +12,7 @@ from cspace.worlds.planar.world import PlanarWorld
 from training.config import ValidityConfig
 from training.models.autoencoders import Decoder, Encoder, NoveltyScores
 from training.models.export import encoder_graph, generator_graph, novelty_graph
-from training.models.families.wgan_gp import MeansGenerator, Sizes, TorusGenerator, make_sampler
+from training.models.families.wgan_gp import MeansGenerator, Sizes, TorusGenerator, TorusSampler
 from training.models.validity import make_head, validity_graph
 
 
@@ -36,7 +36,7 @@ def pictures(count=1):
 
 @pytest.mark.slow
 def test_the_encoders_graph_answers_as_the_network_for_any_number_of_pictures():
-    encoder = Encoder(48, 6, 4, 4)
+    encoder = Encoder((3, 48, 48), 6, 4, 4)
 
     def mu_and_sigma(images):
         mu, log_variance = encoder(images)
@@ -53,14 +53,14 @@ def test_the_torus_generators_graph_answers_as_the_network():
         {"latent": torch.randn(count, 6), "base": torch.randn(count, 3), "noise": torch.randn(count, 2)}
         for count in (1, 33)
     ]
-    check(generator_graph(make_sampler(generator), 6), generator, *feeds)
+    check(generator_graph(TorusSampler(generator), 6), generator, *feeds)
 
 
 @pytest.mark.slow
 def test_the_means_generators_graph_answers_as_the_network():
     generator = MeansGenerator(Sizes(circles(2), 6, 16, 2), 4, 0.1, (torch.zeros(2), torch.ones(2)))
     feeds = {"latent": torch.randn(9, 6), "noise": torch.randn(9, 4, 2)}
-    check(generator_graph(make_sampler(generator), 6), generator, feeds)
+    check(generator_graph(generator, 6), generator, feeds)
 
 
 @pytest.mark.slow
@@ -76,14 +76,14 @@ def test_the_validity_heads_graph_answers_as_the_network():
 
 @pytest.mark.slow
 def test_the_novelty_graph_answers_as_the_network():
-    scores = NoveltyScores(Decoder(48, 6, 4), 48).eval()
+    scores = NoveltyScores(Decoder((3, 48, 48), 6, 4), (3, 48, 48)).eval()
     feeds = {"image": pictures(), "mu": torch.randn(1, 6)}
     check(novelty_graph(scores, 48, 6), lambda image, mu: scores(image, mu)[0], feeds)
 
 
 def test_a_blot_raises_the_worst_parts_error_more_than_the_whole_pictures():
-    decoder = Decoder(48, 6, 4).eval()
-    scores, mu = NoveltyScores(decoder, 48).eval(), torch.randn(1, 6)
+    decoder = Decoder((3, 48, 48), 6, 4).eval()
+    scores, mu = NoveltyScores(decoder, (3, 48, 48)).eval(), torch.randn(1, 6)
     with torch.no_grad():
         drawn = decoder(mu)
         blotted = drawn.clone()

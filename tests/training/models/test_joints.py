@@ -86,9 +86,7 @@ def test_features_tell_turns_of_a_limited_joint_apart_and_not_those_of_a_circle(
 def test_points_of_cells_that_are_spread_beyond_a_limit_are_folded_back():
     points, none = np.array([[[3.99, 0.0, 0.99]]], dtype=np.float32), np.zeros(1, np.int64)
     points = Cells(points, np.ones(1, dtype=np.float32), none, none)
-    _, drawn = CellBase(points, torch.ones(1, 1), SPACE).draw_in_cells(
-        torch.zeros(2000, dtype=torch.int64), RNG
-    )
+    drawn = CellBase(points, torch.ones(1, 1), SPACE).draw(torch.zeros(2000, dtype=torch.int64), RNG)
     assert SPACE.holds(SPACE.to_float32(drawn.numpy())).all()
     assert (drawn[:, 0] <= 4.0).all()
     assert (drawn[:, 2] <= 1.0).all()

@@ -64,11 +64,13 @@ def answer(graph, feeds):
 def test_a_base_in_cells_lies_round_the_points_of_the_cells_that_may_be_drawn():
     base = CellBase(CELLS, torch.tensor([[0.0, 1.0, 0.0], [0.5, 0.0, 0.5]]), SPACE)
     rng = torch.Generator().manual_seed(0)
-    cell, drawn = base.draw_in_cells(torch.tensor([0] * 200 + [1] * 200), rng)
-    assert set(cell[:200].tolist()) == {1}
-    assert set(cell[200:].tolist()) == {0, 2}
-    gaps = (torch.tensor(CELLS.points)[cell] - drawn.unsqueeze(1)).abs().amax(dim=2).amin(dim=1)
-    assert bool((gaps <= torch.tensor(CELLS.spacing_rad)[cell] / 2).all())
+    drawn = base.draw(torch.tensor([0] * 200 + [1] * 200), rng)
+    # (400, cells): whether a sample lies round a point of each cell.
+    gaps = (drawn[:, None, None] - torch.tensor(CELLS.points)).abs().amax(dim=3).amin(dim=2)
+    inside = gaps <= torch.tensor(CELLS.spacing_rad) / 2
+    assert inside[:200].int().tolist() == [[0, 1, 0]] * 200
+    assert inside[200:].any(dim=0).tolist() == [True, False, True]
+    assert bool((inside[200:].sum(dim=1) == 1).all())
 
 
 def test_every_row_is_answered_by_the_generator_in_charge_of_its_cell():

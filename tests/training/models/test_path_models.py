@@ -7,18 +7,17 @@ import torch
 
 from cspace.worlds.planar.arm import TWO_LINK
 from tests.training.models.builders import run
-from tests.training.models.path_builders import LATENT, arrays
+from tests.training.models.path_builders import LATENT, samples
 from training.config import PathGanConfig
 from training.models.checkpoint import seeded_initialisation
-from training.models.paths import Condition, PathGanModule
-from training.paths.bundling import point_graph
+from training.models.paths import Condition, PathGanModule, point_graph
 
 SMALL = PathGanConfig(hidden=32, layers=2, critic_hidden=32, critic_layers=2, steps=40, batch_size=64)
 
 
 def path_module(**sizes):
     with seeded_initialisation(0):
-        return PathGanModule(SMALL, arrays(**sizes).samples(), 0, TWO_LINK.space)
+        return PathGanModule(SMALL, samples(**sizes), 0, TWO_LINK.space)
 
 
 def trained():
@@ -36,36 +35,14 @@ def test_the_critics_steps_change_the_generator_and_tell_their_losses():
     assert any(not torch.equal(before[name], after[name]) for name in before)
 
 
-def feeds(names, rows=5, dim=2):
-    rng = np.random.default_rng(1)
-    shapes = {
-        "latent": (rows, LATENT), "start": (rows, dim), "goal": (rows, dim),
-        "noise": (rows, names.get("noise", 1)),
-    }  # fmt: skip
-    found = {name: rng.random(shapes[name], dtype=np.float32) for name in names}
-    for name in {"start", "goal"} & set(found):
-        found[name][:] = found[name][0]
-    return found
-
-
-def answer(model, fed, output="samples"):
-    options = onnxruntime.SessionOptions()
-    options.log_severity_level = 4
-    session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
-    assert {entry.name for entry in session.get_inputs()} == set(fed)
-    return session.run([output], fed)[0]
-
-
 @pytest.mark.slow
 def test_a_graph_answers_as_the_network_does():
-    module = path_module().eval()
-    graph = point_graph(module.net, LATENT)
-    names = {item.name: item.shape[0] for item in graph.random_inputs}
-    fed = feeds(names | dict.fromkeys(["latent", "start", "goal"], 0))
-    tensors = {key: torch.tensor(value) for key, value in fed.items()}
-    with torch.no_grad():
-        condition = Condition(tensors["latent"], tensors["start"], tensors["goal"])
-        wanted = module.net(condition, tensors["noise"])
-    np.testing.assert_allclose(answer(graph.model, fed)[:, 0], wanted, atol=1e-4)
-    one = {key: value[:1] for key, value in fed.items()}
-    assert answer(graph.model, one).shape == (1, 1, 2)
+    net, rng = path_module().net.eval(), torch.Generator().manual_seed(1)
+    sizes = {"latent": LATENT, "start": 2, "goal": 2, "noise": net.noise_dim}
+    session = onnxruntime.InferenceSession(point_graph(net, LATENT), providers=["CPUExecutionProvider"])
+    for rows in (1, 5):
+        fed = {name: torch.rand(rows, size, generator=rng) for name, size in sizes.items()}
+        with torch.no_grad():
+            wanted = net(Condition(fed["latent"], fed["start"], fed["goal"]), fed["noise"])
+        (found,) = session.run(["samples"], {name: value.numpy() for name, value in fed.items()})
+        np.testing.assert_allclose(found, wanted.unsqueeze(1), atol=1e-4)

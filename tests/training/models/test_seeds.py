@@ -17,7 +17,7 @@ from tests.training.models.builders import (
     tiny_module,
     weights,
 )
-from tests.training.models.path_builders import arrays
+from tests.training.models.path_builders import samples
 from training.config import PathGanConfig, VaeConfig
 from training.models.autoencoders import VaeModule
 from training.models.checkpoint import seeded_initialisation
@@ -77,7 +77,7 @@ def vae():
 def path():
     config = PathGanConfig(hidden=32, layers=2, critic_hidden=32, critic_layers=2, steps=40, batch_size=64)
     with seeded_initialisation(SEED):
-        return PathGanModule(config, arrays().samples(), SEED, TWO_LINK.space)
+        return PathGanModule(config, samples(), SEED, TWO_LINK.space)
 
 
 @pytest.mark.parametrize(

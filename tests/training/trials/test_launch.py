@@ -3,13 +3,15 @@
 import os
 import signal
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from cspace.errors import JobError
 from tests.training.trials.ray_nodes import ray_nodes
 from training.config import ResourceConfig
-from training.trials.launch import FINAL, TrialRequest, run_trials
+from training.jobs.job import Environment
+from training.trials.launch import FINAL, run_trials
 
 NAMES = ("one", "two", "three")
 # Each death costs a new worker's start.
@@ -23,15 +25,11 @@ def cluster():
         yield ids
 
 
-@pytest.fixture
-def trials(tmp_path):
-    return [TrialRequest(tmp_path / "job" / "stage" / name, job="a job") for name in NAMES]
-
-
 def trainable():
     """A trial that notes each attempt, does what is planned for it, and leaves a checkpoint of a step."""
 
-    def train(trial, notes, plans):
+    def train(trial, train, notes, plans):
+        del train
         from tests.training.models.builders import save, tiny_module
         from training.trials.launch import LAST
 
@@ -50,12 +48,23 @@ def trainable():
     return train
 
 
-def run(trials, folder, plans=None, **resources):
+def run(folder, plans=None, names=NAMES, **resources):
     """The outcomes of trials of these plans."""
     notes = folder / "notes"
     notes.mkdir(exist_ok=True)
-    shared = {"notes": str(notes), "plans": plans or {}}
-    return run_trials(trainable(), trials, shared, ResourceConfig(**resources))
+    job = SimpleNamespace(
+        config=SimpleNamespace(seed=0, resources=ResourceConfig(**resources)),
+        environment=Environment("unused", folder),
+        folder=folder / "job",
+        name="a-job",
+        start_folder=None,
+        child=lambda name: name,
+    )
+    return run_trials(job, "stage", names, trainable(), notes=str(notes), plans=plans or {})
+
+
+def final(folder, name):
+    return folder / "job" / "stage" / name / FINAL
 
 
 def attempts(folder):
@@ -67,29 +76,29 @@ def attempts(folder):
 @pytest.mark.timeout(300)
 @pytest.mark.usefixtures("cluster")
 class TestOnACluster:
-    def test_outcomes_come_in_order_with_checkpoint_metrics_and_times(self, trials, tmp_path):
-        outcomes = run(trials, tmp_path)
+    def test_outcomes_come_in_order_with_checkpoint_metrics_and_times(self, tmp_path):
+        outcomes = run(tmp_path)
         assert [outcome.name for outcome in outcomes] == list(NAMES)
-        for outcome, trial in zip(outcomes, trials, strict=True):
-            assert outcome.checkpoint == trial.folder / FINAL
+        for outcome in outcomes:
+            assert outcome.checkpoint == final(tmp_path, outcome.name)
             assert (outcome.metrics, outcome.times_s) == ({"attempt": 1.0}, (5.0, 5.0))
 
-    def test_finished_trials_are_not_run_again(self, trials, tmp_path):
-        first = run(trials[:2], tmp_path)
-        assert run(trials, tmp_path)[:2] == first
+    def test_finished_trials_are_not_run_again(self, tmp_path):
+        first = run(tmp_path, names=NAMES[:2])
+        assert run(tmp_path)[:2] == first
         assert attempts(tmp_path) == dict.fromkeys(NAMES, 1)
 
     @pytest.mark.parametrize("fault", ["raise", DIE])
-    def test_a_trial_is_tried_again_as_often_as_it_may_fail(self, fault, trials, tmp_path):
-        outcomes = run(trials, tmp_path, {"two": [fault, fault]}, max_failures=2)
+    def test_a_trial_is_tried_again_as_often_as_it_may_fail(self, fault, tmp_path):
+        outcomes = run(tmp_path, {"two": [fault, fault]}, max_failures=2)
         assert [outcome.metrics["attempt"] for outcome in outcomes] == [1, 3, 1]
 
     @pytest.mark.parametrize("fault", ["raise", DIE])
-    def test_one_fault_more_fails_the_job_and_the_others_finish(self, fault, trials, tmp_path):
+    def test_one_fault_more_fails_the_job_and_the_others_finish(self, fault, tmp_path):
         attempt = "attempt 2" if fault == "raise" else ""
         with pytest.raises(JobError, match=f"1 of 3 trials failed.*{attempt}"):
-            run(trials, tmp_path, {"one": [fault, fault]}, max_failures=1)
-        assert [(trial.folder / FINAL).exists() for trial in trials] == [False, True, True]
+            run(tmp_path, {"one": [fault, fault]}, max_failures=1)
+        assert [final(tmp_path, name).exists() for name in NAMES] == [False, True, True]
         # Submitted again, the job has the failed one alone to do.
-        run(trials, tmp_path)
+        run(tmp_path)
         assert attempts(tmp_path) == {"one": 3, "two": 1, "three": 1}

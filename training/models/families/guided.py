@@ -16,7 +16,6 @@ from training.models.families.wgan_gp import (
     WganConfig,
     WganGp,
     WganGpModule,
-    load_critic,
 )
 
 
@@ -75,7 +74,7 @@ class Guided(WganGp):
         """One cluster's WGAN-GP (Algorithm 2), or the global one."""
         if name == GLOBAL:
             local = local_names(self.config.clusters.count)
-            critics = [load_critic(self.config.local, self.arrays, done[one]) for one in local]
+            critics = [self.load(self.config.local, done[one], "critic") for one in local]
             module = GuidedModule(self.config.global_, *self.given(None, seed), critics=critics)
             return Trial(module, self.config.global_)
         cluster = int(name.removeprefix("local-"))

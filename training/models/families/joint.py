@@ -66,8 +66,8 @@ class JointModule(WganGpModule):
         super().__init__(config, *given)
         self.vae = vae
         self.register_buffer("images", images, persistent=False)
-        self.encoder = Encoder(images.shape[-1], vae.latent_dim, vae.width, vae.patches)
-        self.decoder = Decoder(images.shape[-1], vae.latent_dim, vae.width)
+        self.encoder = Encoder(images.shape[1:], vae.latent_dim, vae.width, vae.patches)
+        self.decoder = Decoder(images.shape[1:], vae.latent_dim, vae.width)
         parts = (self.generator, self.encoder, self.decoder)
         learning = [parameter for part in parts for parameter in part.parameters()]
         self.set_optimisers(learning, config.generator_learning_rate)

@@ -23,13 +23,12 @@ from training.models.families.guided import local_names
 from training.models.families.wgan_gp import (
     GanConfig,
     TorusGenerator,
+    UniformBase,
     WganConfig,
     WganGp,
     WganGpModule,
     beside,
-    load_generator,
 )
-from training.models.joints import Joints
 from training.models.lookups import ArmLookups, look, make_lookups
 from training.models.modules import TrialModule, mlp
 
@@ -130,7 +129,7 @@ def gate_probabilities(gate: Gate, mu: NDArray[np.float32]) -> NDArray[np.float3
     return probabilities
 
 
-class CellBase(nn.Module):
+class CellBase(UniformBase):
     """A torus generator starts evenly inside cells that are drawn by their probability under the scenario.
 
     ``probabilities`` (S, k) float32, not negative; a row need not sum to one.
@@ -141,23 +140,18 @@ class CellBase(nn.Module):
     probabilities: Tensor
 
     def __init__(self, cells: Cells, probabilities: Tensor, space: JointSpace) -> None:
-        super().__init__()
-        self.joints = Joints(space)
+        super().__init__(space)
         self.register_buffer("points", torch.tensor(cells.points), persistent=False)
         self.register_buffer("spacing", torch.tensor(cells.spacing_rad), persistent=False)
         self.register_buffer("probabilities", probabilities, persistent=False)
 
     def draw(self, ids: Tensor, rng: torch.Generator) -> Tensor:
         """(b, d) rad for scenarios (b,)."""
-        return self.draw_in_cells(ids, rng)[1]
-
-    def draw_in_cells(self, ids: Tensor, rng: torch.Generator) -> tuple[Tensor, Tensor]:
-        """The cells (b,) that were drawn for scenarios (b,), and a point in each, (b, d) rad."""
         count, device = len(ids), ids.device
         cell = torch.multinomial(self.probabilities[ids], 1, generator=rng).squeeze(1)
         place = torch.randint(self.points.shape[1], (count,), generator=rng, device=device)
         jitter = torch.rand(count, self.points.shape[2], generator=rng, device=device) - 0.5
-        return cell, self.joints.fold(self.points[cell, place] + self.spacing[cell].unsqueeze(1) * jitter)
+        return self.joints.fold(self.points[cell, place] + self.spacing[cell].unsqueeze(1) * jitter)
 
 
 class Experts(nn.Module):
@@ -289,7 +283,7 @@ class Mixture(WganGp):
     def sampler(self, done: Checkpoints) -> Sampler:
         """All clusters' generators behind the gate."""
         names = local_names(self.config.clusters.count)
-        generators = [load_generator(self.config.local, self.arrays, done[name]) for name in names]
+        generators = [self.load(self.config.local, done[name], "generator") for name in names]
         return self.gated(self.load_gate(done[GATE]), generators, self.config.local)
 
     def _shares(self) -> Tensor:

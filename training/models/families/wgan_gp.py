@@ -22,7 +22,7 @@ from cspace.errors import ConfigError
 from cspace.space import JointSpace
 from training.config import TrainConfig, TrialSettings
 from training.models.checkpoint import trained
-from training.models.data import Batch, ScenarioSamples, TrainingArrays
+from training.models.data import Batch, ScenarioSamples
 from training.models.export import Sampler
 from training.models.families import Checkpoints, Family, Trial, register
 from training.models.joints import Joints
@@ -166,7 +166,7 @@ class TorusGenerator(nn.Module):
         return self.joints.fold(base + step).unsqueeze(1)
 
 
-class MeansGenerator(nn.Module):
+class MeansGenerator(Sampler):
     """The paper's generator: z to K means, samples N(mean, sigma^2) on standardised angles (Algorithm 1).
 
     Shapes: latent (m, L), noise (m, K, d) to (m, K, d) rad.
@@ -177,14 +177,18 @@ class MeansGenerator(nn.Module):
 
     def __init__(self, sizes: Sizes, means: int, sigma: float, scale: tuple[Tensor, Tensor]) -> None:
         super().__init__()
-        self.joints, self.means, self.sigma = Joints(sizes.space), means, sigma
+        self.joints, self.samples_per_latent, self.sigma = Joints(sizes.space), means, sigma
+        self.random_inputs = (RandomInput("noise", "normal", (means, sizes.space.dim)),)
         self.net = sizes.mlp(sizes.latent_dim, means * sizes.space.dim)
         self.register_buffer("mean_rad", scale[0])
         self.register_buffer("std_rad", scale[1])
+        self.scale = (self.mean_rad, self.std_rad)
 
     def forward(self, latent: Tensor, noise: Tensor) -> Tensor:
         """K configurations for each latent."""
-        standardised = self.net(latent).view(-1, self.means, self.joints.dim) + self.sigma * noise
+        standardised = (
+            self.net(latent).view(-1, self.samples_per_latent, self.joints.dim) + self.sigma * noise
+        )
         return self.joints.fold(standardised * self.std_rad + self.mean_rad)
 
 
@@ -377,7 +381,7 @@ class WganGpModule(AdversarialModule):
         scale: tuple[Tensor, Tensor],
         seed: int,
         space: JointSpace,
-        base: nn.Module | None = None,
+        base: UniformBase | None = None,
         scenes: Scenes | None = None,
     ) -> None:
         super().__init__(seed)
@@ -387,10 +391,19 @@ class WganGpModule(AdversarialModule):
         self.generator_reader = make_reader(config.generator_lookups, scenes)
         self.critic_reader = make_reader(config.critic_lookups, scenes)
         scenarios, latent_dim = samples.mu.shape
-        looked_up = values_read(self.generator_reader)
-        self.generator = make_generator(config, space, latent_dim, scale, looked_up)
+        sizes = Sizes(space, latent_dim, config.hidden, config.layers, values_read(self.generator_reader))
+        self.generator: Generator
+        if config.generator == "means":
+            self.generator = MeansGenerator(sizes, config.means, config.sigma, scale)
+        else:
+            self.generator = TorusGenerator(sizes, config.noise_dim)
         looked_up = values_read(self.critic_reader)
-        self.critic = make_critic(config, space, latent_dim, scenarios, scale, looked_up)
+        self.critic = Critic(
+            Sizes(space, latent_dim, config.critic_hidden, config.critic_layers, looked_up),
+            scenarios=scenarios if config.critic_condition == "projection" else None,
+            features=config.critic_features,
+            scale=scale,
+        )
         self.set_optimisers(self.generator.parameters(), config.generator_learning_rate)
 
     def generate(self, batch: Batch) -> Tensor:
@@ -400,7 +413,7 @@ class WganGpModule(AdversarialModule):
         if isinstance(self.generator, MeansGenerator):
             samples: Tensor = self.generator(latent, self.normal(size, self.config.means, dim))
         else:
-            base = self.base.draw(batch.ids, self.rng)  # type: ignore[operator]
+            base = self.base.draw(batch.ids, self.rng)
             seen = read(self.generator_reader, batch.ids, base)
             samples = self.generator(latent, base, self.normal(size, self.config.noise_dim), seen)
         return samples
@@ -423,53 +436,6 @@ class WganGpModule(AdversarialModule):
         return one + share * (real - one)
 
 
-def make_generator(
-    config: GanConfig, space: JointSpace, latent_dim: int, scale: tuple[Tensor, Tensor], looked_up: int
-) -> Generator:
-    """The generator that settings name; ``looked_up`` is what its look-ups read of a picture."""
-    sizes = Sizes(space, latent_dim, config.hidden, config.layers, looked_up)
-    if config.generator == "means":
-        return MeansGenerator(sizes, config.means, config.sigma, scale)
-    return TorusGenerator(sizes, config.noise_dim)
-
-
-def make_critic(
-    config: GanConfig,
-    space: JointSpace,
-    latent_dim: int,
-    scenarios: int,
-    scale: tuple[Tensor, Tensor],
-    looked_up: int,
-) -> Critic:
-    """The critic that settings name; ``scenarios`` is the number of ids for its projection."""
-    return Critic(
-        Sizes(space, latent_dim, config.critic_hidden, config.critic_layers, looked_up),
-        scenarios=scenarios if config.critic_condition == "projection" else None,
-        features=config.critic_features,
-        scale=scale,
-    )
-
-
-def load_generator(config: GanConfig, arrays: TrainingArrays, checkpoint: Path) -> Generator:
-    """The generator of a trial's checkpoint."""
-    looked_up, space = values_read(make_lookups(config.generator_lookups, arrays.world)), arrays.world.space
-    latent_dim = arrays.mu.shape[1]
-    return trained(
-        lambda: make_generator(config, space, latent_dim, arrays.scale, looked_up), checkpoint, "generator"
-    )
-
-
-def load_critic(config: GanConfig, arrays: TrainingArrays, checkpoint: Path) -> Critic:
-    """The critic of a trial's checkpoint."""
-    looked_up = values_read(make_lookups(config.critic_lookups, arrays.world))
-    scenarios, latent_dim = arrays.mu.shape
-    return trained(
-        lambda: make_critic(config, arrays.world.space, latent_dim, scenarios, arrays.scale, looked_up),
-        checkpoint,
-        "critic",
-    )
-
-
 class TorusSampler(Sampler):
     """A torus generator as a bundle holds it; its base is uniform on the torus whatever the limits are."""
 
@@ -486,28 +452,6 @@ class TorusSampler(Sampler):
         start = self.generator.joints.from_torus(base)
         samples: Tensor = self.generator(latent, start, noise, look(self.lookups, image, start))
         return samples
-
-
-class MeansSampler(Sampler):
-    """A means generator as a bundle holds it."""
-
-    def __init__(self, generator: MeansGenerator) -> None:
-        super().__init__()
-        self.generator, self.samples_per_latent = generator, generator.means
-        self.random_inputs = (RandomInput("noise", "normal", (generator.means, generator.joints.dim)),)
-        self.scale = (generator.mean_rad, generator.std_rad)
-
-    def forward(self, latent: Tensor, noise: Tensor) -> Tensor:
-        """K configurations for each latent, (m, K, d) rad."""
-        samples: Tensor = self.generator(latent, noise)
-        return samples
-
-
-def make_sampler(generator: Generator, lookups: ArmLookups | None = None) -> Sampler:
-    """The sampler of a generator."""
-    if isinstance(generator, MeansGenerator):
-        return MeansSampler(generator)
-    return TorusSampler(generator, lookups)
 
 
 GLOBAL = "global"
@@ -528,7 +472,7 @@ class WganGp(Family[Any]):
         del name, done
         return Trial(WganGpModule(self.config.global_, *self.given(None, seed)), self.config.global_)
 
-    def given(self, cluster: int | None, seed: int, base: nn.Module | None = None) -> tuple[Any, ...]:
+    def given(self, cluster: int | None, seed: int, base: UniformBase | None = None) -> tuple[Any, ...]:
         """What a module of :class:`WganGpModule` takes after its settings: one cluster's data, or all."""
         arrays = self.arrays
         return arrays.samples(cluster), arrays.scale, seed, arrays.world.space, base, arrays.scenes()
@@ -536,5 +480,13 @@ class WganGp(Family[Any]):
     def sampler(self, done: Checkpoints) -> Sampler:
         """The global generator."""
         gan = self.config.global_
-        generator = load_generator(gan, self.arrays, done[GLOBAL])
-        return make_sampler(generator, make_lookups(gan.generator_lookups, self.arrays.world))
+        generator = self.load(gan, done[GLOBAL], "generator")
+        if isinstance(generator, Sampler):
+            return generator
+        return TorusSampler(generator, make_lookups(gan.generator_lookups, self.arrays.world))
+
+    def load(self, config: GanConfig, checkpoint: Path, part: str) -> Any:
+        """The generator or the critic of a trial's checkpoint."""
+        return trained(
+            lambda: getattr(WganGpModule(config, *self.given(None, seed=0)), part), checkpoint, part
+        )

@@ -26,11 +26,11 @@ def test_a_point_lies_on_the_path_between_the_ends_that_come_with_it():
 
 
 def test_half_of_the_paths_are_walked_backwards():
-    drawn = samples(1).walked(*samples(1).draw_rows(400, generator()))
-    first = samples(1).paths[0, 0]
-    forwards = (drawn[:, 0] == first).all(dim=1).float().mean()
-    assert 0.4 < forwards < 0.6
-    assert torch.equal(drawn[0].flip(0)[0], drawn[0][-1])
+    one = samples(1)
+    batch = one.draw(400, generator())
+    forwards = (batch.start == one.paths[0, 0]).all(dim=1)
+    assert 0.4 < forwards.float().mean() < 0.6
+    assert torch.equal(batch.goal[~forwards], one.paths[0, 0].expand(int((~forwards).sum()), 2))
 
 
 def dataset_with(tmp_path, paths):
