@@ -22,13 +22,12 @@ from services.evaluator.scenes import Scene, Stage
 from services.names import EXPERIMENT, TAG_STAGE
 from services.registry.tracking import RunLog, Tracking
 from training.config import ResourceConfig
-from training.models.checkpoint import seeded_initialisation
+from training.models.checkpoint import fit_module, seeded_initialisation
 from training.models.data import TrainingArrays
 from training.models.export import Sampler
 from training.models.families.mixture import Gate, Mixture, MixtureConfig
 from training.models.families.wgan_gp import GanConfig, WganGpModule
 from training.trials.arrays import load_encoder
-from training.trials.fit import fit_module
 
 SAMPLES = 1000
 
