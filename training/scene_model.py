@@ -64,11 +64,10 @@ from services.registry.entities import ID, ModelReference, ModelVersion
 from services.registry.models import ModelRegistry
 from services.registry.tracking import Tracking
 from training.config import GridConfig, ValidityConfig
-from training.models.checkpoint import save_scene_model, seeded_initialisation
+from training.models.checkpoint import fit_module, save_scene_model, seeded_initialisation
 from training.models.grid_head import GridHead, counts_of
 from training.models.grid_training import ArmSamples, GridHeadModule, GridSamples
 from training.random_arms import random_arm
-from training.trials.fit import fit_module
 
 _LOG = logging.getLogger("training")
 # Shares of scenes with the arm on a table or block, and with poses or a state that are a little wrong.

@@ -1,13 +1,16 @@
-"""Lightning's checkpoints, what is read of them, and files of scene models."""
+"""Training by Lightning from and to its checkpoints, what is read of them, and files of scene models."""
 
 import contextlib
 import json
-from collections.abc import Callable, Iterator
+import warnings
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
+import lightning
 import torch
 from lightning.fabric.plugins import TorchCheckpointIO
+from lightning.pytorch.callbacks import ModelCheckpoint, ProgressBar
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
@@ -48,6 +51,36 @@ class AtomicCheckpoints(TorchCheckpointIO):
         Path(path).parent.mkdir(parents=True, exist_ok=True)
         with replacing(Path(path)) as beside:
             torch.save(checkpoint, beside)
+
+
+def fit_module(
+    module: lightning.LightningModule,
+    steps: int,
+    last: Path | None = None,
+    callbacks: Sequence[lightning.Callback] = (),
+) -> None:
+    """Train up to a number of steps, from the checkpoint ``last`` on where it is there."""
+    saves, shows = (
+        any(isinstance(one, kind) for one in callbacks) for kind in (ModelCheckpoint, ProgressBar)
+    )
+    with warnings.catch_warnings():
+        # Lightning counsels on loaders, loggers, and checkpoints of manual optimisation.
+        warnings.simplefilter("ignore")
+        trainer = lightning.Trainer(
+            accelerator="auto",
+            devices=1,
+            max_steps=steps,
+            logger=False,
+            enable_checkpointing=saves,
+            enable_progress_bar=shows,
+            enable_model_summary=False,
+            callbacks=list(callbacks),
+            plugins=[AtomicCheckpoints()],
+        )
+        found = last if last is not None and last.is_file() else None
+        # The modules draw their own batches, on their own device.
+        loader: Any = range(steps)
+        trainer.fit(module, loader, ckpt_path=found, weights_only=True)
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:

@@ -3,21 +3,20 @@
 import logging
 import os
 import time
-import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import lightning
 import torch
-from lightning.pytorch.callbacks import ModelCheckpoint, ProgressBar
+from lightning.pytorch.callbacks import ModelCheckpoint
 
 from cspace.errors import RegistryError, RegistryUnavailableError
 from services.progress import Estimate
 from services.registry.errors import retry, set_timeouts
 from services.registry.tracking import RunLog, Tracking
 from training.config import ResourceConfig, TrialSettings
-from training.models.checkpoint import AtomicCheckpoints, start_from
+from training.models.checkpoint import fit_module, start_from
 from training.models.modules import TrialModule
 from training.trials.launch import LAST, TrialRequest
 
@@ -124,36 +123,6 @@ class TrialCheckpoint(ModelCheckpoint):
         self.shown_s = elapsed_s
         shown = ", ".join(f"{key} {value:.4g}" for key, value in metrics.items() if key != "steps_per_s")
         _LOG.info("%s: step %d/%d, %s%s", self.label, step, self.steps, shown, self.estimate.left(step))
-
-
-def fit_module(
-    module: lightning.LightningModule,
-    steps: int,
-    last: Path | None = None,
-    callbacks: Sequence[lightning.Callback] = (),
-) -> None:
-    """Train up to a number of steps, from the checkpoint ``last`` on where it is there."""
-    saves, shows = (
-        any(isinstance(one, kind) for one in callbacks) for kind in (ModelCheckpoint, ProgressBar)
-    )
-    with warnings.catch_warnings():
-        # Lightning counsels on loaders, loggers, and checkpoints of manual optimisation.
-        warnings.simplefilter("ignore")
-        trainer = lightning.Trainer(
-            accelerator="auto",
-            devices=1,
-            max_steps=steps,
-            logger=False,
-            enable_checkpointing=saves,
-            enable_progress_bar=shows,
-            enable_model_summary=False,
-            callbacks=list(callbacks),
-            plugins=[AtomicCheckpoints()],
-        )
-        found = last if last is not None and last.is_file() else None
-        # The modules draw their own batches, on their own device.
-        loader: Any = range(steps)
-        trainer.fit(module, loader, ckpt_path=found, weights_only=True)
 
 
 def fit(

@@ -22,13 +22,12 @@ from services.evaluator.scenes import Scene, Stage
 from services.names import EXPERIMENT, TAG_STAGE
 from services.registry.tracking import RunLog, Tracking
 from training.config import ResourceConfig
-from training.models.checkpoint import seeded_initialisation
+from training.models.checkpoint import fit_module, seeded_initialisation
 from training.models.data import TrainingArrays
 from training.models.export import Sampler
 from training.models.families.mixture import Gate, Mixture, MixtureConfig
 from training.models.families.wgan_gp import GanConfig, WganGpModule
 from training.trials.arrays import load_encoder
-from training.trials.fit import fit_module
 
 SAMPLES = 1000
 
@@ -147,7 +146,7 @@ class _Look(lightning.Callback):
             self.run.metrics(pl_module.metrics() | found, step)
             # Tune ends a trial that falls behind inside of report, so the run must be whole by then.
             self.run.flush()
-            tune.report(found | {"step": step})
+            tune.report(found | {"step": step, "run_id": self.run.run_id})
 
 
 REDUCTION = 3
@@ -158,6 +157,7 @@ MEASURES = ("validation_precision", "validation_coverage", METRIC)
 class Tried:
     """One trial of a search."""
 
+    run_id: str
     settings: Mapping[str, Any]
     step: int
     metrics: Mapping[str, float]
@@ -212,6 +212,10 @@ def search(
         for result in map(grid.__getitem__, range(len(grid)))
         if METRIC in (result.metrics or {})
     ]
+    for one in tried:
+        # Tune does not wait until a trial that it ends has said so.
+        if one.step < steps:
+            RunLog(Tracking(shared["tracking_uri"]), one.run_id).finish("KILLED")
     if not tried:
         raise JobError("the search found nothing", got="; ".join(map(str, grid.errors)) or "no reports")
     # A trial that went further was better at every cut before; among equals the lower ratio counts.
@@ -220,4 +224,4 @@ def search(
 
 def _tried(result: Any) -> Tried:
     metrics = {name: float(result.metrics[name]) for name in MEASURES}
-    return Tried(result.config["settings"], int(result.metrics["step"]), metrics)
+    return Tried(result.metrics["run_id"], result.config["settings"], int(result.metrics["step"]), metrics)

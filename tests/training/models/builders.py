@@ -8,11 +8,10 @@ import torch
 
 from cspace.space import circles
 from training.config import VaeConfig
-from training.models.checkpoint import seeded_initialisation
+from training.models.checkpoint import fit_module, seeded_initialisation
 from training.models.data import ScenarioSamples
 from training.models.families.joint import JointGanConfig, JointModule
 from training.models.families.wgan_gp import GanConfig, WganGpModule
-from training.trials.fit import fit_module
 
 TINY = {
     "hidden": 16,

@@ -3,8 +3,7 @@ from pathlib import Path
 from lightning.pytorch.callbacks import ModelCheckpoint
 
 from tests.training.models.builders import run, save, tiny_joint_module, tiny_module
-from training.models.checkpoint import AtomicCheckpoints, load_weights
-from training.trials.fit import fit_module
+from training.models.checkpoint import AtomicCheckpoints, fit_module, load_weights
 
 
 def test_a_checkpoint_holds_the_weights_of_each_part_and_replaces_the_one_before(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from cspace.worlds.spatial.visibility import lookup
 from cspace.worlds.spatial.world import shipped, usual
 from tests.training.models.grids.plain_head import ArmPoints, plain_answers
 from training.config import GridConfig, ValidityConfig
-from training.models.checkpoint import seeded_initialisation
+from training.models.checkpoint import fit_module, seeded_initialisation
 from training.models.grid_head import GridHead
 from training.models.grid_training import (
     ArmSamples,
@@ -29,7 +29,6 @@ from training.models.grid_training import (
     map_graph,
 )
 from training.models.kinematics import ArmFrames, SelfGap
-from training.trials.fit import fit_module
 
 WORLD = examples()["panda"]
 ARM, GRID = WORLD.body, WORLD.sensor.grid
