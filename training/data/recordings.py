@@ -1,4 +1,4 @@
-"""Import of recordings of ROS 2, without ROS: view files, a preview, and a data set of the joint states.
+"""Import of recordings of ROS 2, without ROS: view files, and a data set of the joint states.
 
 All stamps are those of the messages' headers. A recording is read in a worker that the kernel bounds
 (:mod:`cspace.bounded`), so nothing here counts what it holds.
@@ -18,19 +18,17 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from cspace.dataset import write_dataset
 from cspace.errors import ConfigError, CspaceError, DatasetError, ImageError, ScenarioError, StorageError
 from cspace.files import replacing
-from cspace.png import encode_png
 from cspace.space import JointSpace
 from cspace.view_file import pack_view
 from cspace.world import Finding
-from cspace.worlds.spatial.camera import DepthCamera, decode_depth, encode_depth, in_range
-from cspace.worlds.spatial.camera_info import read_pinhole, undistorted
+from cspace.worlds.spatial.camera import decode_depth, encode_depth, in_range
+from cspace.worlds.spatial.camera_info import read_pinhole
 from cspace.worlds.spatial.depth_files import METRES, rounded_mm
 from cspace.worlds.spatial.doctor import ELSEWHERE
 from cspace.worlds.spatial.hypotheses import HYPOTHESES
@@ -53,10 +51,6 @@ MOST_PICTURES = 1000
 # Views that are diagnosed, 2 s each.
 _DIAGNOSED = 8
 _WRONG = {*HYPOTHESES, ELSEWHERE}
-_PREVIEWS, _PREVIEW_HEIGHT = 4, 360
-# What is as near as the first is white in the preview, what is as far as the second is black.
-_NEAR_MM, _FAR_MM = 200, 3000
-_BLANK, _ROBOT = (40, 40, 90), (255, 140, 0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,19 +87,18 @@ class RecordingOptions:
 class RecordedView:
     """A complete picture of a recording.
 
-    ``tile`` (360, any, 3) uint8 shows it in a preview; ``state`` (d,) rad and ``image``, the picture as the
-    robot's world reads it, are None where no robot is known.
+    ``state`` (d,) rad and ``image``, the picture as the robot's world reads it, are None where no robot is
+    known.
     """
 
     stamp_ns: int
-    tile: NDArray[np.uint8]
     state: tuple[float, ...] | None
     image: NDArray[np.uint8] | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Imported:
-    """What an import wrote: ``views``, ``preview.png`` and, where a robot is known, ``data`` in a folder.
+    """What an import wrote: ``views`` and, where a robot is known, ``data`` in a folder.
 
     ``skipped`` counts pictures that were left out by the reason. Where a robot is known, ``diagnosed`` views
     are looked at closely: ``findings`` are theirs, and in ``wrong`` of them the arm is not where it should
@@ -134,7 +127,7 @@ class Imported:
 def import_recording(
     source: Path, folder: Path, *, world: SpatialWorld | None = None, options: RecordingOptions | None = None
 ) -> Imported:
-    """Write view files, a preview and, where a robot is given, a data set; all of it or nothing.
+    """Write view files and, where a robot is given, a data set; all of it or nothing.
 
     A scene of the data set is a picture, with the joint states that were nearer to it than to other pictures
     as free configurations. Nothing says which configurations collide.
@@ -163,7 +156,6 @@ def import_recording(
                 remedy="look at --base, --tolerance and the topics",
             )
         found = [] if world is None else _diagnosed(world, sorted((beside / "views").iterdir()))
-        (beside / "preview.png").write_bytes(preview(views))
         if world is not None:
             written = write_dataset(
                 beside / "data",
@@ -363,17 +355,15 @@ class _Selection:
             picture = depth_mm(message)
             if not in_range(picture).any():
                 return "no reading"
-            camera, distortion = read_pinhole(camera_values, picture.shape)
+            read_pinhole(camera_values, picture.shape)
             file = pack_view([encode_depth(picture)], [camera_values], None if state is None else list(state))
-            image = spheres = None
+            image = None
             if self._world is not None and state is not None:
                 image = np.asarray(self._world.examine_picture(file).images[0])
-                spheres = self._world.body.spheres_at(state)
         except (ImageError, ScenarioError) as error:
             return str(error)[:300]
         path.write_bytes(file)
-        tile = _tile(undistorted(picture, camera, distortion), camera, spheres)
-        return RecordedView(stamp, tile, state, image)
+        return RecordedView(stamp, state, image)
 
 
 class Series:
@@ -534,39 +524,13 @@ def camera_info(info: Any, *, rectified: bool) -> dict[str, Any]:
     }
 
 
-def preview(views: Sequence[RecordedView]) -> bytes:
-    """Some of the pictures side by side as a PNG: near things bright, the robot's spheres as circles."""
-    chosen = np.unique(np.linspace(0, len(views) - 1, _PREVIEWS).round().astype(int))
-    return encode_png(np.concatenate([views[number].tile for number in chosen], axis=1))
-
-
-def _tile(
-    picture: NDArray[np.uint16], camera: DepthCamera, spheres: NDArray[np.float64] | None
-) -> NDArray[np.uint8]:
-    depth = np.clip(picture, _NEAR_MM, _FAR_MM).astype(np.float64)
-    grey = np.rint(255.0 * (_FAR_MM - depth) / (_FAR_MM - _NEAR_MM)).astype(np.uint8)
-    shown = Image.fromarray(
-        np.where(in_range(picture)[..., None], grey[..., None], np.array(_BLANK, np.uint8))
-    )
-    scale = _PREVIEW_HEIGHT / camera.height
-    shown = shown.resize((max(1, round(camera.width * scale)), _PREVIEW_HEIGHT), Image.Resampling.NEAREST)
-    draw = ImageDraw.Draw(shown)
-    for x, y, z, radius in () if spheres is None else spheres:
-        column, row, away = camera.project((x, y, z))
-        # Others are behind the camera, or about it.
-        if away > radius:
-            middle, size = scale * np.array((column, row)), scale * radius * camera.fx / away
-            draw.ellipse((*(middle - size), *(middle + size)), outline=_ROBOT)
-    return np.asarray(shown)
-
-
 def add_recording_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of an import, and what it runs."""
     usual = RecordingOptions()
     parser.add_argument(
         "source", type=Path, help="a recording of ROS 2: FILE.mcap, FILE.db3, or their folder"
     )
-    parser.add_argument("folder", type=Path, help="where views, preview and data set go")
+    parser.add_argument("folder", type=Path, help="where views and data set go")
     add_options(parser, sensor=False)
     parser.add_argument(
         "--base", default=usual.base, help="tf frame of the robot's base; default %(default)s"

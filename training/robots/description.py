@@ -216,15 +216,15 @@ def _expanded(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, 
 
 def package_of(folder: Path) -> Path:
     """The nearest folder above that is a package; else the folder itself."""
-    return next((one for one in (folder, *folder.parents) if _name_of_package(one)), folder)
+    return next((one for one in (folder, *folder.parents) if _names_of_package(one)), folder)
 
 
-def _name_of_package(folder: Path) -> str | None:
-    """As its ``package.xml`` says, else its own name; None where it is no package of ROS or Gazebo."""
+def _names_of_package(folder: Path) -> set[str]:
+    """Its own name and that of its ``package.xml``; none where it is no package of ROS or Gazebo."""
     if _is_file(folder / "package.xml"):
-        found = re.search(rb"<name>\s*([\w.-]+)\s*</name>", (folder / "package.xml").read_bytes())
-        return found[1].decode() if found else folder.name
-    return folder.name if _is_file(folder / "model.config") else None
+        text = (folder / "package.xml").read_text(encoding="utf-8", errors="replace")
+        return {folder.name, *re.findall(r"<name>\s*([\w.-]+)\s*</name>", text)[:1]}
+    return {folder.name} if _is_file(folder / "model.config") else set()
 
 
 def package_roots(name: str, folder: Path, packages: Mapping[str, Path]) -> list[Path]:
@@ -234,10 +234,9 @@ def package_roots(name: str, folder: Path, packages: Mapping[str, Path]) -> list
     if not re.fullmatch(r"\w[\w.-]{,99}", name):
         return []
     above, own = (folder, *folder.parents), package_of(folder)
-    beside = sorted(one for one in own.parent.iterdir() if one.is_dir()) if _name_of_package(own) else []
-    found = [
-        root for root in (*above, *(one / name for one in above), *beside) if _name_of_package(root) == name
-    ]
+    beside = sorted(one for one in own.parent.iterdir() if one.is_dir()) if _names_of_package(own) else []
+    places = (*above, *(one / name for one in above), *beside)
+    found = [root for root in places if name in _names_of_package(root)]
     # The description's own in a copy that left out what says so.
     return found + [one for one in (folder, folder.parent) if one.name == name and len(one.parts) > 2]
 

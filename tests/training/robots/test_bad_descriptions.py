@@ -163,6 +163,7 @@ def test_meshes_are_found_in_packages(tmp_path: Path) -> None:
     (beside / "package.xml").touch()
     for place in (folder, beside / "urdf"):
         assert found_file("package://other/meshes/a.stl", place, {}) == mesh
+    assert found_file("package://arm/meshes/a.stl", folder, {}) == mesh
 
 
 @pytest.mark.parametrize(
