@@ -10,7 +10,7 @@ from array import array
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, Field, ValidationError
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
@@ -25,6 +26,7 @@ from cspace.dataset import write_dataset
 from cspace.errors import ConfigError, CspaceError, DatasetError, ImageError, ScenarioError, StorageError
 from cspace.files import replacing
 from cspace.space import JointSpace
+from cspace.strict_json import refused
 from cspace.view_file import pack_view
 from cspace.world import Finding
 from cspace.worlds.spatial.camera import decode_depth, encode_depth, in_range
@@ -47,40 +49,25 @@ _DEPTH = {"16UC1": "u2", "32FC1": "f4"}
 # In front of the PNG of a compressed depth image.
 _HEADER_BYTES = 12
 _QUATERNION_TOLERANCE, _FAR_M = 1e-2, 1e6
-MOST_PICTURES = 1000
 # Views that are diagnosed, 2 s each.
 _DIAGNOSED = 8
 _WRONG = {*HYPOTHESES, ELSEWHERE}
 
 
-@dataclass(frozen=True, slots=True)
-class RecordingOptions:
-    """How a recording is read.
+class RecordingOptions(BaseModel, frozen=True):
+    """How a recording is read."""
 
-    ``base`` is the tf frame of the robot's base. Topics that are None are the only ones of their type, or
-    for ``camera_info`` the one beside the depth images. ``joint_prefix`` stands in front of the robot's
-    names of joints. ``every_s`` is the least time between two pictures, ``tolerance_s`` how far stamps of
-    picture, joint state and moving transforms may be apart, and ``most`` the number of pictures.
-    """
-
-    base: str = "base_link"
-    depth: str | None = None
-    camera_info: str | None = None
-    joint_states: str | None = None
-    joint_prefix: str = ""
-    every_s: float = 1.0
-    tolerance_s: float = 0.05
-    most: int = 100
-    time_limit_s: float = 600.0
-
-    def __post_init__(self) -> None:
-        fits = self.every_s >= 0.0 and self.tolerance_s >= 0.0 and self.time_limit_s > 0.0
-        if not fits or not 1 <= self.most <= MOST_PICTURES:
-            raise ConfigError(
-                "the import's options do not fit",
-                expected=f"times of 0 s or more, a time limit above 0, 1 to {MOST_PICTURES} pictures",
-                got=f"{self.every_s:g}, {self.tolerance_s:g}, {self.time_limit_s:g} s, {self.most} pictures",
-            )
+    base: str = Field("base_link", description="tf frame of the robot's base")
+    depth: str | None = Field(None, description="topic of the depth images; default the only one")
+    camera_info: str | None = Field(None, description="topic of their cameras; default the one beside them")
+    joint_states: str | None = Field(None, description="topic of the joint states; default the only one")
+    joint_prefix: str = Field("", description="what stands in front of the robot's names of joints")
+    every_s: float = Field(1.0, ge=0.0, description="least time between pictures, s")
+    tolerance_s: float = Field(
+        0.05, ge=0.0, description="how far the stamps of picture, joint state and transforms may differ, s"
+    )
+    most: int = Field(100, ge=1, le=1000, description="pictures")
+    time_limit_s: float = Field(600.0, gt=0.0, description="for the import, s")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -526,36 +513,23 @@ def camera_info(info: Any, *, rectified: bool) -> dict[str, Any]:
 
 def add_recording_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of an import, and what it runs."""
-    usual = RecordingOptions()
     parser.add_argument(
         "source", type=Path, help="a recording of ROS 2: FILE.mcap, FILE.db3, or their folder"
     )
     parser.add_argument("folder", type=Path, help="where views and data set go")
     add_options(parser, sensor=False)
-    parser.add_argument(
-        "--base", default=usual.base, help="tf frame of the robot's base; default %(default)s"
-    )
-    for name, words in (
-        ("depth", "depth images; default the only one"),
-        ("camera-info", "their cameras; default the one beside them"),
-        ("joint-states", "joint states; default the only one"),
-    ):
-        parser.add_argument(f"--{name}", metavar="TOPIC", help=f"topic of the {words}")
-    prefix = "what the recording has in front of the robot's names of joints"
-    parser.add_argument("--joint-prefix", metavar="TEXT", default="", help=prefix)
-    for name, words in (
-        ("every", "least time between pictures that are taken"),
-        ("tolerance", "how far the stamps of a picture, a joint state and a transform may differ"),
-        ("time-limit", "for the import"),
-    ):
-        key = f"{name.replace('-', '_')}_s"
-        default = getattr(usual, key)
-        text = f"{words}; default {default:g} s"
-        parser.add_argument(f"--{name}", dest=key, type=finite, default=default, metavar="S", help=text)
-    parser.add_argument("--most", type=int, default=usual.most, help="pictures; default %(default)s")
+    for name, one in RecordingOptions.model_fields.items():
+        kind = finite if isinstance(one.default, float) else int if isinstance(one.default, int) else str
+        flag = f"--{name.removesuffix('_s').replace('_', '-')}"
+        text = f"{one.description}; default {one.default}" if one.default else one.description
+        parser.add_argument(flag, dest=name, type=kind, default=one.default, metavar="VALUE", help=text)
     parser.set_defaults(run=_run, is_foreign=True)
 
 
 def _run(options: argparse.Namespace) -> Imported:
-    settings = RecordingOptions(**{one.name: getattr(options, one.name) for one in fields(RecordingOptions)})
+    values = {name: getattr(options, name) for name in RecordingOptions.model_fields}
+    try:
+        settings = RecordingOptions.model_validate(values)
+    except ValidationError as error:
+        raise refused(error, ConfigError, "the import's options") from error
     return import_recording(options.source, options.folder, world=described(options), options=settings)
