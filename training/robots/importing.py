@@ -45,6 +45,8 @@ _SAMPLES = 4000
 _PICTURE_POINTS = 600
 # Of measured fits, for points between those that the cover was made for.
 _TOLERANCE_M = 0.0005
+# Where spheres stick out by so many times what they may, a surface is open.
+_OPEN = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,13 +246,13 @@ def _spheres(solids: list[Solid], where: str, allowances: Allowances, notes: lis
         return np.stack(exact), measure(solids, np.stack(exact), rng)
     hollow = [one.is_hollow(allowances.excess_m, rng) for one in solids]
     spheres, fit = _covered(solids, hollow, allowances, rng)
-    if fit.missed_m > allowances.slack_m + _TOLERANCE_M:
+    if fit.missed_m > allowances.slack_m + _TOLERANCE_M or fit.excess_m > _OPEN * allowances.excess_m:
         hollow = [True] * len(solids)
         spheres, fit = _covered(solids, hollow, allowances, rng)
     if any(hollow):
-        notes.append(f"{where} has thin walls: spheres cover its convex hull")
+        notes.append(f"{where} has thin walls or is open: spheres cover its convex hull")
     if fit.excess_m > allowances.excess_m + _TOLERANCE_M:
-        notes.append(f"{where} has an open or folded surface: spheres stick out {1e3 * fit.excess_m:.1f} mm")
+        notes.append(f"{where} has a folded surface: spheres stick out {1e3 * fit.excess_m:.1f} mm")
     return spheres, fit
 
 
