@@ -99,12 +99,9 @@ class Imported:
 
     def lines(self) -> list[str]:
         """How well the spheres fit, joints, pairs that are held apart, what was left out."""
-        lines = [f"{'part':<24}spheres  missed mm  missed %  sticks out mm  mean mm"]
+        lines = [f"{'part':<24}spheres  missed mm  sticks out mm"]
         for name, fit in self.fits.items():
-            lines.append(
-                f"{name:<24}{fit.spheres:>7}{1e3 * fit.missed_m:>11.2f}{100.0 * fit.missed_share:>10.2f}"
-                f"{1e3 * fit.excess_m:>15.2f}{1e3 * fit.mean_excess_m:>9.2f}"
-            )
+            lines.append(f"{name:<24}{fit.spheres:>7}{1e3 * fit.missed_m:>11.2f}{1e3 * fit.excess_m:>15.2f}")
         arm = self.arm
         lines.append(f"{arm.name}: {arm.dim} joints, {arm.sphere_count} spheres, {len(arm.touching)} pairs")
         for joint in arm.joints:
