@@ -241,24 +241,19 @@ def _spheres(solids: list[Solid], where: str, allowances: Allowances, notes: lis
     rng, exact = np.random.default_rng(_SEED), [one.sphere for one in solids if one.sphere is not None]
     if len(exact) == len(solids):
         return np.stack(exact), measure(solids, np.stack(exact), rng)
-    hollow = [one.is_hollow(allowances.excess_m, rng) for one in solids]
-    spheres, fit = _covered(solids, hollow, allowances, rng)
-    if fit.missed_m > allowances.slack_m + _TOLERANCE_M or fit.excess_m > _OPEN * allowances.excess_m:
-        hollow = [True] * len(solids)
-        spheres, fit = _covered(solids, hollow, allowances, rng)
-    if any(hollow):
+    hollow = [one.is_hollow(allowances.excess_m, np.random.default_rng(_SEED)) for one in solids]
+    for filled in (hollow, [True] * len(solids)):
+        shapes = [one.hull() if fill else one for one, fill in zip(solids, filled, strict=True)]
+        spheres = cover(shapes, allowances, rng)
+        fit = measure(shapes, spheres, rng)
+        is_covered = fit.missed_m <= allowances.slack_m + _TOLERANCE_M
+        if is_covered and fit.excess_m <= _OPEN * allowances.excess_m:
+            break
+    if any(filled):
         notes.append(f"{where} has thin walls or is open: spheres cover its convex hull")
     if fit.excess_m > allowances.excess_m + _TOLERANCE_M:
         notes.append(f"{where} has a folded surface: spheres stick out {1e3 * fit.excess_m:.1f} mm")
     return spheres, fit
-
-
-def _covered(
-    solids: list[Solid], hollow: list[bool], allowances: Allowances, rng: np.random.Generator
-) -> tuple[Floats, Fit]:
-    filled = [one.hull() if fill else one for one, fill in zip(solids, hollow, strict=True)]
-    spheres = cover(filled, allowances, rng)
-    return spheres, measure(filled, spheres, rng)
 
 
 def _neighbours(description: Description, parts: set[str]) -> Pairs:
