@@ -142,8 +142,8 @@ def _path(description: Description, tip: str | None) -> list[str]:
         last = sorted(set(description.links) - {joint.parent for joint in description.joints.values()})
         raise ScenarioError(
             "the tip of the chain is not clear",
-            expected="one link of the description",
-            got=f"several last ones: {last}" if tip is None else repr(tip)[:200],
+            expected=f"one link of the description; the last ones are {', '.join(last)}"[:500],
+            got="several" if tip is None else repr(tip)[:200],
             remedy="name a link with --tip",
         )
     path = [str(tip)]
