@@ -169,35 +169,6 @@ def plan(
     return replace(found, search_ms=searched.search_ms, score_ms=searched.score_ms)
 
 
-def _led_back(found: Plan, start: NDArray[np.float64]) -> Plan:
-    """The plan from a start beyond a limit, whose first edge leads to the limit."""
-    alternatives = tuple(
-        replace(one, path=np.vstack([start, one.path]), edges=np.pad(one.edges, (1, 0), mode="edge"))
-        for one in found.alternatives
-    )
-    return replace(
-        found,
-        path=np.vstack([start, found.path]),
-        edges=np.pad(found.edges, (1, 0), mode="edge"),
-        unseen=None if found.unseen is None else np.pad(found.unseen, (1, 0), mode="edge"),
-        length_rad=found.length_rad + float(np.linalg.norm(start - found.path[0])),
-        alternatives=alternatives,
-    )
-
-
-def _one_point(found: Plan) -> Plan:
-    """The plan to where the arm stands."""
-    alternatives = tuple(replace(one, path=one.path[:1], edges=one.edges[:0]) for one in found.alternatives)
-    return replace(
-        found,
-        path=found.path[:1],
-        edges=found.edges[:0],
-        unseen=None if found.unseen is None else found.unseen[:0],
-        length_rad=0.0,
-        alternatives=alternatives[:1],
-    )
-
-
 def _blocked_end(seen: Seen, ends: NDArray[np.float64], *, goal_free: bool) -> str | None:
     """What start or goal touches, for certain or as the model expects, in words; None where neither does."""
     contacts = [
@@ -345,6 +316,35 @@ def _refined(ranked: list[ScoredPath], refiner: PathRefiner, seed: int) -> list[
         refiner.refine(path, np.random.default_rng([seed, number, 1])) for number, path in enumerate(changed)
     ]
     return [*found, *ranked[len(changed) :]]
+
+
+def _led_back(found: Plan, start: NDArray[np.float64]) -> Plan:
+    """The plan from a start beyond a limit, whose first edge leads to the limit."""
+    alternatives = tuple(
+        replace(one, path=np.vstack([start, one.path]), edges=np.pad(one.edges, (1, 0), mode="edge"))
+        for one in found.alternatives
+    )
+    return replace(
+        found,
+        path=np.vstack([start, found.path]),
+        edges=np.pad(found.edges, (1, 0), mode="edge"),
+        unseen=None if found.unseen is None else np.pad(found.unseen, (1, 0), mode="edge"),
+        length_rad=found.length_rad + float(np.linalg.norm(start - found.path[0])),
+        alternatives=alternatives,
+    )
+
+
+def _one_point(found: Plan) -> Plan:
+    """The plan to where the arm stands."""
+    alternatives = tuple(replace(one, path=one.path[:1], edges=one.edges[:0]) for one in found.alternatives)
+    return replace(
+        found,
+        path=found.path[:1],
+        edges=found.edges[:0],
+        unseen=None if found.unseen is None else found.unseen[:0],
+        length_rad=0.0,
+        alternatives=alternatives[:1],
+    )
 
 
 def _ranked(paths: Iterable[ScoredPath], space: JointSpace, known: Known | None) -> list[ScoredPath]:

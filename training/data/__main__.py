@@ -28,7 +28,7 @@ from training.data.config import USUAL_OF_ARMS, DatasetConfig, PathDatasetConfig
 from training.data.merge import merge
 from training.data.outcomes import import_outcomes
 from training.data.own import import_folder
-from training.data.recordings import add_recording_options
+from training.data.recordings import Imported, add_recording_options
 
 # Pictures of an import are arrays in memory, 1 MB each.
 IMPORT = bounded.Limits(memory_bytes=2**30, cpu_s=600, wall_s=600.0, file_bytes=2**31)
@@ -54,9 +54,8 @@ def run(arguments: Sequence[str]) -> tuple[str, int]:
     logging.getLogger("training").setLevel(logging.INFO)
     options = parser().parse_args(arguments)
     made = options.run(options)
-    if isinstance(made, Dataset):
-        return describe(made), 0
-    return str(made), FOUND if 2 * made.wrong > made.diagnosed else 0
+    is_wrong = isinstance(made, Imported) and 2 * made.wrong > made.diagnosed
+    return describe(made) if isinstance(made, Dataset) else str(made), FOUND if is_wrong else 0
 
 
 def _import_bounded(options: argparse.Namespace, arguments: Sequence[str]) -> tuple[str, int]:

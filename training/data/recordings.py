@@ -1,4 +1,4 @@
-"""Import of recordings of ROS 2, without ROS: view files, a preview, and a data set of the joint states.
+"""Import of recordings of ROS 2, without ROS: view files, and a data set of the joint states.
 
 All stamps are those of the messages' headers. A recording is read in a worker that the kernel bounds
 (:mod:`cspace.bounded`), so nothing here counts what it holds.
@@ -10,7 +10,7 @@ from array import array
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
@@ -18,24 +18,18 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw
+from pydantic import BaseModel, Field, ValidationError
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from cspace.dataset import write_dataset
 from cspace.errors import ConfigError, CspaceError, DatasetError, ImageError, ScenarioError, StorageError
-from cspace.files import encode_png, replacing
+from cspace.files import replacing
 from cspace.space import JointSpace
+from cspace.strict_json import refused
 from cspace.view_file import pack_view
 from cspace.world import Finding
-from cspace.worlds.spatial.camera import (
-    DepthCamera,
-    decode_depth,
-    encode_depth,
-    in_range,
-    read_pinhole,
-    undistorted,
-)
+from cspace.worlds.spatial.camera import decode_depth, encode_depth, in_range, read_pinhole
 from cspace.worlds.spatial.doctor import ELSEWHERE
 from cspace.worlds.spatial.hypotheses import HYPOTHESES
 from cspace.worlds.spatial.poses import quaternion_pose
@@ -54,63 +48,43 @@ _DEPTH = {"16UC1": "u2", "32FC1": "f4"}
 # In front of the PNG of a compressed depth image.
 _HEADER_BYTES = 12
 _QUATERNION_TOLERANCE, _FAR_M = 1e-2, 1e6
-MOST_PICTURES = 1000
 # Views that are diagnosed, 2 s each.
 _DIAGNOSED = 8
 _WRONG = {*HYPOTHESES, ELSEWHERE}
-_PREVIEWS, _PREVIEW_HEIGHT = 4, 360
-# What is as near as the first is white in the preview, what is as far as the second is black.
-_NEAR_MM, _FAR_MM = 200, 3000
-_BLANK, _ROBOT = (40, 40, 90), (255, 140, 0)
 
 
-@dataclass(frozen=True, slots=True)
-class RecordingOptions:
-    """How a recording is read.
+class RecordingOptions(BaseModel, frozen=True):
+    """How a recording is read."""
 
-    ``base`` is the tf frame of the robot's base. Topics that are None are the only ones of their type, or
-    for ``camera_info`` the one beside the depth images. ``joint_prefix`` stands in front of the robot's
-    names of joints. ``every_s`` is the least time between two pictures, ``tolerance_s`` how far stamps of
-    picture, joint state and moving transforms may be apart, and ``most`` the number of pictures.
-    """
-
-    base: str = "base_link"
-    depth: str | None = None
-    camera_info: str | None = None
-    joint_states: str | None = None
-    joint_prefix: str = ""
-    every_s: float = 1.0
-    tolerance_s: float = 0.05
-    most: int = 100
-    time_limit_s: float = 600.0
-
-    def __post_init__(self) -> None:
-        fits = self.every_s >= 0.0 and self.tolerance_s >= 0.0 and self.time_limit_s > 0.0
-        if not fits or not 1 <= self.most <= MOST_PICTURES:
-            raise ConfigError(
-                "the import's options do not fit",
-                expected=f"times of 0 s or more, a time limit above 0, 1 to {MOST_PICTURES} pictures",
-                got=f"{self.every_s:g}, {self.tolerance_s:g}, {self.time_limit_s:g} s, {self.most} pictures",
-            )
+    base: str = Field("base_link", description="tf frame of the robot's base")
+    depth: str | None = Field(None, description="topic of the depth images; default the only one")
+    camera_info: str | None = Field(None, description="topic of their cameras; default the one beside them")
+    joint_states: str | None = Field(None, description="topic of the joint states; default the only one")
+    joint_prefix: str = Field("", description="what stands in front of the robot's names of joints")
+    every_s: float = Field(1.0, ge=0.0, description="least time between pictures, s")
+    tolerance_s: float = Field(
+        0.05, ge=0.0, description="how far the stamps of picture, joint state and transforms may differ, s"
+    )
+    most: int = Field(100, ge=1, le=1000, description="pictures")
+    time_limit_s: float = Field(600.0, gt=0.0, description="for the import, s")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordedView:
     """A complete picture of a recording.
 
-    ``tile`` (360, any, 3) uint8 shows it in a preview; ``state`` (d,) rad and ``image``, the picture as the
-    robot's world reads it, are None where no robot is known.
+    ``state`` (d,) rad and ``image``, the picture as the robot's world reads it, are None where no robot is
+    known.
     """
 
     stamp_ns: int
-    tile: NDArray[np.uint8]
     state: tuple[float, ...] | None
     image: NDArray[np.uint8] | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Imported:
-    """What an import wrote: ``views``, ``preview.png`` and, where a robot is known, ``data`` in a folder.
+    """What an import wrote: ``views`` and, where a robot is known, ``data`` in a folder.
 
     ``skipped`` counts pictures that were left out by the reason. Where a robot is known, ``diagnosed`` views
     are looked at closely: ``findings`` are theirs, and in ``wrong`` of them the arm is not where it should
@@ -139,7 +113,7 @@ class Imported:
 def import_recording(
     source: Path, folder: Path, *, world: SpatialWorld | None = None, options: RecordingOptions | None = None
 ) -> Imported:
-    """Write view files, a preview and, where a robot is given, a data set; all of it or nothing.
+    """Write view files and, where a robot is given, a data set; all of it or nothing.
 
     A scene of the data set is a picture, with the joint states that were nearer to it than to other pictures
     as free configurations. Nothing says which configurations collide.
@@ -168,7 +142,6 @@ def import_recording(
                 remedy="look at --base, --tolerance and the topics",
             )
         found = [] if world is None else _diagnosed(world, sorted((beside / "views").iterdir()))
-        (beside / "preview.png").write_bytes(preview(views))
         if world is not None:
             written = write_dataset(
                 beside / "data",
@@ -368,17 +341,15 @@ class _Selection:
             picture = depth_mm(message)
             if not in_range(picture).any():
                 return "no reading"
-            camera, distortion = read_pinhole(camera_values, picture.shape)
+            read_pinhole(camera_values, picture.shape)
             file = pack_view([encode_depth(picture)], [camera_values], None if state is None else list(state))
-            image = spheres = None
+            image = None
             if self._world is not None and state is not None:
                 image = np.asarray(self._world.examine_picture(file).images[0])
-                spheres = self._world.body.spheres_at(state)
         except (ImageError, ScenarioError) as error:
             return str(error)[:300]
         path.write_bytes(file)
-        tile = _tile(undistorted(picture, camera, distortion), camera, spheres)
-        return RecordedView(stamp, tile, state, image)
+        return RecordedView(stamp, state, image)
 
 
 class Series:
@@ -539,64 +510,25 @@ def camera_info(info: Any, *, rectified: bool) -> dict[str, Any]:
     }
 
 
-def preview(views: Sequence[RecordedView]) -> bytes:
-    """Some of the pictures side by side as a PNG: near things bright, the robot's spheres as circles."""
-    chosen = np.unique(np.linspace(0, len(views) - 1, _PREVIEWS).round().astype(int))
-    return encode_png(np.concatenate([views[number].tile for number in chosen], axis=1))
-
-
-def _tile(
-    picture: NDArray[np.uint16], camera: DepthCamera, spheres: NDArray[np.float64] | None
-) -> NDArray[np.uint8]:
-    depth = np.clip(picture, _NEAR_MM, _FAR_MM).astype(np.float64)
-    grey = np.rint(255.0 * (_FAR_MM - depth) / (_FAR_MM - _NEAR_MM)).astype(np.uint8)
-    shown = Image.fromarray(
-        np.where(in_range(picture)[..., None], grey[..., None], np.array(_BLANK, np.uint8))
-    )
-    scale = _PREVIEW_HEIGHT / camera.height
-    shown = shown.resize((max(1, round(camera.width * scale)), _PREVIEW_HEIGHT), Image.Resampling.NEAREST)
-    draw = ImageDraw.Draw(shown)
-    for x, y, z, radius in () if spheres is None else spheres:
-        column, row, away = camera.project((x, y, z))
-        # Others are behind the camera, or about it.
-        if away > radius:
-            middle, size = scale * np.array((column, row)), scale * radius * camera.fx / away
-            draw.ellipse((*(middle - size), *(middle + size)), outline=_ROBOT)
-    return np.asarray(shown)
-
-
 def add_recording_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of an import, and what it runs."""
-    usual = RecordingOptions()
     parser.add_argument(
         "source", type=Path, help="a recording of ROS 2: FILE.mcap, FILE.db3, or their folder"
     )
-    parser.add_argument("folder", type=Path, help="where views, preview and data set go")
+    parser.add_argument("folder", type=Path, help="where views and data set go")
     add_options(parser, sensor=False)
-    parser.add_argument(
-        "--base", default=usual.base, help="tf frame of the robot's base; default %(default)s"
-    )
-    for name, words in (
-        ("depth", "depth images; default the only one"),
-        ("camera-info", "their cameras; default the one beside them"),
-        ("joint-states", "joint states; default the only one"),
-    ):
-        parser.add_argument(f"--{name}", metavar="TOPIC", help=f"topic of the {words}")
-    prefix = "what the recording has in front of the robot's names of joints"
-    parser.add_argument("--joint-prefix", metavar="TEXT", default="", help=prefix)
-    for name, words in (
-        ("every", "least time between pictures that are taken"),
-        ("tolerance", "how far the stamps of a picture, a joint state and a transform may differ"),
-        ("time-limit", "for the import"),
-    ):
-        key = f"{name.replace('-', '_')}_s"
-        default = getattr(usual, key)
-        text = f"{words}; default {default:g} s"
-        parser.add_argument(f"--{name}", dest=key, type=finite, default=default, metavar="S", help=text)
-    parser.add_argument("--most", type=int, default=usual.most, help="pictures; default %(default)s")
+    for name, one in RecordingOptions.model_fields.items():
+        kind = finite if isinstance(one.default, float) else int if isinstance(one.default, int) else str
+        flag = f"--{name.removesuffix('_s').replace('_', '-')}"
+        text = f"{one.description}; default {one.default}" if one.default else one.description
+        parser.add_argument(flag, dest=name, type=kind, default=one.default, metavar="VALUE", help=text)
     parser.set_defaults(run=_run, is_foreign=True)
 
 
 def _run(options: argparse.Namespace) -> Imported:
-    settings = RecordingOptions(**{one.name: getattr(options, one.name) for one in fields(RecordingOptions)})
+    values = {name: getattr(options, name) for name in RecordingOptions.model_fields}
+    try:
+        settings = RecordingOptions.model_validate(values)
+    except ValidationError as error:
+        raise refused(error, ConfigError, "the import's options") from error
     return import_recording(options.source, options.folder, world=described(options), options=settings)

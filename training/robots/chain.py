@@ -110,19 +110,23 @@ def _propose_tip(description: Description, locked: Mapping[str, float]) -> tuple
     children: dict[str, list[Any]] = {name: [] for name in description.links}
     for joint in description.joints.values():
         children[joint.parent].append(joint)
+
+    def moves(joint: Any) -> bool:
+        return joint.type != "fixed" and joint.mimic is None and joint.name not in locked
+
     # Joints that move, from each joint on, by the link after it.
     moving: dict[str, int] = {}
     for name in reversed(list(description.links)[1:]):
-        joint = description.joints[name]
-        own = joint.type != "fixed" and joint.mimic is None and joint.name not in locked
-        moving[name] = own + sum(moving[one.child] for one in children[name])
+        moving[name] = moves(description.joints[name]) + sum(moving[one.child] for one in children[name])
     at = next(iter(description.links))
     total = sum(moving[one.child] for one in children[at])
     while children[at]:
         ahead = [one for one in children[at] if moving[one.child]]
         passed = total - sum(moving[one.child] for one in ahead)
         small = all(moving[one.child] < passed for one in ahead)
-        gripper = next((one.child for one in ahead if _GRIPPER.search(f"{one.name} {one.child}")), None)
+        # A link of a gripper that the wrist turns is still the arm's.
+        named = ((one, one.name if moves(one) else f"{one.name} {one.child}") for one in ahead)
+        gripper = next((one.child for one, names in named if _GRIPPER.search(names)), None)
         if len(ahead) > 1 and not small:
             return None, None
         if (gripper is not None and small) or len(ahead) > 1 or (not ahead and len(children[at]) > 1):
@@ -138,8 +142,8 @@ def _path(description: Description, tip: str | None) -> list[str]:
         last = sorted(set(description.links) - {joint.parent for joint in description.joints.values()})
         raise ScenarioError(
             "the tip of the chain is not clear",
-            expected="one link of the description",
-            got=f"several last ones: {last}" if tip is None else repr(tip)[:200],
+            expected=f"one link of the description; the last ones are {', '.join(last)}"[:500],
+            got="several" if tip is None else repr(tip)[:200],
             remedy="name a link with --tip",
         )
     path = [str(tip)]

@@ -17,23 +17,24 @@ from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
-import yaml
 from lxml import etree
+from pydantic import BaseModel, ValidationError
 from yourdfpy import URDF
 
 from cspace import bounded
 from cspace.errors import ScenarioError
+from cspace.strict_json import refused
+from cspace.yaml_file import read_yaml_file
 
 XACRO = bounded.Limits(cpu_s=10, wall_s=30.0)
 _UNUSED = ("inertial", "material", "dynamics", "calibration")
 # Elements that are read, and those that say nothing of limits, pairs or shapes.
 _KNOWN = {
-    "collision", "joint", "link", "visual", "disable_collisions", "disable_default_collisions",
-    "enable_collisions", *("axis", "child", "limit", "mimic", "origin", "parent", "safety_controller"),
-}  # fmt: skip
-_IRRELEVANT = {
-    *_UNUSED, *("gazebo", "hardwareInterface", "ros2_control", "sensor", "transmission", "verbose"),
-    *("chain", "end_effector", "group", "group_state", "joint_property", "passive_joint", "virtual_joint"),
+    *_UNUSED, "axis", "chain", "child", "collision", "contact", "disable_collisions",
+    "disable_default_collisions", "enable_collisions", "end_effector", "gazebo", "group", "group_state",
+    "hardwareInterface", "joint", "joint_property", "limit", "link", "mimic", "origin", "parent",
+    "passive_joint", "ros2_control", "safety_controller", "sensor", "transmission", "verbose",
+    "virtual_joint", "visual",
 }  # fmt: skip
 _FILE = "file://"
 _POINTER = b"version https://git-lfs.github.com/spec/"
@@ -112,7 +113,7 @@ def read_description(path: Path, packages: Mapping[str, Path], arguments: Mappin
 
 def _unused(elements: Sequence[Any], path: Path) -> tuple[str, ...]:
     """A warning of elements that the import does not know."""
-    names = {etree.QName(one).localname for one in elements} - _KNOWN - _IRRELEVANT
+    names = {etree.QName(one).localname for one in elements} - _KNOWN
     return (f"{path.name}: not used, {', '.join(sorted(names))}",) if names else ()
 
 
@@ -146,25 +147,31 @@ def _pair(element: Any) -> frozenset[str]:
     return frozenset((element.get("link1", ""), element.get("link2", "")))
 
 
+class _JointLimit(BaseModel):
+    has_position_limits: bool = False
+    min_position: float = -np.inf
+    max_position: float = np.inf
+
+
+class _JointLimits(BaseModel):
+    joint_limits: dict[str, _JointLimit] = {}
+
+
 def read_joint_limits(beside: Path, joints: Collection[str]) -> dict[str, tuple[float, float]]:
     """The ranges of joints, rad, in MoveIt's ``joint_limits.yaml`` beside a file; none if there is none."""
     path = beside.with_name("joint_limits.yaml")
     if not path.is_file():
         return {}
     try:
-        rows = yaml.safe_load(path.read_text(encoding="utf-8"))["joint_limits"].items()
-        return {
-            name: (float(row["min_position"]), float(row["max_position"]))
-            for name, row in rows
-            if name in joints and row.get("has_position_limits")
-        }
-    except (yaml.YAMLError, UnicodeDecodeError, LookupError, TypeError, ValueError, AttributeError) as error:
-        raise ScenarioError(
-            f"{path} cannot be read",
-            expected="joint_limits, as MoveIt has them: has_position_limits, min_position, max_position",
-            got=" ".join(repr(error).split())[:200],
-            remedy="move the file away and give --limit JOINT=LOW,HIGH",
-        ) from error
+        rows = _JointLimits.model_validate(read_yaml_file(path, ScenarioError)).joint_limits
+    except ValidationError as error:
+        remedy = "move the file away, and give --limit JOINT=LOW,HIGH"
+        raise refused(error, ScenarioError, str(path), remedy) from error
+    return {
+        name: (row.min_position, row.max_position)
+        for name, row in rows.items()
+        if name in joints and row.has_position_limits
+    }
 
 
 def read_file(path: Path) -> bytes:
@@ -216,15 +223,15 @@ def _expanded(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, 
 
 def package_of(folder: Path) -> Path:
     """The nearest folder above that is a package; else the folder itself."""
-    return next((one for one in (folder, *folder.parents) if _name_of_package(one)), folder)
+    return next((one for one in (folder, *folder.parents) if _names_of_package(one)), folder)
 
 
-def _name_of_package(folder: Path) -> str | None:
-    """As its ``package.xml`` says, else its own name; None where it is no package of ROS or Gazebo."""
+def _names_of_package(folder: Path) -> set[str]:
+    """Its own name and that of its ``package.xml``; none where it is no package of ROS or Gazebo."""
     if _is_file(folder / "package.xml"):
-        found = re.search(rb"<name>\s*([\w.-]+)\s*</name>", (folder / "package.xml").read_bytes())
-        return found[1].decode() if found else folder.name
-    return folder.name if _is_file(folder / "model.config") else None
+        text = (folder / "package.xml").read_text(encoding="utf-8", errors="replace")
+        return {folder.name, *re.findall(r"<name>\s*([\w.-]+)\s*</name>", text)[:1]}
+    return {folder.name} if _is_file(folder / "model.config") else set()
 
 
 def package_roots(name: str, folder: Path, packages: Mapping[str, Path]) -> list[Path]:
@@ -234,10 +241,9 @@ def package_roots(name: str, folder: Path, packages: Mapping[str, Path]) -> list
     if not re.fullmatch(r"\w[\w.-]{,99}", name):
         return []
     above, own = (folder, *folder.parents), package_of(folder)
-    beside = sorted(one for one in own.parent.iterdir() if one.is_dir()) if _name_of_package(own) else []
-    found = [
-        root for root in (*above, *(one / name for one in above), *beside) if _name_of_package(root) == name
-    ]
+    beside = sorted(one for one in own.parent.iterdir() if one.is_dir()) if _names_of_package(own) else []
+    places = (*above, *(one / name for one in above), *beside)
+    found = [root for root in places if name in _names_of_package(root)]
     # The description's own in a copy that left out what says so.
     return found + [one for one in (folder, folder.parent) if one.name == name and len(one.parts) > 2]
 

@@ -45,6 +45,8 @@ _SAMPLES = 4000
 _PICTURE_POINTS = 600
 # Of measured fits, for points between those that the cover was made for.
 _TOLERANCE_M = 0.0005
+# Where spheres stick out by so many times what they may, a surface is open.
+_OPEN = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,12 +99,9 @@ class Imported:
 
     def lines(self) -> list[str]:
         """How well the spheres fit, joints, pairs that are held apart, what was left out."""
-        lines = [f"{'part':<24}spheres  missed mm  missed %  sticks out mm  mean mm"]
+        lines = [f"{'part':<24}spheres  missed mm  sticks out mm"]
         for name, fit in self.fits.items():
-            lines.append(
-                f"{name:<24}{fit.spheres:>7}{1e3 * fit.missed_m:>11.2f}{100.0 * fit.missed_share:>10.2f}"
-                f"{1e3 * fit.excess_m:>15.2f}{1e3 * fit.mean_excess_m:>9.2f}"
-            )
+            lines.append(f"{name:<24}{fit.spheres:>7}{1e3 * fit.missed_m:>11.2f}{1e3 * fit.excess_m:>15.2f}")
         arm = self.arm
         lines.append(f"{arm.name}: {arm.dim} joints, {arm.sphere_count} spheres, {len(arm.touching)} pairs")
         for joint in arm.joints:
@@ -242,24 +241,19 @@ def _spheres(solids: list[Solid], where: str, allowances: Allowances, notes: lis
     rng, exact = np.random.default_rng(_SEED), [one.sphere for one in solids if one.sphere is not None]
     if len(exact) == len(solids):
         return np.stack(exact), measure(solids, np.stack(exact), rng)
-    hollow = [one.is_hollow(allowances.excess_m, rng) for one in solids]
-    spheres, fit = _covered(solids, hollow, allowances, rng)
-    if fit.missed_m > allowances.slack_m + _TOLERANCE_M:
-        hollow = [True] * len(solids)
-        spheres, fit = _covered(solids, hollow, allowances, rng)
-    if any(hollow):
-        notes.append(f"{where} has thin walls: spheres cover its convex hull")
+    hollow = [one.is_hollow(allowances.excess_m, np.random.default_rng(_SEED)) for one in solids]
+    for filled in (hollow, [True] * len(solids)):
+        shapes = [one.hull() if fill else one for one, fill in zip(solids, filled, strict=True)]
+        spheres = cover(shapes, allowances, rng)
+        fit = measure(shapes, spheres, rng)
+        is_covered = fit.missed_m <= allowances.slack_m + _TOLERANCE_M
+        if is_covered and fit.excess_m <= _OPEN * allowances.excess_m:
+            break
+    if any(filled):
+        notes.append(f"{where} has thin walls or is open: spheres cover its convex hull")
     if fit.excess_m > allowances.excess_m + _TOLERANCE_M:
-        notes.append(f"{where} has an open or folded surface: spheres stick out {1e3 * fit.excess_m:.1f} mm")
+        notes.append(f"{where} has a folded surface: spheres stick out {1e3 * fit.excess_m:.1f} mm")
     return spheres, fit
-
-
-def _covered(
-    solids: list[Solid], hollow: list[bool], allowances: Allowances, rng: np.random.Generator
-) -> tuple[Floats, Fit]:
-    filled = [one.hull() if fill else one for one, fill in zip(solids, hollow, strict=True)]
-    spheres = cover(filled, allowances, rng)
-    return spheres, measure(filled, spheres, rng)
 
 
 def _neighbours(description: Description, parts: set[str]) -> Pairs:

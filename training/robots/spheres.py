@@ -225,9 +225,7 @@ class Fit:
 
     spheres: int
     missed_m: float
-    missed_share: float
     excess_m: float
-    mean_excess_m: float
 
 
 class _Candidates:
@@ -305,13 +303,7 @@ def measure(solids: Sequence[Solid], spheres: Floats, rng: np.random.Generator) 
     shells = (spheres[:, None, :3] + spheres[:, None, 3:] * directions).reshape(-1, 3)
     shells = shells[gaps_m(shells, spheres) > -1e-9]
     excess = np.maximum(-union_depth_m(solids, shells), 0.0)
-    return Fit(
-        len(spheres),
-        float(missed.max()),
-        float(np.mean(missed > 1e-6)),
-        float(excess.max()),
-        float(excess.mean()),
-    )
+    return Fit(len(spheres), float(missed.max()), float(excess.max()))
 
 
 @njit(cache=True, nogil=True)

@@ -65,7 +65,7 @@ MESHED = TWO_LINKS.replace('<sphere radius="0.12"/>', '<mesh filename="package:/
             "--lock elbow=0",
             {"locked": {"elbow": 0}},
         ),
-        (with_more(BRANCH), "tip of the chain.*gripper.*second.*--tip", {"tip": "gripper"}),
+        (with_more(BRANCH), "last ones are gripper, second; got several; name .*--tip", {"tip": "gripper"}),
         (shoulder(""), "shoulder.*got none.*--limit shoulder=LOW", {"limits": {"shoulder": (-1.0, 1.0)}}),
         (shoulder(""), "--limit shoulder=none", {"limits": {"shoulder": None}}),
         (shoulder('lower="-2" upper="-2"'), "--lock shoulder=VALUE", {"locked": {"shoulder": -2.0}}),
@@ -163,6 +163,7 @@ def test_meshes_are_found_in_packages(tmp_path: Path) -> None:
     (beside / "package.xml").touch()
     for place in (folder, beside / "urdf"):
         assert found_file("package://other/meshes/a.stl", place, {}) == mesh
+    assert found_file("package://arm/meshes/a.stl", folder, {}) == mesh
 
 
 @pytest.mark.parametrize(

@@ -152,6 +152,10 @@ def test_without_a_tip_the_last_link_before_a_gripper_is_taken_and_named(tmp_pat
     assert [
         note for note in chain.notes if note.startswith("the tip is lower, the last link before the gripper")
     ]
+    # The wrist's joint turns a gripper's link, and is the arm's.
+    text = with_more(FINGER).replace('"lower"', '"jaw_lower"')
+    turned = read_chain(read_description(described(tmp_path, text), {}, {}), None, {}, {})
+    assert [joint.name for joint in turned.joints] == ["shoulder", "elbow"]
     fork = "".join(f'<link name="{one}"/>{TOOL_JOINT.format(one)}' for one in ("camera", "plate"))
     described(tmp_path, with_more(fork + "</robot>"))
     chain = read_chain(read_description(tmp_path / "two.urdf", {}, {}), None, {}, {})

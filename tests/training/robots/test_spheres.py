@@ -57,7 +57,6 @@ def test_a_fit_tells_what_is_missed_and_what_sticks_out() -> None:
     assert fit.spheres == 1
     assert fit.missed_m == pytest.approx(0.02, abs=1e-3)
     assert fit.excess_m == pytest.approx(0.02, abs=1e-3)
-    assert 0.4 < fit.missed_share < 0.6
 
 
 def test_allowances_below_a_millimetre_are_refused() -> None:

@@ -109,6 +109,15 @@ def test_an_arm_in_the_picture_without_state_is_found():
     assert codes(empty) == set()
 
 
+def test_a_state_whose_arm_is_out_of_view_warns_in_every_answer():
+    past = DepthCamera.of_field(128, 128, 65.0, looking((0.7, 0.3, 1.0), (0.7, 0.9, 0.1)))
+    view = DepthView((taken(past),), (past,), STATE)
+    assert "arm-not-in-view" in codes(view)
+    assert [one.code for one in WORLD.examine_picture(write_view(view)).findings] == ["arm-not-in-view"]
+    without = write_view(replace(view, state=None))
+    assert WORLD.examine_picture(without).findings == ()
+
+
 def test_what_the_arm_carries_is_found():
     tool = WORLD.body.tool_frames([STATE])[0, :3, 3]
     carried = Obstacles.of((*OBSTACLES.boxes, box(tool - (0.0, 0.0, 0.03), (0.09, 0.09, 0.05))))
