@@ -15,6 +15,8 @@ from cspace_client import DEFAULT_TIMEOUT_S, FoundPlan
 from cspace_client.models import as_query
 from services.planner.samples import Picture, SampleBatch, SampleSource
 
+__all__ = ["API_URL", "FoundPlan", "SamplingClient", "usual_api"]
+
 API_URL = "CSPACE_API_URL"
 """The variable that ``python -m services.local env`` sets in a shell."""
 _USUAL = "http://127.0.0.1:8000"
