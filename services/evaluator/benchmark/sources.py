@@ -17,9 +17,8 @@ from cspace.query import DEFAULT_PATHS, AlternativePath, Plan, PlanQuery, Sample
 from cspace.simulator import UNIFORM, Problem, Split
 from cspace.world import World
 from cspace.worlds import picture_file_of, robot_digest, simulator_of
-from cspace_client import FoundPlan
 from services.evaluator.scenes import PackedBundle
-from services.planner.client import SamplingClient
+from services.planner.client import FoundPlan, SamplingClient
 from services.planner.planning import between_ends
 from services.planner.samples import BundleSampler, SampleBatch
 
