@@ -259,13 +259,6 @@ def search_paths(
     return Searched(ranked, found.late, 1e3 * (searched - began), 1e3 * (time.monotonic() - searched))
 
 
-def path_confidence(seen: Seen, path: NDArray[np.float64]) -> float:
-    """How confident a model is that a path, (k, d) rad, is free, as :func:`plan` states it of its own."""
-    predict = given_free(seen.predict, seen.world.space, path[:1])
-    (scored,) = score([path], seen.world.space, STEP_RAD, predict, seen.plan_calibration)
-    return scored.whole
-
-
 def planning_space(world: World, limits: Sequence[Sequence[float] | None] | None) -> JointSpace:
     """The joint space that a query's paths lie in.
 

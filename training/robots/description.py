@@ -23,8 +23,8 @@ from yourdfpy import URDF
 
 from cspace import bounded
 from cspace.errors import ScenarioError
+from cspace.files import read_yaml_file
 from cspace.strict_json import refused
-from cspace.yaml_file import read_yaml_file
 
 XACRO = bounded.Limits(cpu_s=10, wall_s=30.0)
 _UNUSED = ("inertial", "material", "dynamics", "calibration")

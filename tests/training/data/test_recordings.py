@@ -17,8 +17,7 @@ from cspace.dataset import open_dataset
 from cspace.errors import CspaceError, DatasetError, StorageError
 from cspace.view_file import pack_view, unpack_view
 from cspace.worlds.spatial.arm import ready_rad
-from cspace.worlds.spatial.camera import encode_depth
-from cspace.worlds.spatial.camera_info import read_pinhole
+from cspace.worlds.spatial.camera import encode_depth, read_pinhole
 from cspace.worlds.spatial.visibility import arm_depth_m
 from tests.cspace.worlds.spatial.test_camera_forms import (
     BODY,

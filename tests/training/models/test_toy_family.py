@@ -11,7 +11,7 @@ from torch import nn
 
 from cspace.bundle import RandomInput
 from cspace.errors import ConfigError
-from cspace.png import encode_png
+from cspace.files import encode_png
 from cspace.worlds.planar.world import PlanarWorld
 from inference_api.app import create_app
 from inference_api.settings import ApiSettings
