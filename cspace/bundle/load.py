@@ -277,6 +277,8 @@ class Bundle:
             return graph.run(fixed | {"places": part}, {"occupied": (len(part),)})["occupied"]
 
         found = chunked(run, len(places), check_cancelled, PLACES_CHUNK_ROWS)
+        if np.any((found < 0.0) | (found > 1.0)):
+            raise BundleError("belief.onnx gives no probabilities", expected="values from 0 to 1")
         return Belief(grid.low_m, cell_m, found.reshape(counts))
 
     def require_belief(self) -> tuple[Graph, Any]:
@@ -285,7 +287,8 @@ class Bundle:
         if graph is None or grid is None:
             raise InputError(
                 "the model cannot tell what it takes the scene to be",
-                expected="a model of an arm that sees with depth cameras",
+                expected="a model of an arm that sees with depth cameras, with belief.onnx",
+                remedy="make the model again with this version of training",
             )
         return graph, grid
 

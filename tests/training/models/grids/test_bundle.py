@@ -69,5 +69,5 @@ def test_a_head_that_reads_the_map_comes_with_it(graphs, tmp_path):
 
 def test_a_map_that_nobody_reads_is_refused(graphs, tmp_path):
     alone = {name: graph for name, graph in graphs.items() if name != "validity"}
-    with pytest.raises(BundleIntegrityError, match=r"map\.onnx and its description do not fit"):
+    with pytest.raises(BundleIntegrityError, match=r"map\.onnx without the condition map"):
         write_bundle(tmp_path / "bundle", SPEC, alone)
