@@ -17,7 +17,7 @@ _LEAST = 1e-6
 _MOST = 20.0
 # Of confidence, beside what is true.
 _BINS = 10
-# About an end that is known to be free, Euclidean: states there are taken for free, too.
+# Euclidean distance from an end that is known to be free at which that says nothing any more.
 FREE_RAD = 0.5
 
 
@@ -102,12 +102,12 @@ def calibration_error(confidence: NDArray[np.float64], free: Sequence[bool] | ND
 
 
 def given_free(predict: Predict, space: JointSpace, ends: NDArray[np.float64]) -> Predict:
-    """``predict`` of a robot that is known to be free at ``ends`` (k, d) rad, and so near them."""
+    """``predict`` of a robot that is known to be free at ``ends`` (k, d) rad: doubt grows from there on."""
 
     def conditioned(rows: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
         confidence, unseen = predict(rows)
-        near = (space.distance(ends[:, None], rows[None]) <= FREE_RAD).any(axis=0)
-        return np.where(near, np.float32(1.0), confidence), unseen
+        share = np.minimum(space.distance(ends[:, None], rows[None]).min(axis=0) / FREE_RAD, 1.0)
+        return (1.0 - share * (1.0 - confidence)).astype(np.float32), unseen
 
     return conditioned
 

@@ -143,7 +143,7 @@ def test_other_mistakes_are_warnings(api: ApiClient) -> None:
     # The wall goes through the base, as the front of an arm that is seen does.
     assert usual == ["arm-in-picture"]
     assert "arm-in-picture" not in codes(score(api, wall(), state=json.dumps(START)))
-    plan = ask(api, "/plan", [wall()], [RIGHT], **PAGES["/plan"]).json()
+    plan = ask(api, "/plan", [wall()], [RIGHT], **PAGES["/plan"], min_confidence="1").json()
     assert plan["status"] == "refused"
     assert "`state`" in plan["reason"]
 

@@ -11,6 +11,7 @@ import pytest
 
 from cspace.bundle import Bundle
 from cspace.files import encode_png
+from cspace.planning.cost import given_free
 from cspace.view_file import pack_view
 from cspace.worlds.spatial.arm import ready_rad
 from cspace.worlds.spatial.camera import DepthCamera, encode_depth, looking
@@ -208,7 +209,9 @@ def test_a_path_is_planned_in_what_depth_pictures_show(api, bundle):
     assert np.allclose([answer["path"][0], answer["path"][-1]], [STATE, GOAL], atol=1e-6)
     assert len(answer["unseen"]) == len(answer["edges"]) == len(answer["path"]) - 1
     assert 0.0 <= min(answer["unseen"]) <= max(answer["unseen"]) <= 1.0
-    alone = bundle.predict(as_read(bundle, STATE), np.asarray(answer["path"], np.float32))[0]
+    path, picture = np.asarray(answer["path"], np.float32), as_read(bundle, STATE)
+    predict = given_free(lambda rows: bundle.predict(picture, rows), WORLD.space, np.array([STATE]))
+    alone = predict(path)[0]
     assert (np.asarray(answer["edges"]) <= np.minimum(alone[1:], alone[:-1]) + 1e-5).all()
 
 

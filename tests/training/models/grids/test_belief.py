@@ -103,5 +103,5 @@ def test_a_belief_without_a_map_or_a_space_is_no_bundle(tmp_path: Path) -> None:
     assert not (tmp_path / "plane").exists()
     bundle = Bundle.load(write_bundle(tmp_path / "space", SPEC, space_graphs()))
     assert bundle._graphs.belief is None
-    with pytest.raises(InputError, match="make the model again"):
+    with pytest.raises(InputError, match="cannot tell what it takes the scene to be"):
         bundle.belief(simulator_of(WORLD).render(scene()))
