@@ -150,7 +150,8 @@ def _fits_turned(one: Request, stated: Score) -> bool:
         moved(one, np.append(np.zeros(3), axis)) for axis in np.outer(_TURNS_RAD, np.eye(3)).reshape(-1, 3)
     )
     found = best_of(one, turned).score(FEW_COARSE)
-    return found.total > stated.total + _CLEARLY and found.arm >= _MOST * (1.0 - found.blank)
+    is_seen = found.pixels >= FEW_COARSE and found.arm >= _MOST * (1.0 - found.blank)
+    return is_seen and found.total > stated.total + _CLEARLY
 
 
 def _is_elsewhere(stated: Score, few: int = FEW_PIXELS) -> bool:
