@@ -371,6 +371,5 @@ class ProblemRequest:
 
     split: Split
     seed: int = 0
-    aim: str = "goal"  # what cameras look at: `goal`, or `scene` for the middle of all obstacles
     folder: Path | None = None  # of problems that do not ship; None where none are needed
     held: bool = False  # whether the robot holds what its goal grasps, and planners know this and the table

@@ -1,4 +1,4 @@
-"""RRT-Connect, compiled with the checks of any simulator, and RRT, fed with given states."""
+"""RRT-Connect, compiled with the checks of any simulator and fed with given states."""
 
 import math
 import time
@@ -13,8 +13,6 @@ from cspace.world import CheckCancelled
 
 # Iterations between two looks at the clock, or pauses.
 BLOCK = 64
-# Share of the goal among the states that RRT draws.
-GOAL_BIAS = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,55 +134,6 @@ def grow_connect(
     time_s = time.perf_counter() - began
     path = trees.path(joint) if joint[0] >= 0 else None
     return Grown(path, *trees.forest(), iterations, int(checks[0]), int(checks[1]), time_s, timed_out)
-
-
-def grow_rrt(
-    checker: Checker,
-    start: NDArray[np.float64],
-    goal: NDArray[np.float64],
-    states: NDArray[np.float64],
-    towards_goal: NDArray[np.bool_],
-    growth: Growth,
-) -> Grown:
-    """Grow a tree from the start, until it reaches the goal or there are no more states.
-
-    Args:
-        checker: of the scene.
-        start: (d,) rad, free.
-        goal: (d,) rad, free.
-        states: (n, d) rad that are drawn, in order.
-        towards_goal: (n,) where the goal is drawn in a state's stead.
-        growth: how.
-    """
-    space, test = checker.space, checker.edge_test(growth.resolution_rad)
-    ends, sampled = space.wrap(np.stack([start, goal])), space.wrap(states)
-    nodes, parents = np.empty((len(sampled) + 1, space.dim)), np.full(len(sampled) + 1, -1, dtype=np.int64)
-    nodes[0], count, looked_at, reached = ends[0], 1, 0, False
-    # The first call loads the compiled check.
-    test(ends[0], ends[0])
-    began, until_s = time.perf_counter(), time.thread_time() + growth.time_limit_s
-    iterations, timed_out = 0, False
-    while iterations < len(sampled) and not reached:
-        timed_out = time.thread_time() >= until_s
-        if timed_out:
-            break
-        target = ends[1] if towards_goal[iterations] else sampled[iterations]
-        steps = space.difference(nodes[:count], target)
-        gaps = np.abs(steps).sum(axis=1)
-        nearest = int(np.argmin(gaps))
-        share = min(1.0, growth.range_rad / max(gaps[nearest], growth.range_rad))
-        node = target if share == 1.0 else space.wrap(nodes[nearest] + share * steps[nearest])
-        free, states_in_it = test(nodes[nearest], node)
-        looked_at, iterations = looked_at + states_in_it, iterations + 1
-        if free:
-            nodes[count], parents[count], count = node, nearest, count + 1
-            reached = bool(towards_goal[iterations - 1]) and share == 1.0
-        if iterations % BLOCK == 0:
-            growth.check_cancelled()
-    time_s = time.perf_counter() - began
-    path = nodes[to_root(parents.tolist(), count - 1)[::-1]] if reached else None
-    tree = (nodes[:count].copy(), parents[:count].copy())
-    return Grown(path, *tree, iterations, iterations, looked_at, time_s, timed_out)
 
 
 def sampled_states(

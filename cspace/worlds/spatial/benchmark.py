@@ -26,7 +26,7 @@ from cspace.worlds.spatial.kinematics import arm_arrays, sphere_centres_batch
 from cspace.worlds.spatial.mesh_checker import Description, MeshChecker, RobotMeshes, panda_urdf
 from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles
 from cspace.worlds.spatial.planning_scene import Attached, Body, BoxShape, CylinderShape, PlanningScene
-from cspace.worlds.spatial.poses import Vector, pose_of, vector
+from cspace.worlds.spatial.poses import pose_of, vector
 from cspace.worlds.spatial.problems import draw_problem
 from cspace.worlds.spatial.scenes import SpatialScene, scenes_of, seen
 from cspace.worlds.spatial.sensor import FREE
@@ -175,7 +175,7 @@ class SpatialPartlySeen:
         if not CollisionChecker(holding or world.body, layout.obstacles).valid_batch(ends).all():
             return None
         rng = np.random.default_rng([25, pictures, *family.removeprefix(PREFIX).encode(), *number])
-        scene = from_both_sides(rng, viewed(world, pictures), layout, ends[0], request.aim)
+        scene = from_both_sides(rng, viewed(world, pictures), layout, ends[0])
         scene = replace(scene, known=known, holding=holding)
         try:
             world.examined(scene.view())
@@ -280,11 +280,9 @@ def viewed(world: SpatialWorld, pictures: int) -> SpatialWorld:
 
 
 def from_both_sides(
-    rng: np.random.Generator, world: SpatialWorld, layout: Layout, state: NDArray[np.float64], aim: str
+    rng: np.random.Generator, world: SpatialWorld, layout: Layout, state: NDArray[np.float64]
 ) -> SpatialScene:
     """A layout as cameras see it that do not all stand on the same side of the line to what they look at."""
-    if aim == "scene":
-        layout = replace(layout, focus=middle(layout.obstacles))
     focus = np.asarray(layout.focus)[:2]
     while True:
         scene = seen(rng, world, layout, state)
@@ -292,20 +290,6 @@ def from_both_sides(
         sides = {float(np.sign(x * focus[1] - y * focus[0])) for x, y in places}
         if len(places) == 1 or len(sides) > 1:
             return scene
-
-
-def middle(obstacles: Obstacles) -> Vector:
-    """Of the box round all that stands there, m."""
-    solid = [
-        (np.array(one.pose), np.array(one.half_m))
-        if isinstance(one, Box)
-        else (np.array(one.pose), np.array([one.radius_m, one.radius_m, one.half_length_m]))
-        for one in obstacles.shapes
-    ]
-    reach = [(pose[:3, 3], np.abs(pose[:3, :3]) @ half) for pose, half in solid]
-    low = np.min([centre - half for centre, half in reach], axis=0)
-    high = np.max([centre + half for centre, half in reach], axis=0)
-    return vector((low + high) / 2.0)
 
 
 _Found = tuple[Layout, tuple[float, ...], tuple[float, ...], tuple[int, ...]]

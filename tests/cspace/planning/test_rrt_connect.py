@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cspace.planning.rrt_connect import Growth, grow_connect, grow_rrt
+from cspace.planning.rrt_connect import Growth, grow_connect
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.world import Scenario
@@ -20,19 +20,6 @@ def checker():
 
 def longest_step(path):
     return np.abs(TWO_LINK.space.difference(path[:-1], path[1:])).sum(axis=1).max()
-
-
-def test_rrt_has_arrived_only_at_the_goal_itself(checker):
-    states, growth = np.zeros((20, 2)), Growth(RANGE_RAD, RESOLUTION_RAD)
-    found = grow_rrt(checker, START, GOAL, states, np.ones(20, dtype=np.bool_), growth)
-    np.testing.assert_allclose(found.path[[0, -1]], [START, GOAL])
-    assert found.iterations == 8
-    assert longest_step(found.path) <= RANGE_RAD + 1e-9
-
-
-def test_rrt_that_has_come_part_of_the_way_has_no_path(checker):
-    states, growth = np.zeros((3, 2)), Growth(RANGE_RAD, RESOLUTION_RAD)
-    assert grow_rrt(checker, START, GOAL, states, np.ones(3, dtype=np.bool_), growth).path is None
 
 
 @pytest.mark.parametrize("seed", range(2))
