@@ -124,11 +124,11 @@ def recorded_name(config: Mapping[str, Any]) -> str | None:
 
 
 def may_name(model: str, world: World, given: str | None) -> bool:
-    """Whether a model's name is one of this robot's or of none in particular."""
+    """Whether a model's name is one of this robot's or of none in particular, as the default is."""
     with suppress(ConfigError):
         if model in {model_name(world, given), model_name(world, given, path=True)}:
             return True
-    return not model.endswith(_SUFFIX)
+    return model in {MODEL_NAME, PATH_MODEL_NAME} or not model.endswith(_SUFFIX)
 
 
 def _robot_of(model: str) -> str | None:

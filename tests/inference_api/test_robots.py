@@ -123,7 +123,7 @@ def test_a_champion_of_another_robot_that_is_gone_has_no_stand_in_even_after_a_r
 def test_answers_tell_limits_and_keep_them(start_api: StartApi, tmp_path: Path) -> None:
     shipped = write_tiny_bundle(tmp_path / "limited", LIMITED, kind="path", scale=4.0)
     api = start_api(None, pretrained_model=shipped)
-    fields = {"n": "2000", "seed": "1", "start": "[3.9, 7.0]", "goal": "[-2.0, 0.0]", "model": "pretrained"}
+    fields = {"n": "2000", "seed": "1", "start": "[3.9, 7.0]", "goal": "[-2.0, 0.0]"}
     body = ask(api, **fields).json()
     assert body["joint_space"] == {
         "kind": "mixed", "dim": 2, "unit": "rad",

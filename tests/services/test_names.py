@@ -73,7 +73,7 @@ def test_a_name_is_read_from_a_configuration_that_anybody_may_have_written():
         ("arm-7-sampler", OWN, "arm-7", True),
         # Of no robot in particular.
         ("team-a", TWO, None, True),
-        (MODEL_NAME, OWN, None, False),
+        (MODEL_NAME, OWN, None, True),
     ],
 )
 def test_a_models_name_fits_its_robot_or_any(model, world, given, expected):
