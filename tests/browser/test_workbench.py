@@ -122,11 +122,12 @@ def test_edges_of_low_confidence_are_marked(page: Page, tmp_path: Path) -> None:
     with api_server(tmp_path, settings) as own:
         open_bench(page, own, hash_of([], start="0,0.3", goal="2.6,1.5"))
         _, answer = plan(page)
-        assert all(edge < 0.9 for edge in answer["edges"])
+        uncertain = [edge < 0.9 for edge in answer["edges"]]
+        assert any(uncertain)
         expect(page.locator("#plan-confidence")).to_contain_text("Per edge")
         drawn = [page.locator(f"#torus .{kind}").get_attribute("d") for kind in ("path", "uncertain")]
-        assert drawn[0]
-        assert drawn[0] == drawn[1]
+        assert all(drawn)
+        assert (drawn[0] == drawn[1]) is all(uncertain)
         mark = page.locator("#torus .least")
         place = [[float(mark.get_attribute(name) or "nan") for name in ("cx", "cy")]]
         assert np.allclose(to_angles(np.array(place))[0], answer["least_sure"]["configuration"], atol=1e-3)
