@@ -8,8 +8,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tabulate import tabulate
-
 from cspace.errors import ConfigError, CspaceError, StorageError
 from cspace.files import replacing
 
@@ -78,6 +76,8 @@ def _kept(text: str, path: Path) -> str:
 
 def aligned(rows: Sequence[Sequence[str]]) -> str:
     """Rows of cells as columns for a terminal."""
+    from tabulate import tabulate  # noqa: PLC0415 - a server imports this module and has no tables
+
     return tabulate(rows, tablefmt="plain", disable_numparse=True)
 
 
