@@ -262,14 +262,10 @@ def _database(folder: Path) -> Iterator[sqlite3.Connection]:
         # What is deleted is gone from the file.
         for statement in ("PRAGMA auto_vacuum = FULL", "PRAGMA secure_delete = ON", "BEGIN IMMEDIATE"):
             database.execute(statement)
-        try:
+        with database:
             for statement in _SCHEMA:
                 database.execute(statement)
             yield database
-        except BaseException:
-            database.execute("ROLLBACK")
-            raise
-        database.execute("COMMIT")
 
 
 def view_row(
