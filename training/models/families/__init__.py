@@ -31,7 +31,7 @@ from training.models.export import Sampler
 from training.models.modules import TrialModule
 
 Config = TypeVar("Config", bound=TrainConfig)
-# Folders of checkpoints by the names of the trials that are finished.
+# Checkpoints by the names of the trials that are finished.
 Checkpoints = Mapping[str, Path]
 
 
