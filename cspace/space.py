@@ -6,6 +6,7 @@ those of the torus; :class:`JointSpace` alone knows which joint is a circle and 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -87,6 +88,8 @@ class JointSpace:
         else to the limit that is nearer round the circle.
         """
         wrapped = wrap(configurations)
+        if self.is_torus:
+            return wrapped
         values, low, high = (
             np.asarray(part, np.float64) for part in (configurations, self.lower, self.upper)
         )
@@ -100,13 +103,7 @@ class JointSpace:
 
     def to_float32(self, configurations: ArrayLike) -> NDArray[np.float32]:
         """As :meth:`bound` in float32 that still lies inside as real numbers (clipped after the cast)."""
-        low, high = (
-            np.where(self.periodic, side, _towards(ends, towards))
-            for side, ends, towards in (
-                (-FLOAT32_PI_BELOW, self.lower, self.upper),
-                (FLOAT32_PI_BELOW, self.upper, self.lower),
-            )
-        )
+        low, high = _float32_limits(self)
         return np.clip(self.bound(configurations).astype(np.float32), low, high)
 
     def embed(self, configurations: ArrayLike) -> NDArray[np.float64]:
@@ -232,6 +229,19 @@ def is_range(low: float, high: float) -> bool:
 def circles(dim: int) -> JointSpace:
     """The torus: ``dim`` joints without limits."""
     return JointSpace((-np.pi,) * dim, (np.pi,) * dim, (True,) * dim)
+
+
+@lru_cache(maxsize=64)
+def _float32_limits(space: JointSpace) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """The float32 limits nearest to a space's that do not lie beyond them as real numbers, (d,) rad each."""
+    low, high = (
+        np.where(space.periodic, side, _towards(ends, towards))
+        for side, ends, towards in (
+            (-FLOAT32_PI_BELOW, space.lower, space.upper),
+            (FLOAT32_PI_BELOW, space.upper, space.lower),
+        )
+    )
+    return low, high
 
 
 def _towards(ends: Sequence[float], inside: Sequence[float]) -> NDArray[np.float32]:
