@@ -13,7 +13,7 @@ from pathlib import Path
 
 from cspace.errors import ConfigError, CspaceError, InputError, ModelNotFoundError
 from services.commands import ANY_SEED, COUNT, report_error, report_result
-from services.evaluator import compare, recalibrate
+from services.evaluator import recalibrate
 from services.evaluator.benchmark.__main__ import main as planning_benchmark
 from services.evaluator.evaluation import BUDGETS, run_metrics
 from services.evaluator.job import Outcome, Request, evaluate_version, executor
@@ -24,7 +24,6 @@ from services.registry.entities import ModelReference
 SHIPPED_FOLDER = Path(__file__).parents[2] / "inference_api" / "pretrained"
 COMMANDS: Mapping[str, Callable[[Sequence[str], Mapping[str, str]], int]] = {
     "planning": planning_benchmark,
-    "compare": compare.main,
     "recalibrate": recalibrate.main,
 }
 

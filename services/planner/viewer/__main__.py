@@ -14,11 +14,9 @@ from cspace.world import World
 from cspace.worlds import read_world
 from cspace_client import ClientError, SamplingClient
 from services.planner.client import usual_api
-from services.planner.viewer.access import Uploads, open_server
-from services.planner.viewer.plan import PlanPanel
-from services.planner.viewer.scene import ScenePanel, as_text
+from services.planner.viewer.access import open_server
+from services.planner.viewer.panels import PlanPanel, ScenePanel, as_text
 from services.planner.viewer.state import SceneState
-from services.planner.viewer.uploads import REFUSED, UploadPanel
 
 # The camera looks here, m in the base frame.
 FOCUS_M = (0.45, 0.0, 0.35)
@@ -37,8 +35,7 @@ class Viewer:
         self.server.scene.set_up_direction("+z")
         self.server.scene.add_grid("/ground", 2.0, 2.0, cell_size=0.1, section_size=0.5)
         self.server.gui.add_html(as_text(f"Model: {model}"))
-        self.scene, self.uploads, self.plan = ScenePanel(self), UploadPanel(self), PlanPanel(self)
-        self.bounds = Uploads(self.server, lambda: self.uploads.say(REFUSED))
+        self.scene, self.plan = ScenePanel(self), PlanPanel(self)
         self.guarded(self.scene.show)
 
     def guarded(self, action: Callable[[], None]) -> None:
