@@ -21,7 +21,6 @@ from services.evaluator.report import REPORT_FOLDER, scenes_text, terminal_table
 from services.registry import connect, tracking_uri
 from services.registry.entities import ModelReference
 
-SHIPPED_FOLDER = Path(__file__).parents[2] / "inference_api" / "pretrained"
 COMMANDS: Mapping[str, Callable[[Sequence[str], Mapping[str, str]], int]] = {
     "planning": planning_benchmark,
     "recalibrate": recalibrate.main,
@@ -34,7 +33,7 @@ def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] 
     try:
         if given and given[0] in COMMANDS:
             return COMMANDS[given[0]](given[1:], environment)
-        request = make_request(_parser().parse_args(given), environment)
+        request = make_request(_parser().parse_args(given))
         show = partial(print, flush=True)
         outcome = evaluate_version(request, *connect(tracking_uri(environment)), executor(environment), show)
     except CspaceError as error:
@@ -43,7 +42,7 @@ def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] 
     return 0
 
 
-def make_request(options: argparse.Namespace, environment: Mapping[str, str]) -> Request:
+def make_request(options: argparse.Namespace) -> Request:
     """What the options ask for."""
     budget = BUDGETS[options.budget]
     return Request(
@@ -52,9 +51,6 @@ def make_request(options: argparse.Namespace, environment: Mapping[str, str]) ->
         options.seed,
         promote=not options.no_promote,
         data=options.data,
-        shipped=None
-        if options.without_shipped
-        else Path(environment.get("CSPACE_PRETRAINED_MODEL") or SHIPPED_FOLDER),
     )
 
 
@@ -102,8 +98,6 @@ def _parser() -> argparse.ArgumentParser:
     data = "a data set: evaluate on its scenes, not on the version's own"
     add("--data", type=Path, metavar="FOLDER", help=data)
     add("--no-promote", action="store_true", help="record no decision, move no alias")
-    worse = "let a version become the champion that may be worse than the shipped model"
-    add("--without-shipped", action="store_true", help=worse)
     return parser
 
 
