@@ -1,4 +1,4 @@
-"""Solving a planning problem with OMPL, with learned samples or with OMPL's own uniform ones.
+"""Solving a planning problem with OMPL or with the project's RRT-Connect, with learned or uniform samples.
 
 OMPL's binding can not replace a planner's state sampler. RRT and RRT* ask a sampleable goal for states, with
 the goal bias as probability. So with learned samples the goal bias is 1, and learned samples, uniform samples
@@ -19,6 +19,7 @@ from ompl import geometric as og
 from ompl import util as ou
 
 from cspace.errors import PlanningError
+from cspace.planning.rrt_connect import Growth, grow_connect, sampled_states
 from cspace.simulator import Checker, Problem
 from cspace.space import JointSpace
 from cspace.worlds import checker_of
@@ -43,7 +44,6 @@ from services.planner.result import (
     after,
     outcome,
 )
-from services.planner.rrt_connect import connect
 
 __all__ = ["DEFAULT_UNIFORM_SHARE", "solve"]
 
@@ -107,7 +107,7 @@ def _once(
     keep_tree: bool,
 ) -> PlanResult:
     if settings.planner == SAMPLED_CONNECT:
-        return connect(problem, settings, learned, uniform_share, keep_tree=keep_tree)
+        return _connect(problem, settings, learned, uniform_share, keep_tree=keep_tree)
     space = problem.space
     goal = space.wrap(problem.goal).tolist()
     draws: StateDraws = GoalOnly(goal)
@@ -144,6 +144,38 @@ def _once(
         counts,
         tree=copy_tree(run) if keep_tree else None,
     )
+
+
+def _connect(
+    problem: Problem,
+    settings: PlannerSettings,
+    samples: NDArray[np.float64] | None,
+    uniform_share: float,
+    *,
+    keep_tree: bool = False,
+) -> PlanResult:
+    """The project's RRT-Connect, which draws from given samples, as OMPL's can not."""
+    checker = checker_of(problem.scenario)
+    rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(2,)))
+    states, learned = sampled_states(problem.space, samples, uniform_share, settings.max_iterations, rng)
+    growth = Growth(settings.range_rad, settings.resolution_rad, settings.time_limit_s)
+    grown = grow_connect(checker, problem.start, problem.goal, states, growth)
+    learned_drawn = int(learned[: grown.iterations].sum())
+    counts = Counts(
+        iterations=grown.iterations,
+        edge_checks=grown.edge_checks,
+        state_checks=grown.state_checks,
+        solve_time_s=grown.time_s,
+        learned_drawn=learned_drawn,
+        uniform_drawn=grown.iterations - learned_drawn,
+    )
+    tree = None
+    if keep_tree:
+        children = np.flatnonzero(grown.parents >= 0)
+        edges = np.stack([grown.parents[children], children], axis=1)
+        tree = SearchTree(grown.nodes, edges.astype(np.intp))
+    reason = Reason.TIME_LIMIT if grown.timed_out else Reason.ITERATION_LIMIT
+    return outcome(problem, settings, grown.path, reason, counts, tree=tree)
 
 
 class GoalOnly:
