@@ -19,8 +19,10 @@ from ompl import geometric as og
 from ompl import util as ou
 
 from cspace.errors import PlanningError
+from cspace.planning.paths import NOISE_RAD, AlongPaths
 from cspace.planning.rrt_connect import Growth, grow_connect, sampled_states
-from cspace.simulator import Checker, Problem
+from cspace.query import AlternativePath
+from cspace.simulator import Checker, EdgeTest, Problem
 from cspace.space import JointSpace
 from cspace.worlds import checker_of
 from cspace_client.ompl import (
@@ -45,7 +47,7 @@ from services.planner.result import (
     outcome,
 )
 
-__all__ = ["DEFAULT_UNIFORM_SHARE", "solve"]
+__all__ = ["DEFAULT_UNIFORM_SHARE", "solve", "solve_with_paths"]
 
 _ANY_COST = 1e9
 
@@ -176,6 +178,47 @@ def _connect(
         tree = SearchTree(grown.nodes, edges.astype(np.intp))
     reason = Reason.TIME_LIMIT if grown.timed_out else Reason.ITERATION_LIMIT
     return outcome(problem, settings, grown.path, reason, counts, tree=tree)
+
+
+def solve_with_paths(
+    problem: Problem, settings: PlannerSettings, paths: Sequence[AlternativePath]
+) -> PlanResult:
+    """Solves a problem by one of the paths, or by RRT-Connect with configurations around them.
+
+    The checks of the paths are among the result's counts.
+    """
+    test = checker_of(problem.scenario).edge_test(settings.resolution_rad)
+    began, edges, states = time.perf_counter(), 0, 0
+    for candidate in paths:
+        free, looked_at, tried = _checked(test, candidate)
+        edges, states = edges + tried, states + looked_at
+        if free:
+            counts = Counts(edge_checks=edges, state_checks=states, solve_time_s=time.perf_counter() - began)
+            found = outcome(problem, settings, candidate.path, Reason.NO_PATH, counts)
+            if found.solved:
+                return found
+    spent = Counts(edge_checks=edges, state_checks=states, solve_time_s=time.perf_counter() - began)
+    tried_first = outcome(problem, settings, None, Reason.NO_PATH, spent)
+    around = None
+    if paths:
+        rng = np.random.default_rng(settings.seed)
+        along = AlongPaths([candidate.path for candidate in paths], problem.space, rng)
+        around = along.take(len(NOISE_RAD) * along.turn_rows)[0]
+    left_s = max(settings.time_limit_s - spent.solve_time_s, 1e-3)
+    return after(
+        tried_first, _connect(problem, replace(settings, time_limit_s=left_s), around, DEFAULT_UNIFORM_SHARE)
+    )
+
+
+def _checked(test: EdgeTest, candidate: AlternativePath) -> tuple[bool, int, int]:
+    """Whether a path is free, and how many states and edges were checked for that; the least sure first."""
+    looked_at = 0
+    for tried, piece in enumerate(np.argsort(candidate.edges, kind="stable"), start=1):
+        free, count = test(candidate.path[piece], candidate.path[piece + 1])
+        looked_at += count
+        if not free:
+            return False, looked_at, tried
+    return True, looked_at, len(candidate.edges)
 
 
 class GoalOnly:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from services.progress import Estimate, Progress, time_left
+from services.commands import Estimate, Progress, time_left
 
 
 class Clock:

@@ -29,6 +29,7 @@ from cspace.query import DEFAULT_PATHS, SampleQuery
 from cspace.simulator import Problem
 from cspace.simulator import Taken as Unseen
 from cspace.worlds import checker_of, partly_seen, picture_file_of
+from services.commands import Progress
 from services.evaluator.benchmark.report import Results, figures
 from services.evaluator.benchmark.sources import Model, SourceSpec, opened, plan_query
 from services.evaluator.benchmark.variants import NO_PROBLEM, Group, Key, Protocol, Setting, Unit, Variant
@@ -37,7 +38,6 @@ from services.names import EXPERIMENT, NOTE, TAG_STAGE
 from services.planner.ompl_planner import solve
 from services.planner.result import PlanResult
 from services.planner.samples import SampleBatch
-from services.progress import Progress
 from services.registry.entities import ID
 from services.registry.tracking import Tracking
 

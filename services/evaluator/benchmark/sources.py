@@ -18,9 +18,8 @@ from cspace.simulator import UNIFORM, Problem, Split
 from cspace.world import World
 from cspace.worlds import picture_file_of, robot_digest, simulator_of
 from services.evaluator.scenes import PackedBundle
-from services.planner.client import FoundPlan, SamplingClient
 from services.planner.planning import between_ends
-from services.planner.samples import BundleSampler, SampleBatch
+from services.planner.samples import BundleSampler, FoundPlan, SampleBatch, SamplingClient
 
 # A server's first plan may wait for its compiler.
 _TIMEOUT_S = 60.0

@@ -9,7 +9,7 @@ import pytest
 
 from cspace.worlds import examples, simulator_of
 from cspace_client import DepthPictures
-from services.planner.viewer.state import SceneState
+from services.planner.viewer_state import SceneState
 
 WORLD = examples()["panda"]
 

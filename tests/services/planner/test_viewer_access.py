@@ -12,8 +12,8 @@ import viser
 import viser._messages as messages
 import websockets
 
-from services.planner.viewer.access import open_server
-from services.planner.viewer.panels import as_text
+from services.planner.viewer import open_server
+from services.planner.viewer_panels import as_text
 
 encode = msgspec.msgpack.encode
 CAMERA = {

@@ -12,7 +12,7 @@ import viser
 import viser.transforms as vtf
 
 from cspace.planning.paths import spread_points
-from services.planner.viewer.state import EXAMPLES, Floats
+from services.planner.viewer_state import EXAMPLES, Floats
 
 GREY, START, GOAL = (150, 150, 155), (70, 120, 200), (60, 160, 90)
 UNSEEN, EXPECTED = (200, 190, 230), (120, 60, 200)
