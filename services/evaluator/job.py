@@ -3,7 +3,6 @@
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -136,26 +135,28 @@ def find_champion(
         for decision in champions(registry, version.name)
         if decision.version not in {version.number, *left} and decision.robot == bundle.robot
     }
-    champion, against, notes = None, None, []
-    with suppress(ModelNotFoundError):
+    earlier = tuple(recorded.values())
+    try:
         present = registry.by_alias(version.name, ALIAS_CHAMPION)
-        if present.number != version.number:
-            try:
-                champion = load_verified(registry.download(present, folder))
-            except RegistryUnavailableError:
-                raise
-            except (RegistryError, BundleError) as error:
-                notes.append(f"{present} can not be measured again ({error.what}): recorded metrics count")
-            if champion and (champion.spec.kind, champion.robot) != (bundle.spec.kind, bundle.robot):
-                champion = None
-            if champion or present.number in recorded:
-                against = present.number
-            if champion:
-                recorded.pop(present.number, None)
-                if champion.digest == bundle.digest:
-                    champion = None
-                    notes.append(f"the champion, version {present.number}, is this very bundle")
-    return champion, Bar((), tuple(recorded.values()), tuple(notes), against)
+    except ModelNotFoundError:
+        return None, Bar((), earlier)
+    if present.number == version.number:
+        return None, Bar((), earlier)
+    kept = present.number if present.number in recorded else None
+    try:
+        champion = load_verified(registry.download(present, folder))
+    except RegistryUnavailableError:
+        raise
+    except (RegistryError, BundleError) as error:
+        note = f"{present} can not be measured again ({error.what}): recorded metrics count"
+        return None, Bar((), earlier, (note,), kept)
+    if (champion.spec.kind, champion.robot) != (bundle.spec.kind, bundle.robot):
+        return None, Bar((), earlier, (), kept)
+    others = tuple(one for one in earlier if one.version != present.number)
+    if champion.digest == bundle.digest:
+        note = f"the champion, version {present.number}, is this very bundle"
+        return None, Bar((), others, (note,), present.number)
+    return champion, Bar((), others, (), present.number)
 
 
 def evaluate_version(
