@@ -23,6 +23,8 @@ SCENE_MODELS_EXPERIMENT, SCENE_MODEL_NAME = "cspace-scene-models", "scene-model"
 SCENE_MODEL_FILE = "scene_model.safetensors"
 # The setting that names where artifacts lie that the tracking server does not hand out itself: ``s3://models``.
 ARTIFACT_STORE = "CSPACE_ARTIFACT_STORE"
+# The variable that ``python -m services.local env`` sets in a shell: the API that commands ask.
+API_URL = "CSPACE_API_URL"
 ALIAS_CHALLENGER = "challenger"
 ALIAS_CHAMPION = "champion"
 

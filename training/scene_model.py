@@ -48,8 +48,7 @@ from cspace.worlds.spatial.problems import draw_proposals
 from cspace.worlds.spatial.scenes import draw_layout, scenes_of, seen, waiting
 from cspace.worlds.spatial.view import DepthView
 from cspace.worlds.spatial.world import SpatialWorld, usual
-from services import progress
-from services.commands import report_error
+from services.commands import Progress, report_error
 from services.names import (
     ALIAS_CHALLENGER,
     ALIAS_CHAMPION,
@@ -211,7 +210,7 @@ def draw_all(tasks: Sequence[SceneTask], processes: int) -> None:
     context = multiprocessing.get_context("spawn")
     with (
         ProcessPoolExecutor(processes, mp_context=context) as pool,
-        progress.Progress("scenes", len(todo), _LOG.info, "file") as bar,
+        Progress("scenes", len(todo), _LOG.info, "file") as bar,
     ):
         # The first alone, so that kernels are compiled once.
         pool.submit(make_scenes, todo[0]).result()

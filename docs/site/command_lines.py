@@ -48,7 +48,6 @@ COMMANDS = (
     Command("python -m training.robots", "training.robots.__main__"),
     Command("python -m training.motionbench", "training.motionbench"),
     Command("python -m services.evaluator", "services.evaluator.__main__"),
-    Command("python -m services.evaluator compare", "services.evaluator.__main__", leading=("compare",)),
     Command(
         "python -m services.evaluator recalibrate", "services.evaluator.__main__", leading=("recalibrate",)
     ),

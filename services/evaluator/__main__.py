@@ -13,7 +13,7 @@ from pathlib import Path
 
 from cspace.errors import ConfigError, CspaceError, InputError, ModelNotFoundError
 from services.commands import ANY_SEED, COUNT, report_error, report_result
-from services.evaluator import compare, recalibrate
+from services.evaluator import recalibrate
 from services.evaluator.benchmark.__main__ import main as planning_benchmark
 from services.evaluator.evaluation import BUDGETS, run_metrics
 from services.evaluator.job import Outcome, Request, evaluate_version, executor
@@ -21,10 +21,8 @@ from services.evaluator.report import REPORT_FOLDER, scenes_text, terminal_table
 from services.registry import connect, tracking_uri
 from services.registry.entities import ModelReference
 
-SHIPPED_FOLDER = Path(__file__).parents[2] / "inference_api" / "pretrained"
 COMMANDS: Mapping[str, Callable[[Sequence[str], Mapping[str, str]], int]] = {
     "planning": planning_benchmark,
-    "compare": compare.main,
     "recalibrate": recalibrate.main,
 }
 
@@ -35,7 +33,7 @@ def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] 
     try:
         if given and given[0] in COMMANDS:
             return COMMANDS[given[0]](given[1:], environment)
-        request = make_request(_parser().parse_args(given), environment)
+        request = make_request(_parser().parse_args(given))
         show = partial(print, flush=True)
         outcome = evaluate_version(request, *connect(tracking_uri(environment)), executor(environment), show)
     except CspaceError as error:
@@ -44,7 +42,7 @@ def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] 
     return 0
 
 
-def make_request(options: argparse.Namespace, environment: Mapping[str, str]) -> Request:
+def make_request(options: argparse.Namespace) -> Request:
     """What the options ask for."""
     budget = BUDGETS[options.budget]
     return Request(
@@ -53,9 +51,6 @@ def make_request(options: argparse.Namespace, environment: Mapping[str, str]) ->
         options.seed,
         promote=not options.no_promote,
         data=options.data,
-        shipped=None
-        if options.without_shipped
-        else Path(environment.get("CSPACE_PRETRAINED_MODEL") or SHIPPED_FOLDER),
     )
 
 
@@ -103,8 +98,6 @@ def _parser() -> argparse.ArgumentParser:
     data = "a data set: evaluate on its scenes, not on the version's own"
     add("--data", type=Path, metavar="FOLDER", help=data)
     add("--no-promote", action="store_true", help="record no decision, move no alias")
-    worse = "let a version become the champion that may be worse than the shipped model"
-    add("--without-shipped", action="store_true", help=worse)
     return parser
 
 

@@ -2,8 +2,7 @@
 
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -15,13 +14,11 @@ from cspace.bundle import Bundle, load_verified
 from cspace.dataset import open_dataset
 from cspace.errors import (
     BundleError,
-    ConfigError,
     ModelNotFoundError,
     RegistryError,
     RegistryUnavailableError,
 )
-from cspace.world import World
-from cspace.worlds import robot_digest, simulator_of
+from cspace.worlds import robot_digest
 from services.evaluator.cluster import on_cluster, spread
 from services.evaluator.evaluation import (
     Budget,
@@ -35,7 +32,6 @@ from services.evaluator.evaluation import (
     units,
 )
 from services.evaluator.gate import (
-    SMALLER_IS_BETTER,
     Bar,
     Champion,
     Comparison,
@@ -60,7 +56,7 @@ from services.names import (
     shown_name,
 )
 from services.planner.samples import SampleSource
-from services.registry.entities import ID, SHIPPED, ModelReference, ModelVersion
+from services.registry.entities import ID, ModelReference, ModelVersion
 from services.registry.models import ModelRegistry
 from services.registry.promotion import Decision, champions, record_decision
 from services.registry.tracking import Tracking
@@ -74,8 +70,7 @@ Progress = Callable[[str], None]
 class Request:
     """One evaluation; ``promote`` records the decision and moves the alias.
 
-    ``data`` is a data set whose held-out scenes replace those of the version's own data. Without ``shipped``,
-    the folder of the shipped model, the version is not compared with it.
+    ``data`` is a data set whose held-out scenes replace those of the version's own data.
     """
 
     model: ModelReference
@@ -83,7 +78,6 @@ class Request:
     seed: int = 0
     promote: bool = True
     data: Path | None = None
-    shipped: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -127,121 +121,42 @@ def _sampler(packed: PackedBundle) -> SampleSource:
     return bundle_sampler(packed.load())
 
 
-@dataclass(frozen=True)
-class Rival:
-    """A model to be measured on the same scenes, whose world may have another camera.
+def find_champion(
+    registry: ModelRegistry, version: ModelVersion, bundle: Bundle, folder: Path
+) -> tuple[Bundle | None, Bar]:
+    """The present champion, to be measured on the same scenes, and the bar that lacks this comparison.
 
-    ``version`` is its number, None for the shipped model.
+    Earlier champions of the robot, but those that were rolled back, count with their recorded metrics, and so
+    does a present one that cannot be downloaded into ``folder``.
     """
-
-    name: str
-    world: World
-    packed: PackedBundle
-    version: int | None = None
-
-
-class _Rivals:
-    """Those of a candidate's robot and kind, no bundle twice, and notes on who is left out."""
-
-    def __init__(self, candidate: Bundle) -> None:
-        self.found: list[Rival] = []
-        self.notes: list[str] = []
-        self._candidate, self._seen = candidate, {candidate.digest}
-
-    def add(self, title: str, bundle: Bundle, number: int | None = None) -> bool:
-        """Whether it is of the candidate's robot and kind."""
-        if (bundle.spec.kind, bundle.robot) != (self._candidate.spec.kind, self._candidate.robot):
-            return False
-        if bundle.digest == self._candidate.digest:
-            self.notes.append(f"{title}, is this very bundle")
-        elif bundle.digest not in self._seen:
-            self._seen.add(bundle.digest)
-            self.found.append(Rival(title, bundle.spec.world, PackedBundle.pack(bundle), number))
-        return True
-
-
-def find_rivals(
-    registry: ModelRegistry, version: ModelVersion, bundle: Bundle, shipped: Path | None, folder: Path
-) -> tuple[tuple[Rival, ...], Bar]:
-    """The rivals of a candidate to be measured, and the bar that lacks their comparisons.
-
-    They are the present champion, the best before it and, if its folder ``shipped`` is given, the shipped
-    model. ``folder`` is for downloads.
-    """
-    name, rivals, against = version.name, _Rivals(bundle), None
-    earlier = _earlier_champions(registry, version, bundle, rivals.notes)
-
-    def fetch(number: int, words: str) -> bool:
-        """Whether a version can be measured again."""
-        title = f"version {number}, {words}"
-        try:
-            found = registry.download(registry.version(name, number), folder / str(number))
-            return rivals.add(title, load_verified(found), number)
-        except RegistryUnavailableError:
-            raise
-        except (RegistryError, BundleError) as error:
-            rivals.notes.append(f"{title}, can not be measured again ({error.what}): recorded metrics count")
-            return False
-
-    with suppress(ModelNotFoundError):
-        present = registry.by_alias(name, ALIAS_CHAMPION).number
-        if present != version.number:
-            measured = fetch(present, "the present champion")
-            against = present if measured or present in earlier else None
-            if measured:
-                earlier.pop(present, None)
-    for champion in _best_first(earlier.values(), bundle):
-        if champion.version != against and fetch(champion.version, "the best before it"):
-            del earlier[champion.version]
-            break
-    if shipped is None:
-        rivals.notes.append("not compared with the shipped model, as requested")
-    elif not any(rivals.add("the shipped model", Bundle.load(one)) for one in _shipped(shipped)):
-        rivals.notes.append("no model of this robot and kind is shipped")
-    return tuple(rivals.found), Bar((), tuple(earlier.values()), tuple(rivals.notes), against)
-
-
-def _earlier_champions(
-    registry: ModelRegistry, version: ModelVersion, bundle: Bundle, notes: list[str]
-) -> dict[int, Champion]:
-    """All champions of the robot by number, but those that were rolled back."""
-    earlier = {
+    left = {one.number for one in registry.versions(version.name) if TAG_ROLLED_BACK in one.tags}
+    recorded = {
         decision.version: Champion(decision.version, decision.metrics)
         for decision in champions(registry, version.name)
-        if decision.version != version.number and decision.robot == bundle.robot
+        if decision.version not in {version.number, *left} and decision.robot == bundle.robot
     }
-    for one in reversed(registry.versions(version.name)):
-        left = TAG_ROLLED_BACK in one.tags and ALIAS_CHAMPION not in one.aliases
-        if left and earlier.pop(one.number, None) is not None:
-            day = one.tags[TAG_ROLLED_BACK][:10]
-            notes.append(f"not compared with version {one.number}, which was rolled back on {day}")
-    return earlier
-
-
-def _shipped(folder: Path) -> list[Path]:
-    """The shipped models; those of other robots lie beside the first."""
-    if not folder.is_dir():
-        raise ConfigError(
-            "the shipped model is not here",
-            expected="its bundle",
-            got=str(folder),
-            remedy="set CSPACE_PRETRAINED_MODEL, or do without the comparison: --without-shipped",
-        )
-    beside = (folder.with_name(name) for name in SHIPPED.values())
-    return list(dict.fromkeys([folder, *(one for one in beside if one.is_dir())]))
-
-
-def _best_first(champions: Iterable[Champion], bundle: Bundle) -> list[Champion]:
-    """By their recorded metrics, each counted in the world's margins; those that lack some come last."""
-    measures = simulator_of(bundle.spec.world).measures
-    margins = measures.path_margins if bundle.spec.endpoints else measures.margins
-
-    def rank(champion: Champion) -> tuple[int, float]:
-        there = {name: value for name, value in champion.metrics.items() if name in margins}
-        signs = {name: -1.0 if name in SMALLER_IS_BETTER else 1.0 for name in there}
-        return len(there), sum(signs[name] * value / margins[name] for name, value in there.items())
-
-    return sorted(champions, key=rank, reverse=True)
+    earlier = tuple(recorded.values())
+    try:
+        present = registry.by_alias(version.name, ALIAS_CHAMPION)
+    except ModelNotFoundError:
+        return None, Bar((), earlier)
+    if present.number == version.number:
+        return None, Bar((), earlier)
+    kept = present.number if present.number in recorded else None
+    try:
+        champion = load_verified(registry.download(present, folder))
+    except RegistryUnavailableError:
+        raise
+    except (RegistryError, BundleError) as error:
+        note = f"{present} can not be measured again ({error.what}): recorded metrics count"
+        return None, Bar((), earlier, (note,), kept)
+    if (champion.spec.kind, champion.robot) != (bundle.spec.kind, bundle.robot):
+        return None, Bar((), earlier, (), kept)
+    others = tuple(one for one in earlier if one.version != present.number)
+    if champion.digest == bundle.digest:
+        note = f"the champion, version {present.number}, is this very bundle"
+        return None, Bar((), others, (note,), present.number)
+    return champion, Bar((), others, (), present.number)
 
 
 def evaluate_version(
@@ -273,24 +188,22 @@ def evaluate_version(
             setting = Setting(world, request.seed, request.budget, spec.kind == "path")
             progress(f"evaluating {version}, digest {bundle.digest[:12]}")
             progress(scenes_text(setting))
-            rivals, bar = find_rivals(registry, version, bundle, request.shipped, Path(folder) / "rivals")
-            evaluation = _measure(execute, setting, version, bundle, rivals, progress)
-            compared = tuple(
-                _with_reports(compare(evaluation, rival.name), bundle, rival, tracking)
-                if rival.version == bar.against
-                else compare(evaluation, rival.name)
-                for rival in rivals
-            )
-            verdict = decide(evaluation, replace(bar, comparisons=compared))
+            champion, bar = find_champion(registry, version, bundle, Path(folder) / "champion")
+            rival = f"version {bar.against}, the present champion"
+            evaluation = _measure(execute, setting, str(version), bundle, champion, rival, progress)
+            if champion is not None:
+                compared = _with_reports(compare(evaluation, rival), bundle, champion, tracking)
+                bar = replace(bar, comparisons=(compared,))
+            verdict = decide(evaluation, bar)
             figures = log_evaluation(run, evaluation, verdict, bundle_sampler(bundle))
         if request.promote:
             _record(registry, version, evaluation, verdict, progress)
     return Outcome(version, evaluation, verdict, request.promote, run.run_id, figures)
 
 
-def _with_reports(comparison: Comparison, bundle: Bundle, champion: Rival, tracking: Tracking) -> Comparison:
+def _with_reports(comparison: Comparison, bundle: Bundle, champion: Bundle, tracking: Tracking) -> Comparison:
     """The comparison of a recalibrated version counts the outcomes that it was calibrated by."""
-    predicted = predicted_reports(bundle, champion.packed.load(), tracking)
+    predicted = predicted_reports(bundle, champion, tracking)
     if predicted is None:
         return comparison
     gain = Gain("log loss of reported plans", *predicted)
@@ -300,31 +213,31 @@ def _with_reports(comparison: Comparison, bundle: Bundle, champion: Rival, track
 def _measure(
     execute: Execute,
     setting: Setting,
-    version: ModelVersion,
+    model: str,
     bundle: Bundle,
-    rivals: Iterable[Rival],
+    champion: Bundle | None,
+    rival: str,
     progress: Progress,
 ) -> Evaluation:
-    """The version on all scenes, its rivals on those that decide."""
+    """The version on all scenes, the champion, named ``rival``, on those that decide."""
 
-    def run(work: Sequence[Unit], setting: Setting, packed: PackedBundle) -> Iterator[UnitResult]:
-        for number, result in enumerate(execute(work, setting, packed), start=1):
+    def run(work: Sequence[Unit], setting: Setting, measured: Bundle) -> Iterator[UnitResult]:
+        for number, result in enumerate(execute(work, setting, PackedBundle.pack(measured)), start=1):
             unit = result.unit
             what = f"{unit.task} {unit.family}, {unit.split}"
             progress(f"{number:3d}/{len(work)}  {what}, {unit.count} in {result.seconds:.1f} s")
             yield result
 
-    work = units(setting)
-    results = list(run(work, setting, PackedBundle.pack(bundle)))
-    tables = [table_of(results, str(version))]
-    for rival in rivals:
-        progress(f"measuring {rival.name}, on the same scenes")
-        # The candidate's scenes, seen by the rival's camera.
-        seen = replace(cast("Any", setting.world), sensor=rival.world.sensor)
+    results = list(run(units(setting), setting, bundle))
+    tables = [table_of(results, model)]
+    if champion is not None:
+        progress(f"measuring {rival}, on the same scenes")
+        # The candidate's scenes, seen by the champion's camera.
+        seen = replace(cast("Any", setting.world), sensor=cast("Any", champion.spec.world).sensor)
         theirs = replace(setting, world=seen, budget=replace(setting.budget, narrow_scenarios=0))
-        tables.append(table_of(list(run(deciding(work), theirs, rival.packed)), rival.name))
+        tables.append(table_of(list(run(deciding(units(setting)), theirs, champion)), rival))
     cpu_s = sum(one.seconds for one in results)
-    return Evaluation(setting, str(version), pd.concat(tables, ignore_index=True), cpu_s)
+    return Evaluation(setting, model, pd.concat(tables, ignore_index=True), cpu_s)
 
 
 def _record(

@@ -22,7 +22,7 @@ from services.local.settings import BIN, Settings, make_state, shell_values
 from services.local.stack import POLL_S, SERVICES, Report, up
 from services.names import MLFLOW_TRAINING, MODEL_NAME, label, model_name
 
-EVALUATE = "python -m services.evaluator --model {model} --without-shipped"
+EVALUATE = "python -m services.evaluator --model {model}"
 SERVED_LIMIT_S = 60.0
 PLANNING_SEED = 7
 # What the planner ends with when it found no path: an outcome, which it has printed and drawn.

@@ -12,8 +12,8 @@ from pydantic import Field, ValidationError, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from cspace.errors import ConfigError, StorageError
+from services.names import API_URL
 from services.outcomes import FOLDER as OUTCOMES
-from services.planner.client import API_URL
 
 HOST = "127.0.0.1"
 ROOT = Path(__file__).resolve().parents[2]

@@ -22,7 +22,6 @@ from cspace.world import World
 from cspace.worlds import examples, named_world, simulator_of
 from cspace_client import DEFAULT_TIMEOUT_S, OutcomeSender
 from services.commands import ANY_SEED, COUNT, POSITIVE, SHARE, report_error
-from services.planner.client import SamplingClient, usual_api
 from services.planner.ompl_planner import DEFAULT_UNIFORM_SHARE
 from services.planner.planning import (
     DEFAULT_SAMPLES,
@@ -36,6 +35,7 @@ from services.planner.planning import (
 )
 from services.planner.plotting import check_figure_path, plot_plan, save_figure
 from services.planner.result import LEARNED_PLANNERS, RRT, PlannerSettings
+from services.planner.samples import SamplingClient, usual_api
 from services.scene_files import SceneFile, read_scene_file
 
 WORLDS = examples()

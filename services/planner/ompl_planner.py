@@ -1,4 +1,4 @@
-"""Solving a planning problem with OMPL, with learned samples or with OMPL's own uniform ones.
+"""Solving a planning problem with OMPL or with the project's RRT-Connect, with learned or uniform samples.
 
 OMPL's binding can not replace a planner's state sampler. RRT and RRT* ask a sampleable goal for states, with
 the goal bias as probability. So with learned samples the goal bias is 1, and learned samples, uniform samples
@@ -19,7 +19,10 @@ from ompl import geometric as og
 from ompl import util as ou
 
 from cspace.errors import PlanningError
-from cspace.simulator import Checker, Problem
+from cspace.planning.paths import NOISE_RAD, AlongPaths
+from cspace.planning.rrt_connect import Growth, grow_connect, sampled_states
+from cspace.query import AlternativePath
+from cspace.simulator import Checker, EdgeTest, Problem
 from cspace.space import JointSpace
 from cspace.worlds import checker_of
 from cspace_client.ompl import (
@@ -43,9 +46,8 @@ from services.planner.result import (
     after,
     outcome,
 )
-from services.planner.rrt_connect import connect
 
-__all__ = ["DEFAULT_UNIFORM_SHARE", "solve"]
+__all__ = ["DEFAULT_UNIFORM_SHARE", "solve", "solve_with_paths"]
 
 _ANY_COST = 1e9
 
@@ -107,7 +109,7 @@ def _once(
     keep_tree: bool,
 ) -> PlanResult:
     if settings.planner == SAMPLED_CONNECT:
-        return connect(problem, settings, learned, uniform_share, keep_tree=keep_tree)
+        return _connect(problem, settings, learned, uniform_share, keep_tree=keep_tree)
     space = problem.space
     goal = space.wrap(problem.goal).tolist()
     draws: StateDraws = GoalOnly(goal)
@@ -144,6 +146,79 @@ def _once(
         counts,
         tree=copy_tree(run) if keep_tree else None,
     )
+
+
+def _connect(
+    problem: Problem,
+    settings: PlannerSettings,
+    samples: NDArray[np.float64] | None,
+    uniform_share: float,
+    *,
+    keep_tree: bool = False,
+) -> PlanResult:
+    """The project's RRT-Connect, which draws from given samples, as OMPL's can not."""
+    checker = checker_of(problem.scenario)
+    rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(2,)))
+    states, learned = sampled_states(problem.space, samples, uniform_share, settings.max_iterations, rng)
+    growth = Growth(settings.range_rad, settings.resolution_rad, settings.time_limit_s)
+    grown = grow_connect(checker, problem.start, problem.goal, states, growth)
+    learned_drawn = int(learned[: grown.iterations].sum())
+    counts = Counts(
+        iterations=grown.iterations,
+        edge_checks=grown.edge_checks,
+        state_checks=grown.state_checks,
+        solve_time_s=grown.time_s,
+        learned_drawn=learned_drawn,
+        uniform_drawn=grown.iterations - learned_drawn,
+    )
+    tree = None
+    if keep_tree:
+        children = np.flatnonzero(grown.parents >= 0)
+        edges = np.stack([grown.parents[children], children], axis=1)
+        tree = SearchTree(grown.nodes, edges.astype(np.intp))
+    reason = Reason.TIME_LIMIT if grown.timed_out else Reason.ITERATION_LIMIT
+    return outcome(problem, settings, grown.path, reason, counts, tree=tree)
+
+
+def solve_with_paths(
+    problem: Problem, settings: PlannerSettings, paths: Sequence[AlternativePath]
+) -> PlanResult:
+    """Solves a problem by one of the paths, or by RRT-Connect with configurations around them.
+
+    The checks of the paths are among the result's counts.
+    """
+    test = checker_of(problem.scenario).edge_test(settings.resolution_rad)
+    began, edges, states = time.perf_counter(), 0, 0
+    for candidate in paths:
+        free, looked_at, tried = _checked(test, candidate)
+        edges, states = edges + tried, states + looked_at
+        if free:
+            counts = Counts(edge_checks=edges, state_checks=states, solve_time_s=time.perf_counter() - began)
+            found = outcome(problem, settings, candidate.path, Reason.NO_PATH, counts)
+            if found.solved:
+                return found
+    spent = Counts(edge_checks=edges, state_checks=states, solve_time_s=time.perf_counter() - began)
+    tried_first = outcome(problem, settings, None, Reason.NO_PATH, spent)
+    around = None
+    if paths:
+        rng = np.random.default_rng(settings.seed)
+        along = AlongPaths([candidate.path for candidate in paths], problem.space, rng)
+        around = along.take(len(NOISE_RAD) * along.turn_rows)[0]
+    left_s = max(settings.time_limit_s - spent.solve_time_s, 1e-3)
+    return after(
+        tried_first, _connect(problem, replace(settings, time_limit_s=left_s), around, DEFAULT_UNIFORM_SHARE)
+    )
+
+
+def _checked(test: EdgeTest, candidate: AlternativePath) -> tuple[bool, int, int]:
+    """Whether a path is free, and how many states and edges were checked for that; the least sure first."""
+    looked_at = 0
+    for tried, piece in enumerate(np.argsort(candidate.edges, kind="stable"), start=1):
+        free, count = test(candidate.path[piece], candidate.path[piece + 1])
+        looked_at += count
+        if not free:
+            return False, looked_at, tried
+    return True, looked_at, len(candidate.edges)
 
 
 class GoalOnly:

@@ -16,10 +16,9 @@ from cspace.world import World
 from cspace.worlds import checker_of, default_world, picture_file_of, robot_digest, simulator_of
 from cspace_client import FoundPlan, OutcomeSender, PictureWarning
 from services.names import label, model_name
-from services.planner.client import SamplingClient, usual_api
 from services.planner.ompl_planner import DEFAULT_UNIFORM_SHARE, solve
 from services.planner.result import CHECK_FACTOR, RRT_CONNECT, PlannerSettings, PlanResult, Reason
-from services.planner.samples import SampleBatch, SampleSource
+from services.planner.samples import SampleBatch, SampleSource, SamplingClient, usual_api
 from services.scene_files import read_scene_file
 
 DEFAULT_SAMPLES = 300

@@ -1,21 +1,39 @@
-"""Where samples come from: the port to a source, and bundles in this process."""
+"""Where samples come from: the port to a source, bundles in this process, and the inference API."""
 
+import os
 import time
-from dataclasses import replace
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import Protocol, Unpack
+from typing import Any, Protocol, Self, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ValidationError
 
+import cspace.errors
+import cspace_client
 from cspace.bundle import Bundle, load_verified
 from cspace.bundle.samples import fitted
 from cspace.errors import BundleError, InputError, SamplerError, SamplerUnavailableError, ServiceError
-from cspace.query import MAX_SAMPLES, QueryOptions, SampleQuery, random_seed
+from cspace.query import MAX_SAMPLES, PlanQuery, QueryOptions, SampleQuery, random_seed
 from cspace.world import Examined
-from cspace_client import JointSpace, PictureWarning, SampleBatch, SourceTiming
+from cspace_client import DEFAULT_TIMEOUT_S, FoundPlan, JointSpace, PictureWarning, SampleBatch, SourceTiming
+from cspace_client.models import as_query
+from services.names import API_URL
 
-__all__ = ["BundleSampler", "LocalSampler", "Picture", "SampleBatch", "SampleSource", "SourceTiming"]
+__all__ = [
+    "BundleSampler",
+    "FoundPlan",
+    "LocalSampler",
+    "Picture",
+    "SampleBatch",
+    "SampleSource",
+    "SamplingClient",
+    "SourceTiming",
+    "usual_api",
+]
 
 Picture = bytes | NDArray[np.uint8]
 """A scenario's picture: a PNG file, or uint8 (P, P, 3)."""
@@ -141,3 +159,61 @@ class LocalSampler(BundleSampler):
                 f"the bundle {bundle_folder} can not be used", got=str(error)
             ) from error
         super().__init__(bundle, name=name, version=version, robot=robot)
+
+
+def usual_api() -> str:
+    """The address that the shell names, or that of the default set-up."""
+    return os.environ.get(API_URL) or "http://127.0.0.1:8000"
+
+
+@contextmanager
+def _mapped() -> Iterator[None]:
+    """Raises errors of the client as those of the same names in :mod:`cspace.errors`."""
+    try:
+        yield
+    except cspace_client.ClientError as error:
+        names = (one.__name__ for one in type(error).__mro__)
+        kind = next(
+            getattr(cspace.errors, name) for name in (*names, "CspaceError") if hasattr(cspace.errors, name)
+        )
+        raise kind(error.what, **error.details) from error.__cause__
+    except ValidationError as error:
+        raise cspace.errors.SamplerError("no request has such values", got=str(error)) from error
+
+
+class SamplingClient(SampleSource):
+    """Asks an inference API for samples and paths; options as of the client that it wraps.
+
+    Pictures of depth cameras are files of :func:`cspace.view_file.pack_view`.
+    """
+
+    def __init__(self, url: str, timeout_s: float = DEFAULT_TIMEOUT_S, **options: Any) -> None:
+        with _mapped():
+            self._client = cspace_client.SamplingClient(url, timeout_s, **options)
+
+    def answer(self, picture: Picture, query: SampleQuery, model: str | None = None) -> SampleBatch:
+        """One batch of at most ``query.n`` samples."""
+        # The client has the robot beside its query.
+        values = {one.name: getattr(query, one.name) for one in fields(query) if one.name != "robot"}
+        with _mapped():
+            asked = as_query(cspace_client.SampleQuery, **values)
+            return self._client.answer(picture, asked, model, query.robot)
+
+    def plan(self, picture: Picture, query: PlanQuery, model: str | None = None) -> FoundPlan:
+        """A path, or why there is none."""
+        # A server alone adds the other fields.
+        known = [one.name for one in fields(query) if one.name in cspace_client.PlanQuery.model_fields]
+        values = {name: getattr(query, name) for name in known}
+        with _mapped():
+            asked = as_query(cspace_client.PlanQuery, view=query.views or None, **values)
+            return self._client.plan(picture, asked, model)
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._client.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

@@ -270,19 +270,12 @@ class RunLog:
                 self._ask(f"uploading {key}", upload)
 
     def table(self, columns: Mapping[str, Sequence[Any]], name: str) -> None:
-        """Keep columns of one length as ``tables/<name>.json``, which the UI compares, and as Parquet."""
-        import pyarrow as pa  # noqa: PLC0415 - with pandas, which comes with the whole of mlflow alone
-        from pyarrow import parquet  # noqa: PLC0415 - as above
-
+        """Keep columns of one length as ``tables/<name>.json``, which the UI compares."""
         path = f"tables/{name}.json"
         there = self._ask(f"uploading {path}", lambda: self._client.list_artifacts(self.run_id, "tables"))
         # MLflow would append to one that is there.
         if any(found.path == path for found in there):
             return
-        with tempfile.TemporaryDirectory(prefix="cspace-table-") as folder:
-            whole = Path(folder) / f"{name}.parquet"
-            parquet.write_table(pa.table(dict(columns)), whole)
-            self.artifact(whole, "tables")
         with warnings.catch_warnings():
             # MLflow's use of pandas is nothing that a reader of the log can change.
             warnings.filterwarnings("ignore", "For backward compatibility, 'str' dtypes")

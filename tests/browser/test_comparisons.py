@@ -112,7 +112,7 @@ def test_versions_are_compared_with_the_headline(page: Page, server: str, jobs: 
 def test_a_version_s_page_tells_what_changed(page: Page, server: str, jobs: list[RealJob]) -> None:
     model, _, number = jobs[-1].version.partition("/")
     mlflow_pages.open_version(page, server, model, int(number))
-    seen(page, f"{jobs[-1].version}: not promoted", "Beside the shipped model", "within the interval")
+    seen(page, f"{jobs[-1].version}: not promoted", "uniform beyond the interval")
 
 
 def test_an_evaluation_has_few_metrics_and_says_what_it_is(client: MlflowClient, jobs: list[RealJob]) -> None:

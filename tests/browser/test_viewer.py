@@ -13,17 +13,13 @@ from playwright.sync_api import Page, expect
 from cspace.bundle import write_bundle
 from cspace.bundle.files import read_files
 from cspace.errors import InputError
-from cspace.simulator import Split
-from cspace.worlds import examples, simulator_of
-from cspace.worlds.spatial.view import write_view
-from services.planner.viewer.__main__ import world_of
+from services.planner.viewer import world_of
 from services.registry.models import ModelRegistry
 from services.registry.tracking import Tracking
-from tests.browser.viewer import drop_file, open_viewer, plan_in_viewer, viewer_at
+from tests.browser.viewer import open_viewer, plan_in_viewer, viewer_at
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
 from tests.inference_api.server import api_server
 from tests.space_bundle import SPEC, space_graphs
-from tests.training.data.test_recordings import BASE, only_file, usual
 
 pytestmark = [pytest.mark.browser, pytest.mark.e2e, pytest.mark.timeout(300), *MLFLOW_WARNINGS]
 
@@ -76,25 +72,6 @@ def test_figures_do_not_outlive_their_scene(page: Page, tmp_path: Path) -> None:
             page.get_by_role("textbox", name="seed").fill("3")
             expect(page.get_by_text("Error")).to_be_visible()
             expect(page.get_by_text("confidence of the samples")).to_have_count(0)
-
-
-@pytest.mark.slow
-def test_a_view_file_or_a_recording_is_dropped_on_the_page(page: Page, address: str, tmp_path: Path) -> None:
-    open_viewer(page, address)
-    free = page.get_by_text("collision-free in the true scene")
-    expect(free).to_be_visible()
-    world = examples()["panda"]
-    view = simulator_of(world).problem("table", Split.DEMO, 0).scenario.view()
-    drop_file(page, "one.view", write_view(view))
-    expect(page.get_by_text("No problems found.")).to_be_visible()
-    expect(free).to_have_count(0)
-    # viser's label names no field.
-    page.get_by_text("base frame").locator("xpath=../../..").get_by_role("textbox").fill(BASE)
-    drop_file(page, "bag.mcap", only_file(usual().write(tmp_path / "bag"), ".mcap").read_bytes())
-    # The recorded pictures show no arm.
-    expect(page.get_by_text("arm-elsewhere")).to_be_visible()
-    drop_file(page, "bag.mcap", b"no recording")
-    expect(page.get_by_text("bag.mcap cannot be imported")).to_be_visible()
 
 
 @pytest.mark.slow

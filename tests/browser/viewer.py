@@ -1,6 +1,5 @@
 """The 3D viewer in a browser."""
 
-import base64
 import os
 import subprocess
 import sys
@@ -38,17 +37,3 @@ def plan_in_viewer(page: Page) -> str:
     verdict = page.get_by_text("In the true scene the path is")
     expect(verdict).to_be_visible()
     return verdict.inner_text()
-
-
-def drop_file(page: Page, name: str, content: bytes) -> None:
-    """Drop a file where the page asks for one."""
-    page.get_by_text("Drop a view file").evaluate(
-        """(zone, [name, text]) => {
-            const bytes = Uint8Array.from(atob(text), (one) => one.charCodeAt(0));
-            const data = new DataTransfer();
-            data.items.add(new File([bytes], name));
-            const options = {dataTransfer: data, bubbles: true, cancelable: true};
-            zone.dispatchEvent(new DragEvent("drop", options));
-        }""",
-        [name, base64.b64encode(content).decode()],
-    )

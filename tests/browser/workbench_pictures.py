@@ -15,7 +15,7 @@ from PIL import Image, ImageOps
 from playwright.sync_api import Page, expect
 
 from cspace_client import SamplingClient
-from services.planner.viewer.__main__ import FOCUS_M, Viewer
+from services.planner.viewer import FOCUS_M, Viewer
 from tests.browser.chromium import browser_page
 from tests.browser.viewer import open_viewer, plan_in_viewer, viewer_at
 from tests.browser.workbench import open_bench, plan

@@ -100,7 +100,7 @@ def decided(stack: Stack, trained: Mapping[str, Any]) -> Mapping[str, Any]:
     """What the evaluation job says of that version, which the API serves from then on, without a restart."""
     started = stack.started_at("inference-api")
     reference = f"{trained['model']}/{trained['version']}"
-    decision = stack.result("evaluate", "--model", reference, "--without-shipped")
+    decision = stack.result("evaluate", "--model", reference)
     assert decision["promoted"] is True, decision["reasons"]
     serves_champion(stack, decision)
     assert stack.started_at("inference-api") == started

@@ -13,8 +13,7 @@ from cspace.errors import SamplerError, SamplerUnavailableError
 from cspace.files import encode_png
 from cspace.query import SampleQuery
 from cspace.worlds.planar.arm import TWO_LINK
-from services.planner.client import SamplingClient
-from services.planner.samples import LocalSampler, SampleSource
+from services.planner.samples import LocalSampler, SampleSource, SamplingClient
 from tests.bundles import picture, write_tiny_bundle
 from tests.fakes.sample_server import sample_server
 from tests.fakes.sample_source import FakeSampleSource

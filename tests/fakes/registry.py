@@ -75,7 +75,6 @@ class FakeRunLog(RunLog):
         rows = [list(row) for row in zip(*columns.values(), strict=True)]
         text = json.dumps({"columns": list(columns), "data": rows})
         self._run.artifacts.setdefault(f"tables/{name}.json", text.encode())
-        self._run.artifacts.setdefault(f"tables/{name}.parquet", b"PAR1")
 
     def dataset(self, name: str, digest: str, source: str, context: str) -> None:
         entry = {"name": name, "digest": digest, "source": source, "context": context}

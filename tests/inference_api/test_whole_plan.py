@@ -11,7 +11,7 @@ import pytest
 from cspace_client import OutcomeSender
 from services.planner import __main__ as command
 from services.planner import planning
-from services.planner.client import SamplingClient
+from services.planner.samples import SamplingClient
 from tests.inference_api.client_transports import IntoApp
 
 WHOLE = ["--whole-plan", "--api", "http://localhost", "--family", "uniform", "--seed", "7"]

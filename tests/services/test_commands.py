@@ -1,7 +1,7 @@
 import pytest
 
 from cspace.errors import BundleError, ConfigError, ModelNotFoundError, ScenarioError
-from services.commands import report_error
+from services.commands import Estimate, Progress, report_error, time_left
 
 
 @pytest.mark.parametrize(
@@ -21,3 +21,44 @@ def test_the_exit_code_is_that_of_the_errors_kind(error, code, capsys):
 def test_a_program_tells_its_name(capsys):
     assert report_error(ConfigError("no"), program="search") == 1
     assert capsys.readouterr().err == "search: no\n"
+
+
+class Clock:
+    """Stands still until it is moved."""
+
+    now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def test_progress_is_told_in_lines_where_there_is_no_terminal():
+    lines = []
+    with Progress("planning", 2, lines.append) as progress:
+        progress.advance()
+        progress.advance()
+    assert lines == ["planning: 2/2"]
+
+
+def test_the_estimate_goes_by_the_pace_of_what_this_attempt_has_done():
+    clock = Clock()
+    estimate = Estimate(100, done=50, clock=clock)
+    clock.now += 1.0
+    assert estimate.left(51) == ""
+    clock.now += 9.0
+    assert [estimate.left(done) for done in (50, 60, 100)] == ["", ", about 40 s left", ""]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [
+        (None, ""),
+        (0.0, ", almost done"),
+        (5.1, ", about 10 s left"),
+        (60.0, ", about 60 s left"),
+        (61.0, ", about 2 min left"),
+        (7200.0, ", about 2.0 h left"),
+    ],
+)
+def test_times_are_told_in_round_words(seconds, words):
+    assert time_left(seconds) == words

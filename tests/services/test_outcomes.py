@@ -268,7 +268,7 @@ def test_a_batch_is_parquet_with_each_report_once_its_last_words_and_a_reliabili
     assert digest == done.digest
     assert next(one for one in rows if one.key == ("one", "r0", "plan")).collided is False
     artifacts = tracking.runs[done.run_id].artifacts
-    assert {OUTCOMES_FILE, "figures/reliability.png", "tables/reliability.parquet"} <= set(artifacts)
+    assert {OUTCOMES_FILE, "figures/reliability.png", "tables/reliability.json"} <= set(artifacts)
     table = json.loads(artifacts["tables/reliability.json"])
     assert [line[:3] for line in table["data"]] == [["m/1", "", 1], ["m/1", "cell-4", 40]]
 

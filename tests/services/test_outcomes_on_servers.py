@@ -63,7 +63,7 @@ def test_reports_with_receipts_make_a_version_that_the_gate_promotes(tmp_path, c
         assert evaluator(["recalibrate"], environment) == 2
         assert "1 trusts one client alone" in capsys.readouterr().err
         assert evaluator(["recalibrate", "--most-per-client", "1"], environment) == 0
-        quick = ["--model", f"{NAME}@challenger", "--scenarios", "5", "--without-shipped"]
+        quick = ["--model", f"{NAME}@challenger", "--scenarios", "5"]
         assert evaluator(quick, environment) == 0
         assert "log loss of reported plans" in capsys.readouterr().out
         champion = ModelRegistry(uri).by_alias(NAME, "champion")

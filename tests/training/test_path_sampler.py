@@ -16,10 +16,9 @@ from cspace.worlds import simulator_of
 from cspace.worlds.planar.arm import THREE_LINK, JointLimits, PlanarArm
 from cspace.worlds.planar.problems import Family, draw_problem
 from inference_api.settings import PRETRAINED_FOLDER
-from services.planner.client import SamplingClient
 from services.planner.planning import SampleRequest, plan
 from services.planner.result import PlannerSettings
-from services.planner.samples import LocalSampler
+from services.planner.samples import LocalSampler, SamplingClient
 from tests.bundles import picture, write_tiny_bundle
 from tests.contracts.mlflow_server import mlflow_server
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS

@@ -14,7 +14,7 @@ from cspace.worlds import picture_file_of, picture_of, robot_digest, simulator_o
 from cspace.worlds.spatial.checks import CollisionChecker
 from cspace.worlds.spatial.obstacles import Obstacles
 from cspace.worlds.spatial.world import shipped, usual
-from services.planner.client import SamplingClient
+from services.planner.samples import SamplingClient
 from tests.contracts.mlflow_server import mlflow_server
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
 from tests.inference_api.server import api_server

@@ -14,8 +14,8 @@ from pydantic import ValidationError
 from cspace.dataset import Dataset, open_dataset, require_room
 from cspace.errors import DatasetError, StorageError
 from cspace.files import make_output_folder, replacing
+from services.commands import Progress
 from services.evaluator.cluster import spread
-from services.progress import Progress
 from training.data.config import DatasetConfig, PathDatasetConfig, Shard
 from training.data.configurations import ConfigurationRecipe
 from training.data.paths import PathRecipe

@@ -35,8 +35,7 @@ from cspace.worlds.spatial.hypotheses import HYPOTHESES
 from cspace.worlds.spatial.poses import quaternion_pose
 from cspace.worlds.spatial.view import METRES, rounded_mm
 from cspace.worlds.spatial.world import SpatialWorld, add_options, described
-from services.commands import finite
-from services.progress import Progress
+from services.commands import Progress, finite
 
 _LOG = logging.getLogger(__name__)
 KINDS = (".mcap", ".db3")

@@ -12,7 +12,7 @@ import torch
 from lightning.pytorch.callbacks import ModelCheckpoint
 
 from cspace.errors import RegistryError, RegistryUnavailableError
-from services.progress import Estimate
+from services.commands import Estimate
 from services.registry.errors import retry, set_timeouts
 from services.registry.tracking import RunLog, Tracking
 from training.config import ResourceConfig, TrialSettings

@@ -11,7 +11,7 @@ from cspace.dataset import Dataset
 from cspace.errors import ConfigError
 from cspace.space import JointSpace
 from cspace.world import World
-from services.progress import Progress
+from services.commands import Progress
 from training.config import PathGanConfig, PathTrainConfig
 from training.models.checkpoint import seeded_initialisation, trained
 from training.models.paths import (

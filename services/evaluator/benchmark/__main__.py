@@ -76,7 +76,7 @@ def parser() -> argparse.ArgumentParser:
     what("--split", type=Split, choices=SPLITS, default=Split.VALIDATION)
     each = "of each family (default: 300, without a path 30; of the paper's protocol 10, of plans 30)"
     what("--problems", type=COUNT, help=each)
-    what("--runs", type=COUNT, help="of each problem (default: 1, of the paper's protocol 100, of plans 3)")
+    what("--runs", type=COUNT, help="of each problem (default: 1, of the paper's protocol 100)")
     what("--seed", type=ANY_SEED, default=0, help="of problems, planners and samplers")
     groups = f"names, or groups: {', '.join(Group)} (default: all of the protocol)"
     what("--variants", nargs="+", help=groups)
@@ -88,7 +88,7 @@ def parser() -> argparse.ArgumentParser:
     shares = "of learned samples, above 0 to 1; one variant for each (default: 0.7 1)"
     what("--shares", type=ABOVE_0, nargs="+", default=SHARES, metavar="SHARE", help=shares)
     what("--iterations", type=COUNT, help="after which a search ends (default: 20000)")
-    limit = "default: 10, of the paper's protocol 1, of plans 20"
+    limit = "default: 10, of the paper's protocol 1, of plans 2"
     what("--time-limit", type=POSITIVE, metavar="S", help=limit)
     _add_plan_options(parser.add_argument_group("protocol plans: scenes that depth pictures show in part"))
     how = parser.add_argument_group("how").add_argument

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
-from functools import cache, lru_cache
+from functools import cache, cached_property, lru_cache
 from itertools import product
 from pathlib import Path
 from threading import Thread
@@ -18,16 +18,18 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from cspace.errors import ConfigError, StorageError
 from cspace.files import make_output_folder, write_json
 from cspace.plan import load_kernels
 from cspace.planning.paths import length_rad, spaced
 from cspace.planning.search import find_paths
-from cspace.query import DEFAULT_PATHS, AlternativePath, SampleQuery
+from cspace.query import DEFAULT_PATHS, SampleQuery
 from cspace.simulator import Problem
 from cspace.simulator import Taken as Unseen
 from cspace.worlds import checker_of, partly_seen, picture_file_of
+from services.commands import Progress
 from services.evaluator.benchmark.report import Results, figures
 from services.evaluator.benchmark.sources import Model, SourceSpec, opened, plan_query
 from services.evaluator.benchmark.variants import NO_PROBLEM, Group, Key, Protocol, Setting, Unit, Variant
@@ -35,13 +37,12 @@ from services.evaluator.cluster import on_cluster, spread
 from services.names import EXPERIMENT, NOTE, TAG_STAGE
 from services.planner.ompl_planner import solve
 from services.planner.result import PlanResult
-from services.planner.rrt_connect import solve_with_paths
 from services.planner.samples import SampleBatch
-from services.progress import Progress
 from services.registry.entities import ID
 from services.registry.tracking import Tracking
 
 Row = dict[str, Any]
+FoundPath = NDArray[np.float64] | None
 Show = Callable[[str], None]
 Execute = Callable[[Sequence[Unit], Setting, Sequence[SourceSpec]], Iterator[list[Row]]]
 Shared = tuple[Setting, tuple[SourceSpec, ...]]
@@ -55,7 +56,7 @@ COLUMNS = {
     "solve_s": "float64", "state_check_s": "float64",
     "request_s": "float64", "server_s": "float64", "total_s": "float64",
     "confidence": "float64", "clearance_m": "float64", "meshes_free": "boolean",
-    "search_s": "float64", "score_s": "float64", "as_is": "boolean", "bottleneck_rad": "float64",
+    "search_s": "float64", "score_s": "float64", "bottleneck_rad": "float64",
 }  # fmt: skip
 # Spacing of the states at which a path is checked.
 LOOK_RAD = 0.01
@@ -97,34 +98,33 @@ def _row(setting: Setting, unit: Unit, variant: Variant, run: int) -> Row:
 
 
 class _Case:
-    """A unit's problem, and what its variants share: batches of samples, paths, and prices of a check."""
+    """A unit's problem, and what its variants share."""
 
     def __init__(self, problem: Problem, unit: Unit, setting: Setting, models: dict[str, Model]) -> None:
         self.problem, self.unit, self.setting, self.models = problem, unit, setting, models
-        self.truth = checker_of(problem.scenario)
-        self.seen = self.meshes = None
-        if setting.protocol is Protocol.PLANS:
-            self.seen = partly_seen(setting.world)
-            self.meshes = self.seen.mesh_checker(problem, unit.folder)
-            self.image = problem.scenario.world.read_picture(picture_file_of(problem.scenario))
         self.batch = cache(self._batch)
-        self.paths = cache(self._paths)
+
+    @cached_property
+    def image(self) -> Any:
+        """What the depth cameras saw."""
+        return self.problem.scenario.world.read_picture(picture_file_of(self.problem.scenario))
+
+    @cached_property
+    def meshes(self) -> Any:
+        """Collision checks by meshes, if there are any."""
+        return partly_seen(self.setting.world).mesh_checker(self.problem, self.unit.folder)
 
     def solve(self, variant: Variant, run: int) -> Row:
         """The measured columns of one run."""
         bottleneck_rad = self.problem.bottleneck_rad
         row: Row = {"bottleneck_rad": bottleneck_rad if math.isfinite(bottleneck_rad) else None}
         if variant.group is Group.PLANS:
-            paths, times = self.paths(variant.sampler, variant.unseen)
-            return row | times | self._evaluated(paths)
+            path, columns = self._search(variant.unseen) if variant.unseen else self._ask(variant.sampler)
+            return row | columns | self._evaluated(path)
         settings = self.setting.planner(variant, self.unit.index, run)
         row["state_check_s"] = _state_check_s(self.problem)
-        if variant.sampler is None and variant.unseen is None:
+        if variant.sampler is None:
             result = solve(self.problem, settings)
-        elif variant.group is Group.PATHS:
-            paths, times = self.paths(variant.sampler, variant.unseen)
-            result = solve_with_paths(self.problem, settings, paths)
-            row |= times | {"as_is": result.solved and result.iterations == 0}
         else:
             batch = self.batch(variant.sampler, variant.query(settings.seed))
             result = solve(self.problem, settings, batch.samples, 1.0 - variant.share)
@@ -136,45 +136,42 @@ class _Case:
     def _batch(self, sampler: str, query: SampleQuery) -> SampleBatch:
         return self.models[sampler].sample(self.problem, query)
 
-    def _paths(self, sampler: str | None, unseen: Unseen | None) -> tuple[tuple[AlternativePath, ...], Row]:
-        """The paths of a model, or of a search by a fixed rule, the best first; and their columns."""
-        limit_s = self.setting.plan_limit_s
-        if sampler is not None:
-            query = plan_query(self.problem, self.setting.seed, limit_s)
-            plan, request_s = self.models[sampler].plan(self.problem, query)
-            solved = plan.status == "solved"
-            return plan.alternatives, {
-                "status": plan.status,
-                "confidence": plan.confidence if solved else None,
-                "search_s": 1e-3 * plan.search_ms,
-                "score_s": 1e-3 * plan.score_ms,
-                "request_s": request_s,
-            }
-        assert self.seen is not None and unseen is not None  # noqa: S101, PT018 - of the protocol plans only
-        problem, checkers = self.problem, self.seen.checkers(self.problem, self.image, unseen)
+    def _ask(self, model: str | None) -> tuple[FoundPath, Row]:
+        """A model's path of the highest confidence."""
+        query = plan_query(self.problem, self.setting.seed, self.setting.time_limit_s)
+        plan, request_s = self.models[model or ""].plan(self.problem, query)
+        solved = plan.status == "solved"
+        return plan.path if solved else None, {
+            "status": plan.status,
+            "confidence": plan.confidence if solved else None,
+            "search_s": 1e-3 * plan.search_ms,
+            "score_s": 1e-3 * plan.score_ms,
+            "request_s": request_s,
+        }
+
+    def _search(self, unseen: Unseen) -> tuple[FoundPath, Row]:
+        """The shortest path of a search by a fixed rule for unseen space."""
+        problem = self.problem
+        checkers = partly_seen(self.setting.world).checkers(problem, self.image, unseen)
         load_kernels(checkers[0], problem.start, LOOK_RAD)
-        began, until_s = time.perf_counter(), time.thread_time() + limit_s
+        began, until_s = time.perf_counter(), time.thread_time() + self.setting.time_limit_s
         found = find_paths(checkers, problem.start, problem.goal, DEFAULT_PATHS, self.setting.seed, until_s)
         spent_s = time.perf_counter() - began
-        shortest = sorted(found.paths, key=lambda path: length_rad(path, problem.space))
-        paths = tuple(AlternativePath(path, 1.0, np.ones(len(path) - 1, np.float32)) for path in shortest)
-        status = "solved" if paths else "timeout" if found.late else "refused"
-        return paths, {"status": status, "search_s": spent_s, "request_s": spent_s}
+        shortest = min(found.paths, key=lambda path: length_rad(path, problem.space), default=None)
+        status = "solved" if found.paths else "timeout" if found.late else "refused"
+        return shortest, {"status": status, "search_s": spent_s, "request_s": spent_s}
 
-    def _evaluated(self, paths: Sequence[AlternativePath]) -> Row:
-        """The first path in the true scene."""
-        if not paths:
+    def _evaluated(self, path: FoundPath) -> Row:
+        """A path in the true scene."""
+        if path is None:
             return {"solved": False}
-        path, space = paths[0].path, self.problem.space
-        states = spaced(path, space, LOOK_RAD)
-        row: Row = {
+        states = spaced(path, self.problem.space, LOOK_RAD)
+        return {
             "solved": True,
-            "clearance_m": float(self.truth.clearance(states).min()),
-            "length_rad": length_rad(path, space),
+            "clearance_m": float(checker_of(self.problem.scenario).clearance(states).min()),
+            "length_rad": length_rad(path, self.problem.space),
+            "meshes_free": None if self.meshes is None else bool(self.meshes.valid_batch(states).all()),
         }
-        if self.meshes is not None:
-            row["meshes_free"] = bool(self.meshes.valid_batch(states).all())
-        return row
 
 
 def _of_result(result: PlanResult) -> Row:
@@ -210,7 +207,7 @@ _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 @dataclass(frozen=True)
 class Request:
-    """What a benchmark runs: ``problems`` of each family, ``repeats`` of each where checks are exact.
+    """What a benchmark runs: ``problems`` of each family, ``repeats`` of each but for the protocol plans.
 
     ``pictures`` is (0,) where depth pictures do not matter; ``folder`` holds problems that do not ship.
     """
@@ -231,8 +228,7 @@ class Request:
             if setting.protocol is Protocol.PLANS:
                 for index, seen in product(range(count), (0, *self.pictures)):
                     own = [one for one in self.variants if one.pictured == (seen > 0)]
-                    todo = [(one, run) for one in own for run in range(self.repeats if one.checked else 1)]
-                    yield Unit(family, index, tuple(todo), seen, self.folder)
+                    yield Unit(family, index, tuple((one, 0) for one in own), seen, self.folder)
             else:
                 for index, run in product(range(count), range(self.repeats)):
                     yield Unit(family, index, tuple((one, run) for one in self.variants))
@@ -255,7 +251,7 @@ def run_benchmark(
     rows = sorted((row for row in store.rows() if _key(row) in wanted), key=_key)
     runs = pd.DataFrame(rows, columns=list(COLUMNS)).astype(COLUMNS)
     results = Results(runs, request.setting, request.variants, request.pictures, store.manifest)
-    plots = dict(figures(results))
+    plots = figures(results)
     _write(results, request.out, plots)
     if tracking is not None:
         show(f"logged as run {_log(tracking, results, request, plots)}")

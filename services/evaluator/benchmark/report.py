@@ -1,30 +1,47 @@
-"""The benchmark's results: one long table of estimates, and the report made of it."""
+"""The benchmark's results: estimates with 95 % intervals in one long table, and the report made of it.
+
+Intervals are exact (Clopper-Pearson) for shares and by bootstrap over problems for the rest. Of each problem
+the median over its runs counts; one without success ranks behind all others.
+"""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from itertools import cycle
+from functools import cached_property, partial
+from itertools import product
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from matplotlib import rc_context
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from cspace.errors import EvaluationError
+from cspace.planning.cost import calibration_error
 from cspace.simulator import Taken as Unseen
 from cspace.worlds import partly_seen
-from services.evaluator.benchmark.estimates import WITHIN, Paired, against, confidence_curve, exact, safety
 from services.evaluator.benchmark.variants import NO_PROBLEM, Group, Protocol, Setting, Variant
-from services.evaluator.statistics import Interval
-from services.planner.plotting import INK
+from services.evaluator.statistics import (
+    Floats,
+    Interval,
+    bootstrap_interval,
+    clopper_pearson,
+    difference_interval,
+    point,
+    ratio_of_sums_interval,
+)
 
+WITHIN = 1000
+DEEP_M = 0.01
+QUANTILES = {"median": 0.5, "p90": 0.9}
 HARD = "the hard ones"
+Measures = Iterator[tuple[str, Interval]]
+# One of the values, never between two: halfway to infinity is no number.
+bootstrap = partial(bootstrap_interval, resamples=2000, method="inverted_cdf")
 # The measures that become metrics of the tracking run; its table of variants holds all of them.
 METRICS = (
     "solved", "iterations_median", "edge_checks_median", "iterations_ratio_median", "collide", "more",
-    "calibration_error", "surer_half_collide", "states_ratio_median", "states_ratio_p90",
+    "calibration_error", "surer_half_collide",
 )  # fmt: skip
 _FIRST = (Group.UNIFORM, Group.LEARNED)
 # Variants and measures of each table.
@@ -45,10 +62,6 @@ TABLES: Mapping[str, tuple[tuple[Group, ...], tuple[str, ...]]] = {
         "solved", "refused", "collide", "deep", "meshes", "more", "calibration_error", "request_ms_median",
         "request_ms_p90",
     )),
-    "Paths with exact checks": ((Group.PATHS,), (
-        "solved", "as_is", "state_checks_median", "states_ratio_median", "states_ratio_p90",
-        "request_ms_median", "solve_ms_median", "break_even_state_base_from_us",
-    )),
 }  # fmt: skip
 READING = (
     "Square brackets are 95 % limits: exact for shares, by bootstrap over problems for the rest. Of each "
@@ -59,6 +72,167 @@ READING = (
     "inf never. A path collides where its true clearance, by spheres every 0.01 rad, is not above 0. *More* "
     "is the paired difference to the variant that takes unseen space as free."
 )
+
+
+class Paired:
+    """Runs of a group of problems, with every variant on the same problems equally often.
+
+    Problems that a variant has not run are left out, as are those with fewer runs than others.
+    """
+
+    def __init__(self, runs: pd.DataFrame) -> None:
+        by = ["family", "problem", "run"]
+        counts = runs.groupby(by)["variant"].nunique()
+        complete = counts[counts == runs["variant"].nunique()]
+        each = complete.groupby(level=by[:2]).transform("size")
+        kept = complete[each == each.max()].index
+        if kept.empty:
+            raise EvaluationError("no problem was run by all variants", expected="one or more", got="none")
+        self.repeats = int(each.max())
+        self.problems = len(kept) // self.repeats
+        rows = runs.set_index(by).loc[kept].reset_index()
+        self.by_variant = {str(name): own for name, own in rows.groupby("variant")}
+
+    def values(self, variant: str, column: str) -> Floats:
+        """(P, R) values of a column; nan where a run has none."""
+        found: Floats = self.by_variant[variant][column].to_numpy(dtype=np.float64, na_value=np.nan)
+        return found.reshape(self.problems, self.repeats)
+
+    def solved(self, variant: str) -> NDArray[np.bool_]:
+        """(P, R) whether a run succeeded."""
+        return self.values(variant, "solved").astype(bool)
+
+    def typical(self, variant: str, column: str) -> Floats:
+        """(P,) median over each problem's runs, infinite where most of them fail."""
+        values = np.where(self.solved(variant), self.values(variant, column), np.inf)
+        return np.asarray(np.quantile(values, 0.5, axis=1, method="higher"))
+
+
+def share(flags: pd.Series | NDArray[np.bool_]) -> Interval:
+    """A share with its exact limits."""
+    return clopper_pearson(int(np.sum(flags)), np.size(flags))
+
+
+def quantiles(name: str, values: Floats) -> Measures:
+    """Median and 90th percentile of (P,) values, infinite where they fall among the failures."""
+    for what, quantile in QUANTILES.items():
+        yield f"{name}_{what}", point(float(np.quantile(values, quantile, method="higher")), len(values))
+
+
+def ratios(name: str, values: Floats, base: Floats, rng: np.random.Generator) -> Measures:
+    """Quantiles of (P,) values over those of a base; a failure counts as the largest value of both."""
+    both = np.concatenate([values, base])
+    largest = both[np.isfinite(both)].max(initial=1.0)
+    # A direct connection takes no iteration to speak of; one unit keeps the ratio finite.
+    table = np.clip(np.stack([values, base], axis=1), 1.0, largest)
+    for what, quantile in QUANTILES.items():
+
+        def ratio(rows: Floats, quantile: float = quantile) -> Floats:
+            mine, other = np.moveaxis(np.quantile(rows, quantile, axis=-2), -1, 0)
+            return np.asarray(mine / other)
+
+        yield f"{name}_{what}", bootstrap(table, ratio, rng)
+
+
+def break_even_us(spent: Floats) -> Floats:
+    """The cost of a check, in us, from which on the first of some variants takes less time than each other.
+
+    ``spent`` (..., K, 2) is time without checks, in s, and number of checks of each variant. Returns (...), 0
+    where it always takes less time, infinity where it never does for all costs above some cost.
+    """
+    dearer_s = spent[..., :1, 0] - spent[..., 1:, 0]
+    fewer = spent[..., 1:, 1] - spent[..., :1, 1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        equal_s = np.maximum(dearer_s / fewer, 0.0)
+    same = np.where((fewer == 0.0) & (dearer_s < 0.0), 0.0, np.inf)
+    return np.asarray(1e6 * np.where(fewer > 0.0, equal_s, same).max(axis=-1))
+
+
+def _spent(paired: Paired, variant: str, checks: str) -> Floats:
+    """(P, 2) time without checks, in s, and number of checks, summed over each problem's runs."""
+    request_s, solve_s, price_s, states, count = (
+        np.nan_to_num(paired.values(variant, column))
+        for column in ("request_s", "solve_s", "state_check_s", "state_checks", f"{checks}_checks")
+    )
+    fixed_s = request_s + solve_s - np.minimum(states * price_s, solve_s)
+    return np.stack([fixed_s.sum(axis=1), count.sum(axis=1)], axis=1)
+
+
+def exact(paired: Paired, name: str) -> Measures:
+    """Success, work and time with exact checks."""
+    solved = paired.solved(name)
+    yield "solved", share(solved)
+    yield f"within_{WITHIN}", share(solved & (paired.values(name, "iterations") <= WITHIN))
+    for column in ("iterations", "edge_checks", "state_checks"):
+        yield from quantiles(column, paired.typical(name, column))
+    for column in ("request", "solve", "total"):
+        values_ms = 1e3 * paired.values(name, f"{column}_s")
+        yield from quantiles(f"{column}_ms", values_ms)
+        yield f"{column}_ms_mean", point(float(values_ms.mean()), len(values_ms))
+    if solved.any():
+        length_rad = float(paired.values(name, "length_rad")[solved].mean())
+        yield "length_rad_mean", point(length_rad, paired.problems)
+
+
+def against(paired: Paired, variant: Variant, uniform: Sequence[str], rng: np.random.Generator) -> Measures:
+    """Work against the base, and the costs of a check from which on the variant saves time.
+
+    These costs are over the base and over the best of the uniform variants.
+    """
+    name, base = variant.name, variant.base
+    if base is None or base == name or base not in paired.by_variant:
+        return
+    for column in ("iterations", "edge_checks"):
+        yield from ratios(f"{column}_ratio", paired.typical(name, column), paired.typical(base, column), rng)
+    lengths = np.stack([paired.typical(one, "length_rad") for one in (name, base)])
+    lengths = lengths[:, np.isfinite(lengths).all(axis=0)]
+    if lengths.size:
+        yield "length_ratio", ratio_of_sums_interval(lengths[0], lengths[1], rng)
+    for checks, (what, others) in product(("edge", "state"), (("base", [base]), ("best", uniform))):
+        spent = np.stack([_spent(paired, one, checks) for one in (name, *others)], axis=1)
+        found = bootstrap(spent, lambda rows: break_even_us(rows.sum(axis=-3)), rng)
+        yield f"break_even_{checks}_{what}_from_us", found
+
+
+def safety(paired: Paired, variant: Variant, rng: np.random.Generator) -> Measures:
+    """How often paths without exact checks exist and collide."""
+    own = paired.by_variant[variant.name]
+    paths = own[own["solved"]]
+    yield "solved", share(own["solved"])
+    yield "refused", share(own["status"] == "refused")
+    if len(paths):
+        yield "collide", share(paths["clearance_m"] <= 0.0)
+        yield "deep", share(paths["clearance_m"] <= -DEEP_M)
+    if (looked := paths["meshes_free"].dropna()).size:
+        yield "meshes", share(~looked.to_numpy(dtype=bool))
+    base = paired.by_variant.get(variant.base or "")
+    if base is not None and variant.name != variant.base:
+        both = own["solved"].to_numpy() & base["solved"].to_numpy()
+        if both.any():
+            mine, others = ((one["clearance_m"] <= 0.0).to_numpy()[both].astype(float) for one in (own, base))
+            yield "more", difference_interval(mine, others, rng)
+    for column in ("search", "score", "request"):
+        yield from quantiles(f"{column}_ms", 1e3 * paired.values(variant.name, f"{column}_s"))
+    curve = confidence_curve(own)
+    if len(curve):
+        yield "surer_half_collide", share(curve["collides"][: max(1, len(curve) // 2)])
+        error = calibration_error(curve["confidence"].to_numpy(), ~curve["collides"].to_numpy())
+        yield "calibration_error", point(error, len(curve))
+
+
+def confidence_curve(runs: pd.DataFrame) -> pd.DataFrame:
+    """What collides if only the paths of the highest confidence are answers, from all runs of one model.
+
+    One row for each path by falling confidence: ``confidence``, ``collides``, the ``answered`` share of the
+    problems down to here, and the share of these that collides, ``collide``.
+    """
+    found = runs[runs["confidence"].notna()].sort_values("confidence", ascending=False, kind="stable")
+    curve = pd.DataFrame(
+        {"confidence": found["confidence"], "collides": found["clearance_m"] <= 0.0}
+    ).reset_index(drop=True)
+    curve["answered"] = np.arange(1, len(curve) + 1) / max(1, len(runs))
+    curve["collide"] = curve["collides"].expanding().mean()
+    return curve
 
 
 def metric_name(name: str) -> str:
@@ -93,38 +267,39 @@ class Results:
         return found
 
     @cached_property
+    def paired(self) -> dict[str, Paired]:
+        """The runs of each group of problems, paired."""
+        return {group: Paired(runs) for group, runs in self.groups.items()}
+
+    @cached_property
     def summary(self) -> pd.DataFrame:
         """The estimates as one long table."""
         rows = [
             (group, variant, measure, interval, interval.estimate, interval.low, interval.high)
-            for number, (group, runs) in enumerate(self.groups.items())
-            for variant, measure, interval in self._estimates(group, runs, [self.setting.seed, number])
+            for number, (group, paired) in enumerate(self.paired.items())
+            for variant, measure, interval in self._estimates(group, paired, [self.setting.seed, number])
         ]
         if not rows:
             raise EvaluationError("no problem was run by all variants", expected="one or more", got="none")
         columns = ["family", "variant", "measure", "interval", "value", "low", "high"]
         return pd.DataFrame(rows, columns=columns)
 
-    def _estimates(
-        self, group: str, runs: pd.DataFrame, seed: list[int]
-    ) -> Iterator[tuple[str, str, Interval]]:
+    def present(self, paired: Paired) -> list[Variant]:
+        """The variants of a group of problems."""
+        return [one for one in self.variants if one.name in paired.by_variant]
+
+    def _estimates(self, group: str, paired: Paired, seed: list[int]) -> Iterator[tuple[str, str, Interval]]:
         """Variant, measure and estimate of a group of problems."""
-        rng = np.random.default_rng(seed)
-        for kinds in (_FIRST, (Group.PLANS,), (Group.PATHS,)):
-            own = runs[runs["group"].isin(kinds)]
-            if own.empty:
-                continue
-            paired = Paired(own)
-            present = [one for one in self.variants if one.name in paired]
-            uniform = [one.name for one in present if one.group is Group.UNIFORM]
-            for one in present:
-                if one.group is Group.PLANS:
-                    measures = list(safety(paired, one, rng))
-                else:
-                    measures = list(exact(paired, one))
-                    if group not in self.setting.families.unsolvable:
-                        measures += against(paired, one, uniform, rng)
-                yield from ((one.name, *measure) for measure in measures)
+        rng, present = np.random.default_rng(seed), self.present(paired)
+        uniform = [one.name for one in present if one.group is Group.UNIFORM]
+        for one in present:
+            if one.group is Group.PLANS:
+                measures = list(safety(paired, one, rng))
+            else:
+                measures = list(exact(paired, one.name))
+                if group not in self.setting.families.unsolvable:
+                    measures += against(paired, one, uniform, rng)
+            yield from ((one.name, *measure) for measure in measures)
 
     def metrics(self) -> dict[str, float]:
         """Finite values for the tracking run, as in ``narrow/RRT_path_70/iterations_ratio_median``."""
@@ -186,83 +361,57 @@ def _sections(tables: Mapping[str, pd.DataFrame]) -> Iterator[str]:
         yield f"## {heading}\n\n{table.to_markdown(index=False, disable_numparse=True)}"
 
 
-# Told apart by most eyes, and in print by their lightness (after Okabe and Ito).
-_COLOURS = ("#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
-_STYLE: dict[Any, Any] = {"font.size": 9, "axes.grid": True, "grid.color": "#e6e8ec", "axes.axisbelow": True}
-_BESIDE: dict[str, Any] = {
-    "loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "frameon": False, "fontsize": 8,
-}  # fmt: skip
-_LINES = ("-", "--", ":", "-.")
+def figures(results: Results) -> dict[str, Figure]:
+    """The figure of the results, with its name."""
+    if results.setting.protocol is Protocol.PLANS:
+        return {"safety": _safety(results)}
+    return {"success": _success(results)}
 
 
-def figures(results: Results) -> Iterator[tuple[str, Figure]]:
-    """Every figure that the runs have content for, with its name."""
-    with rc_context(_STYLE):
-        for name, plot, groups in (
-            ("success", _success, {Group.UNIFORM, Group.LEARNED}),
-            ("safety", _safety, {Group.PLANS}),
-        ):
-            found = {}
-            for group, runs in results.groups.items():
-                own = runs[runs["group"].isin(groups)]
-                if len(own) and own["solved"].any():
-                    found[group] = Paired(own)
-            if found:
-                yield name, plot(found, results)
-
-
-def _panels(rows: int, columns: int, width: float = 4.2) -> tuple[Figure, Any]:
-    figure = Figure(figsize=(width * columns + 2.0, 3.4 * rows), dpi=110, layout="constrained")
+def _panels(rows: int, columns: int) -> tuple[Figure, Any]:
+    figure = Figure(figsize=(4.2 * columns + 2.0, 3.4 * rows), dpi=110, layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False)
 
 
-def _looks(paired: Paired, results: Results) -> dict[str, dict[str, Any]]:
-    """Colour and line of each variant of a panel; uniform ones are black."""
-    shown = [one for one in results.variants if one.name in paired]
-    uniform, learned = cycle(_LINES), cycle([(c, line) for line in _LINES for c in _COLOURS])
-    looks = {}
-    for one in shown:
-        colour, line = (INK, next(uniform)) if one.sampler is None else next(learned)
-        looks[one.name] = {"color": colour, "linestyle": line, "label": one.name}
-    return looks
+def _legend(axes: Any) -> None:
+    axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=8)
 
 
-def _success(found: dict[str, Paired], results: Results) -> Figure:
+def _success(results: Results) -> Figure:
     """Share solved against iterations, edge checks and whole time, a row for each family."""
     shown = (("iterations", 1.0, "iterations"), ("edge_checks", 1.0, "edge checks"), ("total_s", 1e3, "ms"))
-    figure, grid = _panels(len(found), 3)
-    for row, (family, paired) in zip(grid, found.items(), strict=True):
+    figure, grid = _panels(len(results.paired), 3)
+    for row, (family, paired) in zip(grid, results.paired.items(), strict=True):
         for axes, (column, scale, label) in zip(row, shown, strict=True):
-            for name, look in _looks(paired, results).items():
-                solved = paired.solved(name)
-                taken = np.sort(scale * paired.values(name, column)[solved])
+            for one in results.present(paired):
+                solved = paired.solved(one.name)
+                taken = np.sort(scale * paired.values(one.name, column)[solved])
                 shares = np.arange(1, len(taken) + 1) / solved.size
-                axes.step(np.maximum(taken, 1e-3), shares, where="post", **look)
+                # Uniform samples are dashed.
+                line = "--" if one.sampler is None else "-"
+                axes.step(np.maximum(taken, 1e-3), shares, line, where="post", label=one.name)
             axes.set(xscale="log", xlabel=label, ylim=(-0.02, 1.02))
         row[0].set_ylabel(f"{family}\nshare solved")
-        row[-1].legend(**_BESIDE)
+        _legend(row[-1])
     return figure
 
 
-def _safety(found: dict[str, Paired], results: Results) -> Figure:
+def _safety(results: Results) -> Figure:
     """Share of colliding paths against answered problems: a curve for each model, a mark for each rule."""
-    sources = {
-        name: one for name, one in found.items() if name.partition(",")[0] in set(results.runs["source"])
-    }
-    figure, grid = _panels(1, len(sources))
-    for axes, (group, paired) in zip(grid[0], sources.items(), strict=True):
-        for one in (one for one in results.variants if one.name in paired):
-            own = paired.of(one.name)
+    sources = set(results.runs["source"])
+    found = {name: one for name, one in results.paired.items() if name.partition(",")[0] in sources}
+    figure, grid = _panels(1, len(found))
+    for axes, (group, paired) in zip(grid[0], found.items(), strict=True):
+        for one in results.present(paired):
+            own = paired.by_variant[one.name]
             if one.sampler is not None:
                 curve = confidence_curve(own)
                 axes.plot(curve["answered"], curve["collide"], label=one.name)
             elif one.unseen is not Unseen.KNOWN and own["solved"].any():
                 collide = (own["clearance_m"][own["solved"]] <= 0.0).mean()
                 axes.plot(own["solved"].mean(), collide, "o", label=one.name)
-        axes.set(
-            title=f"{group} picture(s)\n{paired.problems} problems", xlabel="share of the problems answered"
-        )
-        axes.set(xlim=(0.0, 1.02), ylim=(0.0, None))
+        title = f"{group} picture(s)\n{paired.problems} problems"
+        axes.set(title=title, xlabel="share of the problems answered", xlim=(0.0, 1.02), ylim=(0.0, None))
     grid[0][0].set_ylabel("share of the paths that collide")
-    grid[0][-1].legend(**_BESIDE)
+    _legend(grid[0][-1])
     return figure

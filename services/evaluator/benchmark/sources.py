@@ -13,14 +13,13 @@ from PIL import Image, PngImagePlugin
 
 from cspace.bundle import Bundle, load_verified
 from cspace.errors import ConfigError, SamplerError, SamplerUnavailableError
-from cspace.query import DEFAULT_PATHS, AlternativePath, Plan, PlanQuery, SampleQuery
+from cspace.query import DEFAULT_PATHS, Plan, PlanQuery, SampleQuery
 from cspace.simulator import UNIFORM, Problem, Split
 from cspace.world import World
 from cspace.worlds import picture_file_of, robot_digest, simulator_of
 from services.evaluator.scenes import PackedBundle
-from services.planner.client import FoundPlan, SamplingClient
 from services.planner.planning import between_ends
-from services.planner.samples import BundleSampler, SampleBatch
+from services.planner.samples import BundleSampler, FoundPlan, SampleBatch, SamplingClient
 
 # A server's first plan may wait for its compiler.
 _TIMEOUT_S = 60.0
@@ -175,13 +174,11 @@ def _client(url: str, world: World) -> SamplingClient:
 
 def _plan_of(found: FoundPlan) -> Plan:
     """An API's plan as a bundle's."""
-    paths = (AlternativePath(one.path, one.confidence, one.edges) for one in found.alternatives or ())
     return Plan(
         found.status,
         found.path,
         confidence=found.confidence,
         edges=found.edges,
-        alternatives=tuple(paths),
         search_ms=found.timing_ms.search,
         score_ms=found.timing_ms.score,
     )

@@ -167,7 +167,7 @@ def test_a_path_model_is_not_judged_without_problems(stores, tmp_path):
 def commanded(stores, monkeypatch):
     """The command finds these stores where MLflow would be, and asks for little."""
     monkeypatch.setattr(command, "connect", lambda uri: stores)
-    monkeypatch.setattr(command, "make_request", lambda options, _: request(options.model, promote=False))
+    monkeypatch.setattr(command, "make_request", lambda options: request(options.model, promote=False))
     return stores
 
 

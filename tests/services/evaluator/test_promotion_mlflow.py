@@ -27,20 +27,19 @@ def test_the_imported_shipped_model_is_judged_and_a_worsened_copy_is_refused(tmp
     with mlflow_server(tmp_path / "mlflow") as uri:
         environment = {"MLFLOW_TRACKING_URI": uri}
 
-        def evaluate(folder, number, *options):
+        def evaluate(folder, number):
             assert models.main(["models", "import", str(folder), MODEL_NAME], environment) == 0
-            assert evaluator.main(["--model", f"{MODEL_NAME}/{number}", *options], environment) == 0
+            assert evaluator.main(["--model", f"{MODEL_NAME}/{number}"], environment) == 0
             printed = capsys.readouterr().out
             assert "evaluated on scenes of the planar world with 3 discs" in printed
             return json.loads(printed.splitlines()[-1].removeprefix("RESULT "))
 
         first = evaluate(PRETRAINED_FOLDER, 1)
         assert first["promoted"], first["reasons"]
-        assert "the shipped model, is this very bundle" in first["reasons"]
         unfiltered = copy_of_shipped(tmp_path / "unfiltered", confidence_threshold=0.0)
         noisy = copy_of_shipped(tmp_path / "noisy", noise=0.1)
-        for number, bundle, options in ((2, unfiltered, []), (3, noisy, ["--without-shipped"])):
-            result = evaluate(bundle.folder, number, *options)
+        for number, bundle in ((2, unfiltered), (3, noisy)):
+            result = evaluate(bundle.folder, number)
             assert not result["promoted"]
             (worse,) = [reason for reason in result["reasons"] if reason.startswith("worse than version 1")]
             assert "precision" in worse

@@ -6,9 +6,8 @@ from scipy.stats import mannwhitneyu
 
 from cspace.query import AlternativePath
 from cspace.worlds.planar.checks import CollisionChecker
-from services.planner.ompl_planner import solve
+from services.planner.ompl_planner import solve, solve_with_paths
 from services.planner.result import RRT_CONNECT, SAMPLED_CONNECT, PlannerSettings
-from services.planner.rrt_connect import solve_with_paths
 
 
 def settings(seed=1, **changes):

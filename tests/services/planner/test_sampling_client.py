@@ -6,7 +6,7 @@ import pytest
 
 import cspace.errors
 from cspace.query import PlanQuery, SampleQuery
-from services.planner.client import SamplingClient
+from services.planner.samples import SamplingClient
 from tests.fakes.sample_server import read_form, sample_answer
 
 PNG = b"\x89PNG picture"

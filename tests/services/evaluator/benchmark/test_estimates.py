@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from cspace.errors import EvaluationError
-from services.evaluator.benchmark.estimates import break_even_us, confidence_curve, ratios
 from services.evaluator.benchmark.job import NO_PROBLEM
+from services.evaluator.benchmark.report import break_even_us, confidence_curve, ratios
 from services.evaluator.benchmark.variants import Protocol
 
 UNIFORM, LEARNED = "RRT, uniform", "RRT, model, 70 %"
 MODEL, FREE, KNOWN = "model", "unseen is free", "truth everywhere"
-CONNECT, PATHS = "RRT-Connect, uniform", "RRT-Connect, paths of model"
 GROUP = "MotionBenchMaker, 1"
 MS = 1e-3
 
@@ -133,23 +132,3 @@ def test_plans_collide_by_paths_and_are_compared_where_both_solve(four):
     curve = confidence_curve(four.runs[four.runs["variant"] == MODEL])
     np.testing.assert_allclose(curve["collide"], [0.0, 0.0, 1 / 3])
     assert "1 problems are left out" in four.markdown([])
-
-
-def test_exact_checks_are_compared_with_uniform_rrt_connect_by_the_median_of_a_problems_runs(results_of):
-    rows = []
-    for variant, request_s, counts in ((CONNECT, 0.0, (100, 200, 1000)), (PATHS, 0.01, (50, 100, 100))):
-        for problem, count in enumerate(counts):
-            for run, factor in enumerate((1, 1, 9)):
-                states = factor * count
-                rows.append(
-                    {"variant": variant, "problem": problem, "run": run, "pictures": int(variant == PATHS),
-                     "iterations": states, "edge_checks": states, "state_checks": states, "as_is": run == 0,
-                     "solve_s": 2e-6 * states, "state_check_s": 1e-6, "request_s": request_s}
-                )  # fmt: skip
-    paths = found(results_of(rows, Protocol.PLANS), PATHS, GROUP)
-    # Over uniform's 200 and, between 200 and 1000, 840.
-    assert [paths[f"states_ratio_{name}"] for name in ("median", "p90")] == pytest.approx([0.5, 100 / 840])
-    assert paths["as_is"] == pytest.approx(1 / 3)
-    # Half of what a search takes are its checks.
-    fixed_us = 1e6 * (9 * 0.01 + 1e-6 * 11 * 250 - 1e-6 * 11 * 1300)
-    assert paths["break_even_state_base_from_us"] == pytest.approx(fixed_us / (11 * 1050))

@@ -76,7 +76,7 @@ def test_a_benchmark_leaves_table_report_figures_and_a_run(tmp_path, setting, ma
     assert not frame.loc[frame["family"] == "disconnected", "solved"].any()
     (run,) = tracking.runs.values()
     assert run.status == "FINISHED"
-    assert set(run.artifacts) == names | {"tables/variants.json", "tables/variants.parquet"}
+    assert set(run.artifacts) == names | {"tables/variants.json"}
     assert (run.tags["protocol"], run.tags["stage"]) == ("families", "planning-benchmark")
     assert run.tags["mlflow.note.content"] == results.note()
     assert run.params["samplers.way"] == make_request(tmp_path, setting).specs[0].digest

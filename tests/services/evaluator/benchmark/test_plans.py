@@ -18,7 +18,7 @@ from tests.inference_api.server import api_server
 from tests.space_bundle import write_space_bundle
 
 PLANS = ("--protocol", "plans", "--robot", "panda")
-SMALL = (*PLANS, "--family", "motionbench_table_pick", "--problems", "2", "--pictures", "1", "--runs", "1")
+SMALL = (*PLANS, "--family", "motionbench_table_pick", "--problems", "2", "--pictures", "1")
 
 
 def options(tmp_path, *given):
@@ -76,25 +76,21 @@ def test_a_benchmark_of_plans_leaves_its_files_and_goes_on_where_it_was_stopped(
     assert any("3 units to do" in line for line in lines)
     assert (out / "figures/safety.png").stat().st_size > 10_000
     frame = pd.read_parquet(out / "runs.parquet").set_index(["variant", "problem"])
-    # Six variants without exact checks and three with them.
-    assert len(frame) == 2 * (6 + 3)
+    assert len(frame) == 2 * 6
     known = frame.loc[Taken.KNOWN.value]
     assert known["solved"].all()
     assert (known["clearance_m"] > -0.005).all()
-    paths, uniform = frame.loc["RRT-Connect, paths of the truth"], frame.loc["RRT-Connect, uniform"]
-    assert paths["solved"].all()
-    assert (paths["state_checks"] < uniform["state_checks"].max()).all()
     assert not frame.loc[Taken.OCCUPIED.value]["solved"].any()
     (run,) = tracking.runs.values()
     assert "MotionBenchMaker_1/tiny/solved" in run.history
-    assert "## Paths with exact checks: MotionBenchMaker, 1" in (out / "report.md").read_text()
+    assert "## Plans without exact checks: MotionBenchMaker, 1" in (out / "report.md").read_text()
 
 
 @pytest.mark.e2e
 @pytest.mark.slow
 def test_a_model_behind_the_api_plans_as_its_bundle_does(tmp_path):
     # A family of the project's own: MotionBenchMaker's has limits that a served model does not know.
-    small = (*PLANS, "--family", "table", "--problems", "2", "--pictures", "1", "--runs", "1")
+    small = (*PLANS, "--family", "table", "--problems", "2", "--pictures", "1")
     bundle, out = write_space_bundle(tmp_path / "bundle"), tmp_path / "out"
     with api_server(tmp_path, {"CSPACE_PRETRAINED_MODEL": str(bundle)}) as url:
         given = [

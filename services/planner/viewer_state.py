@@ -19,11 +19,11 @@ CHECK_RAD, POINTS_AT_MOST, EXPECTED_FROM = 0.005, 8000, 0.5
 
 
 class Samples(NamedTuple):
-    """Samples (n, d) rad, and whether each is free in the true scene if that is known."""
+    """Samples (n, d) rad, and whether each is free in the true scene."""
 
     rows: Floats
     confidence: NDArray[np.float32]
-    free: NDArray[np.bool_] | None
+    free: NDArray[np.bool_]
     novelty: float | None
     unseen: float | None
 
@@ -35,7 +35,6 @@ class SceneState:
         self.api, self.world, self.model = api, world, model
         self.simulator, self.arm = simulator_of(world), cast("Any", world).body
         self.families = tuple(name for name in self.simulator.families.names if name != UNIFORM)
-        self.opened: Any = None
         family, seed = EXAMPLES["table-top"]
         self.problem = self.simulator.problem(family, Split.DEMO, seed)
 
@@ -44,20 +43,8 @@ class SceneState:
         """Obstacles, cameras and the arm's state."""
         return self.problem.scenario
 
-    @property
-    def view(self) -> Any:
-        """What depth cameras saw: of the opened file, or of the scene."""
-        return self.scene.view() if self.opened is None else self.opened
-
-    def open(self, data: bytes) -> None:
-        """Replaces the scene by a view file; the arm starts where it was."""
-        self.opened = cast("Any", self.world).view(data)
-        if known := [state for state in self.opened.states if state is not None]:
-            self.problem = replace(self.problem, start=np.asarray(known[-1]))
-
     def draw(self, family: str, seed: int) -> None:
         """Takes the problem of a family and a seed."""
-        self.opened = None
         self.problem = self.simulator.problem(family, Split.DEMO, seed)
 
     def change(self, **parts: Any) -> None:
@@ -81,13 +68,13 @@ class SceneState:
 
     def pictures(self) -> DepthPictures:
         """What the cameras see, as the API takes it."""
-        view, fields = self.view, ("fx", "fy", "cx", "cy", "pose")
+        view, fields = self.scene.view(), ("fx", "fy", "cx", "cy", "pose")
         cameras = [{name: one.to_dict()[name] for name in fields} for one in view.cameras]
         return DepthPictures(view.pictures, cameras, view.state)
 
     def points_m(self) -> Floats:
         """What the cameras read, (N, 3) m in the base frame, thinned out."""
-        view = self.view
+        view = self.scene.view()
         clouds = [
             camera.points_m(depth / 1000.0).reshape(-1, 3)[(depth > 0).reshape(-1)]
             for camera, depth in zip(view.cameras, view.pictures, strict=True)
@@ -96,21 +83,12 @@ class SceneState:
 
     def unseen_m(self) -> Floats:
         """The unknown space in reach, (N, 3) m in the base frame, thinned out."""
-        return _thinned(cast("Any", self.world).unseen_m(self.view))
+        return _thinned(cast("Any", self.world).unseen_m(self.scene.view()))
 
     def expected(self) -> tuple[Floats, NDArray[np.float32], float]:
         """Centres (N, 3) m of cells in which something is expected, its probability (N,), a cell's side."""
         found = self.api.belief(self.pictures(), self.model)
         return found.centres_m(EXPECTED_FROM), found.cells[found.cells >= EXPECTED_FROM], found.cell_m
-
-    def findings(self) -> str:
-        """What the doctor says of the pictures."""
-        found = self.api.doctor(self.pictures(), self.model)
-        lines = [f"{one.code}: {one.seen}; {one.effect}. Remedy: {one.remedy}." for one in found.verdicts]
-        for pose in found.poses:
-            moved = f"{100 * pose.offset_m:.1f} cm and {pose.turn_deg:.1f} degrees away"
-            lines.append(f"picture {pose.picture}: a pose {moved} fits better")
-        return "\n".join([*(lines or ["No problems found."]), *found.notes])
 
     def sample(self, count: int, seed: int = 0) -> Samples:
         """Unfiltered samples with their confidence and the scene's own verdict."""
@@ -119,7 +97,7 @@ class SceneState:
         rows = np.asarray(batch.samples, dtype=np.float64)
         scored = self.api.validity(shown, rows, self.model)
         unseen = None if scored.unseen is None else float(np.mean(scored.unseen))
-        free = None if self.opened is not None else self.simulator.checker(self.scene).valid_batch(rows)
+        free = self.simulator.checker(self.scene).valid_batch(rows)
         return Samples(rows, scored.confidence, free, batch.novelty, unseen)
 
     def plan(self, min_confidence: float, seed: int = 0) -> tuple[FoundPlan, str]:
@@ -130,16 +108,12 @@ class SceneState:
         path = found.path
         if len(path) < 2:
             return found, f"{found.status}: {found.reason}"
-        if self.opened is not None:
-            return found, f"Confidence {found.confidence:.0%}. The true scene is unknown."
         hits = int(self.blocked(path).sum())
         truth = "collision-free" if hits == 0 else f"in collision on {hits} of {len(path) - 1} edges"
         return found, f"Confidence {found.confidence:.0%}. In the true scene the path is {truth}."
 
     def blocked(self, path: Floats) -> NDArray[np.bool_]:
-        """Which edges (M - 1,) of a path (M, d) collide in the true scene; none where it is unknown."""
-        if self.opened is not None:
-            return np.zeros(len(path) - 1, dtype=np.bool_)
+        """Which edges (M - 1,) of a path (M, d) collide in the true scene."""
         return ~self.simulator.checker(self.scene).edge_batch(path[:-1], path[1:], CHECK_RAD)
 
 

@@ -1,4 +1,4 @@
-"""Shows the scene: obstacles, cameras and what they read, both ends, samples by confidence."""
+"""Panels of the page: the scene with samples by confidence, and the planned path."""
 
 import html
 from collections.abc import Callable
@@ -11,17 +11,20 @@ import trimesh
 import viser
 import viser.transforms as vtf
 
-from services.planner.viewer.state import EXAMPLES, Floats
+from cspace.planning.paths import spread_points
+from services.planner.viewer_state import EXAMPLES, Floats
 
 GREY, START, GOAL = (150, 150, 155), (70, 120, 200), (60, 160, 90)
 UNSEEN, EXPECTED = (200, 190, 230), (120, 60, 200)
 LOW, HIGH = np.array([200, 40, 40]), np.array([40, 170, 80])
 SAMPLES_AT_MOST = 200
 NOVEL = 0.95
+ALONG, COLLISION = (230, 150, 40), (220, 30, 30)
+FRAMES = 200
 
 
 def as_text(text: str) -> str:
-    """HTML that shows a text as it is: parts of it come from files of others."""
+    """HTML that shows a text as it is: names of models and errors come from others."""
     style = "margin:0 1em;font-size:0.85em;white-space:pre-wrap;overflow-wrap:anywhere"
     return f'<p style="{style}">{html.escape(text)}</p>'
 
@@ -91,7 +94,6 @@ class ScenePanel:
 
     def _draw(self) -> None:
         self.state.draw(self.family.value, int(self.seed.value))
-        self.viewer.uploads.forget()
         self.show_ends()
         self.show()
 
@@ -101,21 +103,20 @@ class ScenePanel:
         with suppress(KeyError):
             scene.remove_by_name("/scene")
         self.viewer.plan.forget()
-        obstacles, is_drawn = state.scene.obstacles, state.opened is None
-        for at, box in enumerate(obstacles.boxes if is_drawn else ()):
+        obstacles = state.scene.obstacles
+        for at, box in enumerate(obstacles.boxes):
             size_m = 2.0 * np.asarray(box.half_m)
             self._movable(scene.add_box(f"/scene/box {at}", GREY, size_m, **_placed(box.pose)), "boxes", at)
-        for at, one in enumerate(obstacles.cylinders if is_drawn else ()):
+        for at, one in enumerate(obstacles.cylinders):
             name, height_m = f"/scene/cylinder {at}", 2.0 * one.half_length_m
             round_ = scene.add_cylinder(name, one.radius_m, height_m, GREY, **_placed(one.pose))
             self._movable(round_, "cylinders", at)
-        for at, camera in enumerate(state.view.cameras):
+        for at, camera in enumerate(state.scene.cameras):
             field, aspect = 2.0 * np.arctan2(camera.height / 2.0, camera.fy), camera.width / camera.height
             frustum = scene.add_camera_frustum(
                 f"/scene/camera {at}", float(field), aspect, scale=0.12, **_placed(camera.pose)
             )
-            if is_drawn:
-                self._movable(frustum, "cameras", at)
+            self._movable(frustum, "cameras", at)
         self.show_samples()
 
     def _movable(self, shape: Any, kind: str, at: int) -> None:
@@ -158,7 +159,7 @@ class ScenePanel:
         scene.add_line_segments("/scene/samples", segments.reshape(-1, 2, 3), colours, thickness=0.004)
         shares = {
             "confidence of the samples": float(np.mean(found.confidence)),
-            "collision-free in the true scene": None if found.free is None else float(np.mean(found.free)),
+            "collision-free in the true scene": float(np.mean(found.free)),
             "of the arm in unknown space": found.unseen,
             "novelty of the pictures": found.novelty,
         }
@@ -199,3 +200,50 @@ class ScenePanel:
         vertices, faces = mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32)
         places = upright, centres_m.astype(np.float32)
         self.server.scene.add_batched_meshes_simple(name, vertices, faces, *places, **look)
+
+
+class PlanPanel:
+    """Controls and drawing of a path."""
+
+    def __init__(self, viewer: Any) -> None:
+        self.viewer, self.state, self.server = viewer, viewer.state, viewer.server
+        gui = self.server.gui
+        self.path = np.empty((0, self.state.world.space.dim))
+        with gui.add_folder("Plan"):
+            self.least = gui.add_slider("min. confidence", 0.0, 1.0, 0.01, 0.5)
+            button = gui.add_button("Plan a path", color="green")
+            self.along: Any = gui.add_slider("along the path", 0.0, 1.0, 1.0 / FRAMES, 0.0, disabled=True)
+            self.verdict = gui.add_html(as_text("No path yet."))
+        button.on_click(lambda _: viewer.guarded(self.show))
+        self.along.on_update(lambda _: self._show_along())
+
+    def forget(self) -> None:
+        """Removes the path of another problem."""
+        self.path, self.along.disabled = self.path[:0], True
+        self.verdict.content = as_text("No path yet.")
+        with suppress(KeyError):
+            self.server.scene.remove_by_name("/path")
+
+    def show(self) -> None:
+        """Asks for a path, checks it in the true scene, and draws it."""
+        self.forget()
+        found, verdict = self.state.plan(float(self.least.value))
+        self.verdict.content = as_text(verdict)
+        if found.contact is not None:
+            place = np.asarray(found.contact.position_m)
+            self.server.scene.add_icosphere("/path/contact", 0.03, COLLISION, position=place)
+        if len(found.path) < 2:
+            return
+        self.path = spread_points(np.asarray(found.path), FRAMES + 1, self.state.world.space)
+        hand = self.state.arm.joint_positions_m(self.path)[:, -1]
+        segments = np.stack([hand[:-1], hand[1:]], axis=1)
+        blocked = self.state.blocked(self.path)[:, None, None]
+        colours = np.broadcast_to(np.where(blocked, COLLISION, ALONG).astype(np.uint8), segments.shape)
+        self.server.scene.add_line_segments("/path/hand", segments, colours, thickness=0.008)
+        self.along.disabled = False
+        self._show_along()
+
+    def _show_along(self) -> None:
+        if len(self.path):
+            at = round(float(self.along.value) * (len(self.path) - 1))
+            self.viewer.scene.show_arm("/path/arm", self.path[at], ALONG)

@@ -1,4 +1,4 @@
-"""Whom a candidate is measured beside: champions of its robot and the shipped model, no more than three."""
+"""Whom a candidate is measured beside: the present champion of its robot."""
 
 from functools import cache
 from pathlib import Path
@@ -11,8 +11,7 @@ from cspace.errors import ModelNotFoundError
 from cspace.worlds import robot_digest
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
 from cspace.worlds.planar.world import PlanarWorld
-from inference_api.settings import PRETRAINED_FOLDER
-from services.evaluator.job import find_rivals
+from services.evaluator.job import find_champion
 from services.names import MODEL_NAME
 from services.registry.promotion import Decision, promote, record_decision, roll_back
 from tests.bundles import write_tiny_bundle
@@ -55,30 +54,27 @@ def register(registry, tiny):
 
 @pytest.fixture
 def rivals_of(registry, tmp_path):
-    """The rivals of a version that is registered."""
+    """The champion that a registered version is measured beside, and the bar."""
 
-    def find(number, shipped=None):
+    def find(number):
         version = registry.version(MODEL_NAME, number)
         bundle = Bundle.load(registry.download(version, Path(mkdtemp(dir=tmp_path)) / "candidate"))
-        return find_rivals(registry, version, bundle, shipped, Path(mkdtemp(dir=tmp_path)))
+        champion, bar = find_champion(registry, version, bundle, Path(mkdtemp(dir=tmp_path)) / "champion")
+        return champion and champion.digest, bar
 
     return find
 
 
-def names(rivals):
-    return [rival.name for rival in rivals]
+def recorded(bar):
+    return [champion.version for champion in bar.recorded]
 
 
-def test_the_present_champion_and_the_best_before_it_are_measured_and_the_others_recorded(
-    register, rivals_of
-):
-    for number, precision in ((1, 0.8), (2, 0.9), (3, 0.7), (4, 0.85), (5, None)):
+def test_the_present_champion_is_measured_and_earlier_ones_are_recorded(registry, register, rivals_of):
+    for number, precision in ((1, 0.8), (2, 0.9), (3, 0.7), (4, None)):
         register(number, precision)
-    rivals, bar = rivals_of(5)
-    assert names(rivals) == ["version 4, the present champion", "version 2, the best before it"]
-    assert [champion.version for champion in bar.recorded] == [1, 3]
-    assert bar.against == 4
-    assert bar.notes == ("not compared with the shipped model, as requested",)
+    digest, bar = rivals_of(4)
+    assert digest == registry.version(MODEL_NAME, 3).digest
+    assert (recorded(bar), bar.against, bar.notes) == ([1, 2], 3, ())
 
 
 @pytest.mark.parametrize("damage", [None, b"no graph"])
@@ -98,41 +94,34 @@ def test_a_champion_whose_bundle_is_gone_or_damaged_is_compared_by_its_record_wh
         return found
 
     registry.download = failing
-    rivals, bar = rivals_of(2)
-    assert (names(rivals), [one.version for one in bar.recorded], bar.against) == ([], [1], 1)
-    assert "version 1, the present champion, can not be measured again" in bar.notes[0]
+    digest, bar = rivals_of(2)
+    assert (digest, recorded(bar), bar.against) == (None, [1], 1)
+    assert "/1 can not be measured again" in bar.notes[0]
 
 
-def test_a_version_that_was_rolled_back_is_no_bar_any_more(registry, register, rivals_of):
+def test_a_version_that_was_rolled_back_is_no_bar_until_it_is_promoted_again(registry, register, rivals_of):
     for number, precision in ((1, 0.7), (2, 0.8), (3, 0.99)):
         register(number, precision)
     roll_back(registry, MODEL_NAME, "worse in the field")
     register(4)
-    rivals, bar = rivals_of(4)
-    assert names(rivals) == ["version 2, the present champion", "version 1, the best before it"]
-    assert bar.recorded == ()
-    (note,) = (note for note in bar.notes if "version 3" in note)
-    assert note.startswith("not compared with version 3, which was rolled back on 20")
+    _, bar = rivals_of(4)
+    assert (bar.against, recorded(bar)) == (2, [1])
     promote(registry, registry.version(MODEL_NAME, 3), "it was the camera")
-    assert names(rivals_of(4)[0]) == ["version 3, the present champion", "version 2, the best before it"]
+    _, bar = rivals_of(4)
+    assert (bar.against, recorded(bar)) == (3, [1, 2])
 
 
-@pytest.mark.parametrize(
-    ("how", "expected"), [({}, ["the shipped model"]), ({"robot": THREE_LINK}, []), ({"kind": "path"}, [])]
-)
-def test_the_shipped_model_is_a_rival_of_its_robot_and_kind_alone(register, rivals_of, how, expected):
-    register(1, **how)
-    rivals, bar = rivals_of(1, PRETRAINED_FOLDER)
-    assert names(rivals) == expected
-    assert (bar.notes == ("no model of this robot and kind is shipped",)) is (not expected)
-
-
-def test_no_bundle_is_its_own_rival_or_one_twice(registry, register, rivals_of, tiny):
+@pytest.mark.parametrize("how", [{"robot": THREE_LINK}, {"kind": "path"}])
+def test_a_champion_of_another_robot_or_kind_is_no_rival(register, rivals_of, how):
     register(1, 0.9)
-    shipped = tiny(1, TWO_LINK)
-    registry.register(MODEL_NAME, shipped.folder, "another run", shipped.digest, {})
-    rivals, bar = rivals_of(2, shipped.folder)
-    assert rivals == ()
-    assert bar.notes[-1] == "the shipped model, is this very bundle"
-    register(3)
-    assert names(rivals_of(3, shipped.folder)[0]) == ["version 1, the present champion"]
+    register(2, **how)
+    assert rivals_of(2)[0] is None
+
+
+def test_no_bundle_is_its_own_rival(registry, register, rivals_of, tiny):
+    register(1, 0.9)
+    same = tiny(1, TWO_LINK)
+    registry.register(MODEL_NAME, same.folder, "another run", same.digest, {})
+    digest, bar = rivals_of(2)
+    assert (digest, recorded(bar), bar.against) == (None, [], 1)
+    assert bar.notes == ("the champion, version 1, is this very bundle",)
