@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.bundle import Bundle, load_verified
-from cspace.bundle.samples import fitted
+from cspace.bundle.spec import fitted
 from cspace.errors import BundleError, InputError, SamplerError, SamplerUnavailableError, ServiceError
 from cspace.query import MAX_SAMPLES, QueryOptions, SampleQuery, random_seed
 from cspace.world import Examined
