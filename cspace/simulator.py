@@ -355,7 +355,7 @@ class Simulator(ABC):
         """Where base, joints and tip are drawn at configurations (N, d) rad, (N, k, 2)."""
 
 
-class Taken(StrEnum):
+class UnseenPolicy(StrEnum):
     """What a planner takes the space to be that no picture shows; what is seen stays as it is seen."""
 
     FREE = "unseen is free"

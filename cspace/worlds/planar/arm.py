@@ -9,7 +9,7 @@ from pydantic import Field, StrictBool
 from cspace.errors import ScenarioError
 from cspace.space import MIN_RANGE_RAD, JointSpace, is_range
 from cspace.strict_json import Record, read_object, validated, written
-from cspace.world import Levers
+from cspace.world import LinkSamplePoints
 from cspace.worlds.planar.camera import Camera, Length
 
 _KIND = "planar_arm"
@@ -94,8 +94,10 @@ TWO_LINK = PlanarArm()
 THREE_LINK = PlanarArm(link_lengths_m=(1.6, 1.4, 1.0))
 
 
-def levers(robot: PlanarArm, camera: Camera, points_per_link: int, side_m: float) -> Levers:
-    """See :meth:`cspace.world.World.levers`."""
+def link_sample_points(
+    robot: PlanarArm, camera: Camera, points_per_link: int, side_m: float
+) -> LinkSamplePoints:
+    """See :meth:`cspace.world.World.link_sample_points`."""
     sides = [-side_m, 0.0, side_m] if side_m > 0.0 else [0.0]
     along, beside = _reaches(robot, points_per_link, np.asarray(sides, dtype=np.float32))
     points = along.shape[1]
@@ -107,7 +109,7 @@ def levers(robot: PlanarArm, camera: Camera, points_per_link: int, side_m: float
     left = -camera.x_min_m / (camera.x_max_m - camera.x_min_m)
     top = camera.y_max_m / (camera.y_max_m - camera.y_min_m)
     origin = np.repeat(np.asarray([left, top], dtype=np.float32), points)
-    return Levers(np.concatenate([across, down], axis=1), origin)
+    return LinkSamplePoints(np.concatenate([across, down], axis=1), origin)
 
 
 def _reaches(

@@ -25,8 +25,7 @@ from cspace.plan import load_kernels
 from cspace.planning.paths import length_rad, spaced
 from cspace.planning.search import find_paths
 from cspace.query import DEFAULT_PATHS, AlternativePath, SampleQuery
-from cspace.simulator import Problem
-from cspace.simulator import Taken as Unseen
+from cspace.simulator import Problem, UnseenPolicy
 from cspace.worlds import checker_of, partly_seen, picture_file_of
 from services.evaluator.benchmark.report import Results, figures
 from services.evaluator.benchmark.sources import Model, SourceSpec, opened, plan_query
@@ -136,7 +135,9 @@ class _Case:
     def _batch(self, sampler: str, query: SampleQuery) -> SampleBatch:
         return self.models[sampler].sample(self.problem, query)
 
-    def _paths(self, sampler: str | None, unseen: Unseen | None) -> tuple[tuple[AlternativePath, ...], Row]:
+    def _paths(
+        self, sampler: str | None, unseen: UnseenPolicy | None
+    ) -> tuple[tuple[AlternativePath, ...], Row]:
         """The paths of a model, or of a search by a fixed rule, the best first; and their columns."""
         limit_s = self.setting.plan_limit_s
         if sampler is not None:

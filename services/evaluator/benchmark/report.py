@@ -13,7 +13,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from cspace.errors import EvaluationError
-from cspace.simulator import Taken as Unseen
+from cspace.simulator import UnseenPolicy
 from cspace.worlds import partly_seen
 from services.evaluator.benchmark.estimates import WITHIN, Paired, against, confidence_curve, exact, safety
 from services.evaluator.benchmark.variants import NO_PROBLEM, Group, Protocol, Setting, Variant
@@ -256,7 +256,7 @@ def _safety(found: dict[str, Paired], results: Results) -> Figure:
             if one.sampler is not None:
                 curve = confidence_curve(own)
                 axes.plot(curve["answered"], curve["collide"], label=one.name)
-            elif one.unseen is not Unseen.KNOWN and own["solved"].any():
+            elif one.unseen is not UnseenPolicy.KNOWN and own["solved"].any():
                 collide = (own["clearance_m"][own["solved"]] <= 0.0).mean()
                 axes.plot(own["solved"].mean(), collide, "o", label=one.name)
         axes.set(

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from cspace.errors import ConfigError, DatasetError
-from cspace.simulator import Taken
+from cspace.simulator import UnseenPolicy
 from inference_api.settings import PRETRAINED_FOLDER
 from services.evaluator.benchmark import __main__ as command
 from services.evaluator.benchmark.__main__ import make_request, parser
@@ -78,13 +78,13 @@ def test_a_benchmark_of_plans_leaves_its_files_and_goes_on_where_it_was_stopped(
     frame = pd.read_parquet(out / "runs.parquet").set_index(["variant", "problem"])
     # Six variants without exact checks and three with them.
     assert len(frame) == 2 * (6 + 3)
-    known = frame.loc[Taken.KNOWN.value]
+    known = frame.loc[UnseenPolicy.KNOWN.value]
     assert known["solved"].all()
     assert (known["clearance_m"] > -0.005).all()
     paths, uniform = frame.loc["RRT-Connect, paths of the truth"], frame.loc["RRT-Connect, uniform"]
     assert paths["solved"].all()
     assert (paths["state_checks"] < uniform["state_checks"].max()).all()
-    assert not frame.loc[Taken.OCCUPIED.value]["solved"].any()
+    assert not frame.loc[UnseenPolicy.OCCUPIED.value]["solved"].any()
     (run,) = tracking.runs.values()
     assert "MotionBenchMaker_1/tiny/solved" in run.history
     assert "## Paths with exact checks: MotionBenchMaker, 1" in (out / "report.md").read_text()
