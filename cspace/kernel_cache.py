@@ -1,4 +1,4 @@
-"""``numba.njit`` whose cache may be read only, and that compiles again when a kernel that is called changes."""
+"""``numba.njit`` whose cache may be read only, and that compiles again when a called kernel changes."""
 
 import hashlib
 import pickle
@@ -12,8 +12,8 @@ import numba.core.caching
 
 _caching: Any = numba.core.caching
 # Numba looks at a kernel's own file alone, and so would keep what it calls in other files as it was.
-_FILES = sorted(Path(__file__).parent.rglob("*.py"))
-_SOURCES = hashlib.sha256(b"".join(path.read_bytes() for path in _FILES)).hexdigest()
+_FILES = (path.read_bytes() for path in sorted(Path(__file__).parent.rglob("*.py")))
+_SOURCES = hashlib.sha256(b"".join(data for data in _FILES if b"njit" in data)).hexdigest()
 # A full disk leaves files that end too early.
 _UNREADABLE = (OSError, EOFError, pickle.UnpicklingError)
 
@@ -48,7 +48,12 @@ class _Cache(_caching.FunctionCache):  # type: ignore[misc]
 
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
         # Numba pickles what a closure holds, which for kernels differs from process to process.
-        return sig, codegen.magic_tuple(), _SOURCES, repr(_closure(self._py_func))
+        constants = {
+            name: value
+            for name, value in self._py_func.__globals__.items()
+            if isinstance(value, bool | int | float)
+        }
+        return sig, codegen.magic_tuple(), _SOURCES, repr(constants), repr(_closure(self._py_func))
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         with suppress(*_UNREADABLE):

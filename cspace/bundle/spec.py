@@ -152,12 +152,19 @@ class BundleSpec:
         values = adapter_of(BundleSpec).dump_python(self) | {"schema_version": SCHEMA_VERSION} | self._derived
         for name in _LOOKS:
             del values[name]
-        return json_text(values, "the bundle's description", BundleIntegrityError).encode()
+        return json_text(values).encode()
 
     @classmethod
     def from_json(cls, data: bytes) -> "BundleSpec":
         """Parse and validate ``bundle.json``; every key is required and no other is allowed."""
-        members = _members(data)
+        members = read_json(data, SPEC_FILE, BundleIntegrityError)
+        if (version := members.pop("schema_version", None)) != SCHEMA_VERSION:
+            raise BundleIntegrityError(
+                "the bundle's schema is another",
+                expected=f"schema_version {SCHEMA_VERSION}",
+                got=repr(version)[:200],
+                remedy="use the release of cspace-sampler that wrote the bundle, or export it again",
+            )
         derived = {name: members.pop(name, None) for name in _DERIVED}
         seen = derived["conditions"] if isinstance(derived["conditions"], list) else ()
         members = {name: condition in seen for name, condition in _LOOKS.items()} | members
@@ -174,19 +181,6 @@ class BundleSpec:
 # What follows from the other members.
 _DERIVED = ("joint_space", "image", "conditions")
 _LOOKS = {"looks_at_picture": PICTURE, "looks_at_map": MAP}
-
-
-def _members(data: bytes) -> dict[str, Any]:
-    """The members of a description without the version of its schema."""
-    members = read_json(data, SPEC_FILE, BundleIntegrityError)
-    if (version := members.pop("schema_version", None)) != SCHEMA_VERSION:
-        raise BundleIntegrityError(
-            "the bundle's schema is another",
-            expected=f"schema_version {SCHEMA_VERSION}",
-            got=repr(version)[:200],
-            remedy="use the release of cspace-sampler that wrote the bundle, or export it again",
-        )
-    return members
 
 
 def fitted(query: SampleQuery, spec: BundleSpec, *, has_validity: bool) -> SampleQuery:
