@@ -1,10 +1,11 @@
-"""Calls a function on what a stranger sent, in a worker process that the kernel bounds.
+"""Calls a function on untrusted files in a worker process that the kernel bounds.
 
 Descriptions of robots, meshes, recordings and bundles are read here. Their readers then need no bounds of
 their own: whatever a file makes them do ends at the limits of memory, time and output. ``python -m
 cspace.bounded`` is the worker.
 """
 
+import ctypes
 import errno
 import importlib
 import json
@@ -13,12 +14,11 @@ import resource
 import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from cspace import errors
 from cspace.errors import CspaceError, ServiceError
@@ -36,14 +36,14 @@ _ENVIRONMENT = (
     "VIRTUAL_ENV",
     "NUMBA_CACHE_DIR",
 )
-_THREADS = {
+_SETTINGS = {
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
     "ORT_DISABLE_TELEMETRY": "1",
     "MPLBACKEND": "agg",
 }
-_FIELDS = ("what", "expected", "got", "remedy")
 _STARTED = b"started\n"
+_DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,78 +69,43 @@ def call(
     error: type[CspaceError],
     remedy: str | None = None,
 ) -> Any:
-    """The function's result; what it prints is printed here."""
-    environment = {name: os.environ[name] for name in _ENVIRONMENT if name in os.environ} | _THREADS
+    """The function's result, of arguments that JSON can hold; what it prints goes to standard error."""
+    environment = {name: os.environ[name] for name in _ENVIRONMENT if name in os.environ} | _SETTINGS
     environment["PYTHONPATH"] = os.pathsep.join(place for place in sys.path if place)
-    name = f"{_module_of(function)}:{function.__qualname__}"
-    reading, writing = os.pipe()
-    command = [sys.executable, "-P", "-m", "cspace.bounded", name, json.dumps(asdict(limits)), str(writing)]
+    main = sys.modules["__main__"].__spec__
+    module = main.name if function.__module__ == "__main__" and main else function.__module__
+    job = json.dumps([module, function.__qualname__, arguments, asdict(limits)]).encode()
     try:
-        with (
-            os.fdopen(reading, "rb") as results,
-            os.fdopen(writing, "wb") as theirs,
-            subprocess.Popen(
-                command, stdin=subprocess.PIPE, env=environment, pass_fds=[writing], process_group=0
-            ) as worker,
-        ):
-            theirs.close()
-            # It ends when its standard input does: with this process, however that ends.
-            timer = threading.Timer(START_S + limits.wall_s, worker.kill)
-            timer.start()
-            try:
-                assert worker.stdin is not None  # noqa: S101 - for the type checker
-                with suppress(BrokenPipeError):
-                    worker.stdin.write(json.dumps(arguments).encode() + b"\n")
-                    worker.stdin.flush()
-                answer = results.read()
-                worker.wait()
-            finally:
-                timer.cancel()
-                worker.kill()
-    except OSError as problem:
-        raise ServiceError(f"{what} cannot be read: no process starts", got=problem.strerror) from None
-    if not answer.startswith(_STARTED):
-        raise ServiceError(
-            f"{what} cannot be read: its process ended before it began", got=f"status {worker.returncode}"
+        worker = subprocess.run(
+            [sys.executable, "-P", "-m", "cspace.bounded"],
+            input=job,
+            stdout=subprocess.PIPE,
+            env=environment,
+            timeout=START_S + limits.wall_s,
+            process_group=0,
+            check=False,
         )
-    return _result(answer[len(_STARTED) :], worker.returncode, limits, what, error, remedy)
-
-
-def _result(
-    answer: bytes, status: int, limits: Limits, what: str, error: type[CspaceError], remedy: str | None
-) -> Any:
-    found: dict[str, Any] = json.loads(answer) if answer else {"limit": _limit_of(status, limits)}
+        status, answer = worker.returncode, worker.stdout
+    except subprocess.TimeoutExpired as problem:
+        status, answer = -signal.SIGALRM, problem.stdout or b""
+    if not answer.startswith(_STARTED):
+        raise ServiceError(f"{what} cannot be read: its process did not start", got=f"status {status}")
+    found = json.loads(answer.removeprefix(_STARTED) or b"{}")
     if "result" in found:
         return found["result"]
     if "kind" in found:
-        kind: type[CspaceError] = getattr(errors, found["kind"])
-        raise kind(found["what"], **{name: found[name] for name in _FIELDS[1:]})
-    raise error(
-        f"{what} needs more than it may have", expected=str(limits), got=found["limit"], remedy=remedy
+        raise getattr(errors, found["kind"])(found["what"], **found["details"])
+    got = {
+        -signal.SIGXCPU: f"no end within {limits.cpu_s} s of a core",
+        -signal.SIGALRM: f"no end within {limits.wall_s:g} s",
+    }.get(
+        status, found.get("limit", f"its process ended with status {status}, most likely for want of memory")
     )
-
-
-def _limit_of(status: int, limits: Limits) -> str:
-    """The limit that ended a worker."""
-    if status == -signal.SIGXCPU:
-        return f"no end within {limits.cpu_s} s of a core"
-    if status == -signal.SIGALRM:
-        return f"no end within {limits.wall_s:g} s"
-    return f"its process ended with status {status}, most likely for want of memory"
-
-
-def _module_of(function: Callable[..., Any]) -> str:
-    if function.__module__ != "__main__":
-        return function.__module__
-    spec = sys.modules["__main__"].__spec__
-    assert spec is not None  # noqa: S101 - commands are run by python -m
-    return spec.name
+    raise error(f"{what} needs more than it may have", expected=str(limits), got=got, remedy=remedy)
 
 
 def _limit_resources(limits: Limits) -> None:
     """Bound this process for good."""
-    # Ctrl-C is the parent's to handle.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGALRM})
     held = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
@@ -161,39 +126,31 @@ def _limit_resources(limits: Limits) -> None:
     signal.setitimer(signal.ITIMER_REAL, limits.wall_s)
 
 
-def _end_with_parent() -> None:
-    sys.stdin.buffer.read()
-    os._exit(1)
-
-
-def _main(name: str, limits_json: str, results: str) -> NoReturn:
-    module, _, qualname = name.partition(":")
+def _main() -> None:
+    ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL)
+    module, qualname, arguments, limits = json.load(sys.stdin)
     # Their memory is not the file's.
     function = getattr(importlib.import_module(module), qualname)
-    arguments = json.loads(sys.stdin.buffer.readline())
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    with os.fdopen(int(results), "wb") as writing:
-        writing.write(_STARTED)
-        writing.flush()
-        limits = Limits(**json.loads(limits_json))
-        _limit_resources(limits)
+    with os.fdopen(os.dup(1), "wb") as results:
+        os.dup2(2, 1)
+        results.write(_STARTED)
+        results.flush()
+        _limit_resources(Limits(**limits))
         try:
             found = {"result": function(*arguments)}
         except CspaceError as problem:
-            found = {"kind": type(problem).__name__, **{field: getattr(problem, field) for field in _FIELDS}}
-        except (MemoryError, RecursionError) as problem:
-            found = {"limit": f"{type(problem).__name__} beyond {limits.memory_bytes // 2**20} MiB"}
-        except OSError as problem:
-            if problem.errno != errno.EFBIG:
-                raise
-            found = {"limit": f"a file of more than {limits.file_bytes} bytes"}
+            details = {"expected": problem.expected, "got": problem.got, "remedy": problem.remedy}
+            found = {"kind": type(problem).__name__, "what": problem.what, "details": details}
         except ImportError as problem:
-            found = {"kind": "ServiceError", "what": "a library is missing", "expected": None}
-            found |= {"got": f"no package {problem.name}", "remedy": f"pip install {problem.name}"}
-        sys.stdout.flush()
-        writing.write(json.dumps(found).encode())
+            details = {"got": f"no package {problem.name}", "remedy": f"pip install {problem.name}"}
+            found = {"kind": "ServiceError", "what": "a library is missing", "details": details}
+        except (MemoryError, RecursionError, OSError) as problem:
+            if isinstance(problem, OSError) and problem.errno != errno.EFBIG:
+                raise
+            found = {"limit": str(problem) or type(problem).__name__}
+        results.write(json.dumps(found).encode())
     os._exit(0)
 
 
 if __name__ == "__main__":
-    _main(*sys.argv[1:])
+    _main()

@@ -49,34 +49,27 @@ class Manifest:
         """The text of ``manifest.json``."""
         content = adapter_of(Manifest).dump_python(self)
         content |= {"schema_version": SCHEMA_VERSION, "digest": self.digest}
-        return json_text(content, MANIFEST_FILE, DatasetError)
+        return json_text(content)
 
     @classmethod
     def read(cls, folder: Path) -> "Manifest":
         """Read and check a folder's manifest."""
         path = folder / MANIFEST_FILE
-        members = _read_members(path)
+        remedy = "see docs/data.md for the format, python -m training.data import for own data"
+        data = read_bounded(path, MAX_MANIFEST_BYTES, DatasetError, remedy=remedy)
+        members = read_json(data, str(path), DatasetError)
+        if (version := members.pop("schema_version", None)) != SCHEMA_VERSION:
+            raise DatasetError(
+                f"{path} is of another schema",
+                expected=f"schema_version {SCHEMA_VERSION}",
+                got=repr(version)[:200],
+                remedy="generate or import the data again with this release",
+            )
         digest = members.pop("digest", None)
         manifest = read_object(cls, members, str(path), DatasetError)
         if manifest.digest != digest:
             raise DamagedFileError(f"{path} is damaged", expected=str(digest)[:200], got=manifest.digest)
         return manifest
-
-
-def _read_members(path: Path) -> dict[str, Any]:
-    """The members of the manifest's JSON as this schema has them, without their version."""
-    remedy = "see docs/data.md for the format, python -m training.data import for own data"
-    data = read_bounded(path, MAX_MANIFEST_BYTES, DatasetError, remedy=remedy)
-    members = read_json(data, str(path), DatasetError)
-    version = members.pop("schema_version", None)
-    if version != SCHEMA_VERSION:
-        raise DatasetError(
-            f"{path} is of another schema",
-            expected=f"schema_version {SCHEMA_VERSION}",
-            got=repr(version)[:200],
-            remedy="generate or import the data again with this release",
-        )
-    return members
 
 
 def file_digest(path: Path) -> str:
@@ -207,9 +200,8 @@ def write_dataset(
 ) -> Dataset:
     """Write a data set beside its place and rename it, so that it appears whole or not at all.
 
-    ``images``: (S, P, P, 3). ``free``: one (n_i, d) rad array a scenario. ``attributes``: what is told of
-    each configuration, one (n_i,) array a scenario, by the file's name. ``paths``: (scenario, waypoints (t,
-    d) rad) each. ``extra_images``: (E, P, P, 3).
+    ``images``: (S, P, P, 3). ``free``: one (n_i, d) rad array a scenario; ``attributes``: one (n_i,) array a
+    scenario, by the file's name. ``paths``: (scenario, waypoints (t, d) rad) each.
     """
     arrays: dict[str, NDArray[Any]] = {
         name: np.asarray(array, np.float64) for name, array in (scenes or {}).items()

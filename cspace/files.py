@@ -21,8 +21,6 @@ from cspace.errors import CspaceError, ImageError, StorageError
 
 # How the names of half-written things begin and end, for those who clear up after killed processes.
 HALF_PREFIX, HALF_SUFFIX = ".write-", ".tmp"
-# What Git and Ray read to leave files out.
-IGNORE_FILE, IGNORE_ALL = ".gitignore", "*\n"
 
 
 def read_bounded(
@@ -33,9 +31,8 @@ def read_bounded(
         with path.open("rb") as file:
             data = file.read(most_bytes + 1)
     except (OSError, ValueError) as problem:
-        # A name with a zero byte is no value that a system takes.
-        got = getattr(problem, "strerror", None) or str(problem)
-        raise error(f"{path} cannot be read", expected="a file", got=got, remedy=remedy) from problem
+        # A ValueError: a name with a zero byte.
+        raise error(f"{path} cannot be read", expected="a file", got=str(problem), remedy=remedy) from problem
     if len(data) > most_bytes:
         raise error(f"{path} is too large", expected=f"at most {most_bytes} bytes", got="more")
     return data
@@ -80,15 +77,10 @@ def holding(path: Path, busy: CspaceError, wait_s: float = 0.0, look_every_s: fl
 
 
 def make_output_folder(folder: Path) -> None:
-    """Make a folder for output, which ignores itself unless it holds something already."""
+    """Make a folder for output, which Git and Ray ignore unless it holds something already."""
     folder.mkdir(parents=True, exist_ok=True)
     if not any(folder.iterdir()):
-        ignore(folder)
-
-
-def ignore(folder: Path) -> None:
-    """Write a ``.gitignore`` into a folder so that Git and ``ray job submit --working-dir`` leave it out."""
-    (folder / IGNORE_FILE).write_text(IGNORE_ALL, encoding="utf-8")
+        (folder / ".gitignore").write_text("*\n", encoding="utf-8")
 
 
 def discard(path: Path) -> None:
@@ -104,17 +96,12 @@ def read_npy(data: bytes, types: tuple[str, ...], axes: int) -> NDArray[Any]:
     """An untrusted ``.npy`` file of one of the types, as ``<f4``, and of so many axes; else a ValueError."""
     stream = io.BytesIO(data)
     try:
-        found = np.load(stream, allow_pickle=False)
+        found = np.lib.format.read_array(stream, allow_pickle=False)
     except (EOFError, MemoryError) as error:
         raise ValueError(str(error) or "an array that does not end") from error
-    if (
-        not isinstance(found, np.ndarray)
-        or found.dtype.str not in types
-        or found.ndim != axes
-        or stream.read(1)
-    ):
-        raise ValueError(f"an array of type {getattr(found, 'dtype', None)} and shape {np.shape(found)}")
-    return found
+    if found.dtype.str not in types or found.ndim != axes or stream.read(1):
+        raise ValueError(f"an array of type {found.dtype} and shape {found.shape}")
+    return np.asarray(found)
 
 
 def map_npy(path: Path, error: type[CspaceError]) -> NDArray[Any]:
@@ -139,13 +126,10 @@ def open_png(data: bytes, check: Callable[[Image.Image], None]) -> Image.Image:
     except ImageError:
         raise
     except Exception as error:
-        # All, for there is no list of what a decoder raises for bytes from outside. Some of Pillow's messages
-        # hold an object's address, which is nobody's business.
-        text = str(error)
+        # All, for there is no list of what a decoder raises for bytes from outside.
+        got = re.sub("<.*>", "bytes", str(error))[:200] or type(error).__name__
         raise ImageError(
-            "the picture is not a PNG, or damaged",
-            expected="a complete PNG file",
-            got=type(error).__name__ if not text or "0x" in text else text[:200],
+            "the picture is not a PNG, or damaged", expected="a complete PNG file", got=got
         ) from error
     return picture
 

@@ -19,9 +19,6 @@ MAX_EPSILON = 10.0
 MAX_SAMPLES = 20_000
 """Of one request to a server, or to what stands in for one."""
 
-DIGEST_PATTERN = "[0-9a-f]{64}"
-"""Of a robot's name."""
-
 PLAIN = (0.0,)
 """The schedule that leaves the encoder's standard deviation as it is."""
 
@@ -38,28 +35,18 @@ class QueryOptions(TypedDict, total=False):
 
 @dataclass(frozen=True, slots=True)
 class SampleQuery:
-    """A request for samples that is valid in itself; equal ones with equal pictures have equal answers.
-
-    Args:
-        n: how many, at least 1.
-        seed: unsigned 64 bit.
-        epsilon_sigma: the latent's standard deviation is raised by each value, 0 to 10; equal shares of the
-            samples in this order, the remainder to the first.
-        start: (d,) rad, for path models and only for them.
-        goal: as ``start``.
-        min_confidence: what the validity head has to score, 0 to 1; None for the bundle's own threshold
-            (0 for a bundle without), 0 for all samples as they come.
-        robot: whose configurations are wanted, as :func:`cspace.worlds.robot_digest` names it; a model of
-            another robot refuses. None takes those of any.
-    """
+    """A request for samples that is valid in itself; equal ones with equal pictures have equal answers."""
 
     n: int
-    seed: int
+    seed: int  # unsigned 64 bit
+    # The latent's standard deviation is raised by each value, 0 to 10; equal shares of the samples in this
+    # order, the remainder to the first
     epsilon_sigma: tuple[float, ...] = PLAIN
-    start: tuple[float, ...] | None = None
+    start: tuple[float, ...] | None = None  # (d,) rad, for path models and only for them
     goal: tuple[float, ...] | None = None
+    # What the validity head has to score; None for the bundle's own threshold, 0 for all samples
     min_confidence: float | None = None
-    robot: str | None = None
+    robot: str | None = None  # digest of the robot that the model has to be of; None for any
 
     @classmethod
     def checked(
@@ -72,12 +59,8 @@ class SampleQuery:
         min_confidence: float | None = None,
         robot: str | None = None,
     ) -> "SampleQuery":
-        """The query of unchecked values.
-
-        Raises:
-            InputError: one is of another type or out of its range.
-        """
-        _whole("n", n, 1, None)
+        """The query of unchecked values."""
+        _whole("n", n, 1, math.inf)
         _whole("seed", seed, 0, MAX_SEED)
         values = tuple(epsilon_sigma)
         if not values:
@@ -96,7 +79,7 @@ class SampleQuery:
 
 def is_digest(value: object) -> bool:
     """Whether a value is a SHA-256 in hexadecimal, in small letters."""
-    return isinstance(value, str) and re.fullmatch(DIGEST_PATTERN, value, re.ASCII) is not None
+    return isinstance(value, str) and re.fullmatch("[0-9a-f]{64}", value) is not None
 
 
 def random_seed(seed: int | None = None) -> int:
@@ -118,10 +101,10 @@ def _configuration(name: str, value: ArrayLike | None) -> tuple[float, ...] | No
     return tuple(angles.tolist())
 
 
-def _whole(name: str, value: object, low: int, high: int | None) -> None:
+def _whole(name: str, value: object, low: int, high: float) -> None:
     fits = isinstance(value, Integral) and not isinstance(value, bool)
-    if not fits or value < low or (high is not None and value > high):  # type: ignore[operator]
-        expected = f"a whole number, at least {low}" + ("" if high is None else f" and at most {high}")
+    if not fits or not low <= value <= high:  # type: ignore[operator]
+        expected = f"a whole number from {low} to {high}"
         raise InputError(f"{name} is out of range", expected=expected, got=repr(value)[:200])
 
 
@@ -139,120 +122,68 @@ DEFAULT_PATHS = 4
 
 @dataclass(frozen=True, slots=True)
 class PlanQuery:
-    """A planning problem for a scene that a picture shows.
+    """A planning problem for a scene that a picture shows."""
 
-    Args:
-        start: (d,) rad.
-        goal: (d,) rad; None where ``goal_pose`` says where the path ends.
-        seed: of all draws, unsigned 64 bit.
-        min_confidence: below which no path is returned, 0 to 1; None for what fits the bundle, see
-            :attr:`cspace.bundle.BundleSpec.plan_confidence`.
-        time_limit_s: for the search, above 0.
-        ways: number of paths to look for, 1 or more.
-        next_view: whether the camera is wanted that would see most of what makes the path uncertain.
-        views: cameras to choose it from, as plain values; none for some about the uncertain places.
-        alternatives: whether all paths of sufficient confidence are wanted, for those who can check them.
-        seen_by: cameras that the picture is from, where they are known: the next view is one from elsewhere.
-        seen_state: where the robot was then, as a view file has it; needed for cameras on a link.
-        explain: whether it is wanted what is in the way where no path is returned.
-        goal_pose: of the tool in the robot's base, as plain values: ``pose``, as that of a camera, and where
-            they are not the usual ones ``tolerance_m``, ``tolerance_rad`` and ``free_z_rotation``.
-        limits: for each joint low and high, rad, which the path keeps to, or None for the joint's own.
-        upright: ``axis`` of the tool that all states keep within ``max_rad`` of ``up`` in the base frame, as
-            plain values.
-        unwrapped: whether circles go on beyond [-pi, pi) along the path, from the start as it is given.
-        goal_free: whether the robot is known to be free at the goal, as it is at its start.
-    """
-
-    start: tuple[float, ...]
-    goal: tuple[float, ...] | None
-    seed: int = 0
-    min_confidence: float | None = None
-    time_limit_s: float = 1.0
-    ways: int = DEFAULT_PATHS
-    next_view: bool = False
-    views: tuple[Mapping[str, Any], ...] = ()
-    alternatives: bool = False
-    seen_by: tuple[Mapping[str, Any], ...] = ()
-    seen_state: object = None
-    explain: bool = False
+    start: tuple[float, ...]  # (d,) rad
+    goal: tuple[float, ...] | None  # (d,) rad; None where ``goal_pose`` says where the path ends
+    seed: int = 0  # unsigned 64 bit
+    min_confidence: float | None = None  # below which no path is returned; None for the bundle's own
+    time_limit_s: float = 1.0  # for the search
+    ways: int = DEFAULT_PATHS  # number of paths to look for
+    next_view: bool = False  # whether the camera is wanted that would see most of what is uncertain
+    views: tuple[Mapping[str, Any], ...] = ()  # cameras to choose it from; none for generated ones
+    alternatives: bool = False  # whether all paths of sufficient confidence are wanted
+    seen_by: tuple[Mapping[str, Any], ...] = ()  # cameras that the picture is from, where they are known
+    seen_state: object = None  # where the robot was then, as a view file has it; for cameras on a link
+    explain: bool = False  # whether it is wanted what is in the way where no path is returned
+    # Pose of the tool in the base frame: ``pose``, and perhaps ``tolerance_m``, ``tolerance_rad`` and
+    # ``free_z_rotation``
     goal_pose: Mapping[str, Any] | None = None
+    # For each joint low and high, rad, which the path keeps to, or None for the joint's own
     limits: tuple[tuple[float, float] | None, ...] | None = None
+    # ``axis`` of the tool that all states keep within ``max_rad`` of ``up`` in the base frame
     upright: Mapping[str, Any] | None = None
-    unwrapped: bool = False
-    goal_free: bool = False
+    unwrapped: bool = False  # whether circles go on beyond [-pi, pi) along the path
+    goal_free: bool = False  # whether the robot is known to be free at the goal, as it is at its start
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LeastConfidence:
-    """Where the confidence of a path is lowest.
+    """Where the confidence of a path is lowest."""
 
-    Args:
-        configuration: (d,) rad.
-        confidence: of it alone.
-        unseen: share of the robot that no picture shows there; None in worlds that are seen whole.
-        along: how far along the path it lies, 0 to 1.
-    """
-
-    configuration: NDArray[np.float64]
-    confidence: float
-    unseen: float | None
-    along: float
+    configuration: NDArray[np.float64]  # (d,) rad
+    confidence: float  # of it alone
+    unseen: float | None  # share of the robot in unknown space; None in worlds that are seen whole
+    along: float  # how far along the path it lies, 0 to 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AlternativePath:
-    """A path and a model's confidence in it.
+    """A path and a model's confidence in it."""
 
-    Args:
-        path: (k, d) rad from start to goal.
-        confidence: that the whole path touches nothing.
-        edges: (k - 1,) the least confidence of a state on each of its pieces.
-    """
-
-    path: NDArray[np.float64]
-    confidence: float
-    edges: NDArray[np.float32]
+    path: NDArray[np.float64]  # (k, d) rad from start to goal
+    confidence: float  # that the whole path touches nothing
+    edges: NDArray[np.float32]  # (k - 1,) the least confidence of a state on each edge
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """An answer.
+    """A planner's answer."""
 
-    Args:
-        status: ``solved``; ``refused`` where no path is confident enough or none was found; ``timeout`` where
-            none was found in time.
-        path: (k, d) rad from start to goal, (0, d) unless it is solved.
-        confidence: that the whole path touches nothing; of the best one where it is refused, 0 without one.
-        edges: (k - 1,) the least confidence of a state on each of its pieces.
-        unseen: (k - 1,) the largest share of the robot on each piece that no picture shows; None in worlds
-            that are seen whole.
-        cost: that its confidence is of, see :mod:`cspace.planning.cost`; 0 without a path.
-        length_rad: Euclidean.
-        found: paths that the best was chosen from.
-        least: where the confidence of the best path is lowest; None without one.
-        next_view: the camera that would see most of what makes that path uncertain; None where none was asked
-            for, or none would see more.
-        alternatives: all paths of sufficient confidence, the best first, which is the plan's; none where they
-            were not asked for.
-        search_ms: looking for paths.
-        score_ms: asking the model about them.
-        contact: what is in the way where there is no path; None where nothing is, or nobody asked.
-        reason: why nothing was looked for, in words; None where something was.
-    """
-
+    # `refused` where no path is confident enough or none was found, `timeout` where none was found in time
     status: Status
-    path: NDArray[np.float64]
-    confidence: float = 0.0
-    edges: NDArray[np.float32] = field(default_factory=lambda: np.empty(0, dtype=np.float32))
+    path: NDArray[np.float64]  # (k, d) rad from start to goal, (0, d) unless it is solved
+    confidence: float = 0.0  # that the whole path touches nothing; of the best one where it is refused
+    edges: NDArray[np.float32] = field(default_factory=lambda: np.empty(0, dtype=np.float32))  # (k - 1,)
+    # (k - 1,) the largest share of the robot in unknown space on each edge; None in worlds seen whole
     unseen: NDArray[np.float32] | None = None
-    cost: float = 0.0
-    length_rad: float = 0.0
-    found: int = 0
+    cost: float = 0.0  # see :mod:`cspace.planning.cost`
+    length_rad: float = 0.0  # Euclidean
+    found: int = 0  # paths that the best was chosen from
     least: LeastConfidence | None = None
     next_view: NextView | None = None
-    alternatives: tuple[AlternativePath, ...] = ()
+    alternatives: tuple[AlternativePath, ...] = ()  # the best first
     search_ms: float = 0.0
     score_ms: float = 0.0
-    contact: Contact | None = None
-    reason: str | None = None
+    contact: Contact | None = None  # what is in the way where there is no path
+    reason: str | None = None  # why nothing was looked for, in words

@@ -17,14 +17,9 @@ from cspace.errors import ConfigError, ScenarioError
 from cspace.space import JointSpace
 from cspace.world import Image, Scene, World
 
-UNIFORM = "uniform"
-"""The family that every world has: ends anywhere in a scene like those of training."""
-NARROW = "narrow"
-"""The family whose ends a narrow passage joins and nothing wider; not every robot has it."""
-
-
-OWN = "own"
-"""What a problem is called that somebody made by hand."""
+# Families of problems: ends anywhere, which every world has; ends that a narrow passage joins and nothing
+# wider; problems that somebody made by hand.
+UNIFORM, NARROW, OWN = "uniform", "narrow", "own"
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,15 +155,15 @@ class Checker:
         range_rad: float,
         resolution_rad: float,
     ) -> tuple[int, int, int, int]:
-        """Grow RRT-Connect's trees by a block of states (n, d).
+        """Grow RRT-Connect's trees in place by a block of sampled states (n, d).
 
-        ``nodes``: (2, m, d) rad, the start's tree and the goal's; grown in place, and so the rest.
-        ``parents``: (2, m), -1 for the roots. ``counts``: (2,) nodes in use. ``checks``: (2,) counts on:
-        edges, and states within them and alone. ``states``: sampled ones, in order. Returns iterations done,
-        whose turn it is, and the node that both trees share, -1 twice without one.
+        ``nodes``: (2, m, d) rad, the start's tree and the goal's. ``parents``: (2, m), -1 for the roots.
+        ``counts``: (2,) nodes in use. ``checks``: (2,) of edges and of states. Returns iterations done, whose
+        turn it is, and the node that both trees share, -1 twice without one.
         """
-        trees = (nodes, parents, counts, checks, states, side, range_rad, resolution_rad)
-        grown: tuple[int, int, int, int] = self.kernels.grow_trees(*trees, self.scene)
+        grown: tuple[int, int, int, int] = self.kernels.grow_trees(
+            nodes, parents, counts, checks, states, side, range_rad, resolution_rad, self.scene
+        )
         return grown
 
     def shortened(
@@ -213,18 +208,15 @@ class Measures:
     near_contact_m: float
     range_rad: float  # longest step of a planner's tree, the sum over the joints
     resolution_rad: float
-    # Of what as many real samples cover; a sampler of configurations that covers less is not promoted. None
-    # where samples cover nothing that could be told by balls.
+    # Least share of what as many real samples cover for a promotion; None where balls do not measure coverage
     coverage_share: float | None
-    # The metrics by which a version is compared with champions that were not measured beside it, and how much
-    # worse than the best of them it may be
+    # How much worse than the best champion a version may be, by metric
     margins: Mapping[str, float]
     path_margins: Mapping[str, float]
     free_share: float
 
 
-# What a proposal is: anywhere; near contact; about a start or a goal; along a path between the two; along one
-# that is free of some obstacles alone.
+# Where proposals lie; mistaken paths are free of some obstacles alone.
 ORIGINS = ("uniform", "near contact", "about ends", "along paths", "along mistaken paths")
 
 
@@ -355,7 +347,7 @@ class Simulator(ABC):
         """Where base, joints and tip are drawn at configurations (N, d) rad, (N, k, 2)."""
 
 
-class Taken(StrEnum):
+class UnseenPolicy(StrEnum):
     """What a planner takes the space to be that no picture shows; what is seen stays as it is seen."""
 
     FREE = "unseen is free"

@@ -145,13 +145,10 @@ class JointSpace:
         error: type[InputError] = InputError,
         beyond_rad: float = LIMIT_TOLERANCE_RAD,
     ) -> NDArray[np.float64]:
-        """Configurations that come from outside, checked; every file and request goes through here.
+        """Configurations (d,) or (n, d) rad of files and requests, checked and clamped to the limits.
 
-        Limited joints are clamped to their limits where they lie up to ``beyond_rad`` beyond, by default
-        as values in single precision do. Circles stay as they are, within ``MAX_CIRCLE_RAD`` of 0.
-
-        ``configurations``: (d,) or (n, d) rad. ``what``: the clause of the error's message, as "start lies
-        outside the robot's limits". Returns the same, clamped.
+        ``beyond_rad``: how far beyond a limit a value is still clamped. Circles stay as they are, within
+        ``MAX_CIRCLE_RAD`` of 0. ``what``: the clause of the error's message.
         """
         values = np.asarray(configurations, dtype=np.float64)
         low = np.where(self.periodic, -MAX_CIRCLE_RAD, self.lower)
@@ -215,10 +212,10 @@ class JointSpace:
     def to_dict(self) -> dict[str, Any]:
         """As bundles and answers write it: a ``torus`` of circles, a ``box`` without, else ``mixed``."""
         kind = "torus" if self.is_torus else "mixed" if any(self.periodic) else "box"
-        said: dict[str, Any] = {"kind": kind, "dim": self.dim, "unit": "rad"}
+        values: dict[str, Any] = {"kind": kind, "dim": self.dim, "unit": "rad"}
         if not self.is_torus:
-            said |= {name: list(getattr(self, name)) for name in ("lower", "upper", "periodic")}
-        return said
+            values |= {name: list(getattr(self, name)) for name in ("lower", "upper", "periodic")}
+        return values
 
 
 def is_range(low: float, high: float) -> bool:
@@ -264,12 +261,3 @@ class Standardisation:
             raise ScenarioError(
                 "the standardisation does not fit", expected="positive deviations", got=str(self)
             )
-
-    @classmethod
-    def fit(cls, configurations: ArrayLike) -> "Standardisation":
-        """Mean and standard deviation of (n, d) configurations."""
-        configurations = np.asarray(configurations, dtype=np.float64)
-        return cls(
-            tuple(float(v) for v in configurations.mean(axis=0)),
-            tuple(float(v) for v in configurations.std(axis=0)),
-        )

@@ -79,7 +79,6 @@ def pack_view(
     known: bytes | None = None,
 ) -> bytes:
     """A view file of what a :class:`View` holds."""
-    _check_parts(len(pictures), len(cameras), known)
     header = {"pictures": [len(one) for one in pictures], "cameras": list(cameras), "state": state}
     # Readers of files in mm need not know the key.
     header |= {} if depth_scale_m is None else {"depth_scale_m": depth_scale_m}
@@ -110,7 +109,9 @@ def unpack_view(data: bytes) -> View:
         header = adapter_of(_Line).validate_json(line)
     except ValidationError as problem:
         raise refused(problem, ImageError, "the view") from problem
-    _check_parts(len(header.pictures), len(header.cameras), header.known)
+    # A picture of a plane has no camera.
+    if (len(header.pictures), len(header.cameras)) != (1, 0) or header.known is None:
+        check_counts(len(header.pictures), len(header.cameras))
     sizes = [*header.pictures, header.known or 0]
     if sum(sizes) != len(rest):
         raise ImageError("the file is no view", expected=f"{sum(sizes)} bytes of parts", got=f"{len(rest)}")
@@ -146,19 +147,14 @@ def check_ages(stamps_s: Sequence[float | None], max_age_s: float, now_s: float)
                 remedy=f"send when the picture was taken as {_STAMP}, in seconds since the epoch",
             )
         age_s = now_s - stamp
-        if age_s > max_age_s:
+        if not -_AHEAD_S <= age_s <= max_age_s:
+            old = f"{age_s:.3f} s old" if age_s > 0.0 else f"from {-age_s:.3f} s in the future"
             raise ImageError(
-                f"picture {number} is {age_s:.3f} s old",
-                expected=f"at most {max_age_s:g} s by this clock",
+                f"picture {number} is {old}",
+                expected=f"at most {max_age_s:g} s old and {_AHEAD_S:g} s ahead by this clock",
                 got=f"{_STAMP} {stamp:.3f} at {now_s:.3f}",
-                remedy="send a newer picture; if this one is new, set both clocks",
-            )
-        if age_s < -_AHEAD_S:
-            raise ImageError(
-                f"picture {number} is from {-age_s:.3f} s in the future",
-                expected=f"at most {_AHEAD_S:g} s by this clock",
-                got=f"{_STAMP} {stamp:.3f} at {now_s:.3f}",
-                remedy=f"set both clocks, and send {_STAMP} in seconds since the epoch",
+                remedy=f"send a newer picture; if this one is new, set both clocks, and send {_STAMP} in "
+                "seconds since the epoch",
             )
 
 
@@ -170,9 +166,3 @@ def check_counts(pictures: int, cameras: int) -> None:
             expected=f"1 to {MAX_PICTURES} pictures and a camera each, in the same order",
             got=f"{pictures} pictures, {cameras} cameras",
         )
-
-
-def _check_parts(pictures: int, cameras: int, known: object) -> None:
-    # A picture of a plane has no camera.
-    if (pictures, cameras) != (1, 0) or known is None:
-        check_counts(pictures, cameras)

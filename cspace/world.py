@@ -198,10 +198,10 @@ class NextView:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Levers:
-    """Where pictures are read: (cos, sin) of the links' directions times ``levers``, plus ``origin``."""
+class LinkSamplePoints:
+    """Where pictures are read: (cos, sin) of the links' directions times ``offsets``, plus ``origin``."""
 
-    levers: NDArray[np.float32]  # (2 d, 2 K) float32
+    offsets: NDArray[np.float32]  # (2 d, 2 K) float32
     origin: NDArray[np.float32]  # (2 K,) float32, shares of the picture's width, then of its height
 
 
@@ -284,7 +284,7 @@ class World(ABC):
     ) -> Contact | None:
         """What is in the way of a configuration (d,) rad, or unseen about it; None where nothing is."""
 
-    def levers(self, points_per_link: int, side_m: float) -> Levers:
+    def link_sample_points(self, points_per_link: int, side_m: float) -> LinkSamplePoints:
         """Where K points of the robot lie in its pictures, in rows ``side_m`` beside each link."""
         raise ConfigError(
             f"pictures of the {self.kind} world are not read along links",

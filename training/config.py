@@ -341,7 +341,7 @@ class TrainConfig(JobConfig):
         if self.validity.scene_model is not None and grid is None:
             raise ValueError("validity.scene_model reads arrays of space; it needs validity.grid")
         if self.validity.steps and grid is None:
-            world.levers(self.validity.points_per_link, self.validity.side_m)
+            world.link_sample_points(self.validity.points_per_link, self.validity.side_m)
         elif self.validity.steps and grid is not None:
             world.grid_arm(grid.groups)
         return self

@@ -56,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 got=f"{config.clusters.form}, {options.trials} trials, {options.scenarios} scenarios",
             )
         # Its trials look along the links: told here, and not after the encoder was trained.
-        config.world.levers(points_per_link=2, side_m=0.0)
+        config.world.link_sample_points(points_per_link=2, side_m=0.0)
         found, folder = run(config, options.trials, options.scenarios)
     except CspaceError as error:
         return report_error(error, InputError, program="search")

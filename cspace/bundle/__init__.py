@@ -2,7 +2,7 @@
 
 from cspace.bundle.golden import GoldenCase
 from cspace.bundle.load import Bundle, graphs_of, load_verified, write_bundle
-from cspace.bundle.samples import Belief, Encoding, Picture, SampleSet
+from cspace.bundle.sampling import Belief, Encoding, Picture, SampleSet
 from cspace.bundle.spec import SCHEMA_VERSION, BundleSpec, Provenance, RandomInput
 from cspace.query import MAX_EPSILON, MAX_SEED, SampleQuery
 

@@ -15,8 +15,6 @@ from cspace.space import JointSpace
 # Of the archive, unpacked; a picture of 2048 pixels has 12.6 MB.
 MAX_ARRAYS_BYTES = 32 * 2**20
 TOLERANCE = 1e-4
-# Axes of a picture of a plane.
-_FLAT = 3
 _QUERY = ("count", "seed", "epsilon_sigma", "start", "goal")
 
 
@@ -34,8 +32,13 @@ class GoldenCase:
     def to_npz(self) -> bytes:
         """``golden.npz``."""
         query = self.query
-        asked = (query.n, np.uint64(query.seed), query.epsilon_sigma, query.start, query.goal)
-        values: dict[str, Any] = dict(zip(_QUERY, asked, strict=True))
+        values: dict[str, Any] = {
+            "count": query.n,
+            "seed": np.uint64(query.seed),
+            "epsilon_sigma": query.epsilon_sigma,
+            "start": query.start,
+            "goal": query.goal,
+        }
         values |= {name: getattr(self, name) for name in ("image", "mu", "sigma", "samples", "confidence")}
         buffer = io.BytesIO()
         np.savez_compressed(buffer, **{name: value for name, value in values.items() if value is not None})
@@ -94,12 +97,12 @@ def _close(name: str, expected: NDArray[Any], got: NDArray[Any], space: JointSpa
 
 
 def scene(size: Sequence[int]) -> NDArray[np.uint8]:
-    """A fixed picture of a size (..., channels) without a renderer."""
-    return _flat_scene(size[0]) if len(size) == _FLAT else _space_scene(size)
+    """A fixed picture (P, P, 3) or (X, Y, Z, channels) without a renderer.
 
-
-def _space_scene(size: Sequence[int]) -> NDArray[np.uint8]:
-    """A ball in the middle of space: far from it all is seen free, within and below it nothing is known."""
+    A ball in the middle of space: far from it all is seen free, within and below it nothing is known.
+    """
+    if len(size) == 3:
+        return _flat_scene(size[0])
     place = np.stack(np.meshgrid(*(np.linspace(-1.0, 1.0, side) for side in size[:-1]), indexing="ij"))
     gap = np.linalg.norm(place, axis=0) - 0.4
     hidden = (gap < 0.0) | ((np.linalg.norm(place[:2], axis=0) < 0.4) & (place[2] < 0.0))

@@ -25,17 +25,16 @@ from cspace.bundle.files import (
 )
 from cspace.bundle.golden import GoldenCase, endpoints, scene
 from cspace.bundle.runtime import PLACES_CHUNK_ROWS, Graph, chunked, container_bytes, open_graphs
-from cspace.bundle.samples import (
-    Belief,
-    Encoding,
-    Picture,
-    SampleSet,
+from cspace.bundle.sampling import Belief, Encoding, GeneratorSampler, Head, PathSampler, Picture, SampleSet
+from cspace.bundle.spec import (
+    MAP,
+    PICTURE,
+    WAYS,
+    BundleSpec,
     fitted,
     fitted_plan,
     fitted_problem,
 )
-from cspace.bundle.sampling import Head, sampler_of
-from cspace.bundle.spec import MAP, PICTURE, WAYS, BundleSpec
 from cspace.errors import BundleError, BundleIntegrityError, InputError, StorageError
 from cspace.files import replacing
 from cspace.plan import plan
@@ -49,11 +48,8 @@ QUANTILES = 101
 def novelty(scores: NDArray[np.float32], quantiles: Sequence[Sequence[float]]) -> float:
     """The share of known pictures that are less unusual, 0 to 1; 1 beyond all of them.
 
-    Every score is ranked among those of known pictures. The highest rank counts, and as the highest of
-    several is high more often than each (Bonferroni), its distance from 1 is multiplied by their number.
-
-    ``scores``: (s,), each higher for what is less usual. ``quantiles``: for each score its rising quantiles
-    over known pictures, evenly spaced from 0 to 1.
+    Every score (s,) is ranked among the quantiles of known pictures, evenly spaced. The highest rank counts;
+    its distance from 1 is multiplied by the number of scores (Bonferroni).
     """
     ranks = [
         float(np.interp(score, known, np.linspace(0.0, 1.0, len(known))))
@@ -78,7 +74,6 @@ class Bundle:
         self.robot = robot_digest(self.spec.world)
         self._graphs = open_graphs(self.spec, files)
         self._validity = None if self._graphs.validity is None else Head(self._graphs.validity)
-        self._sampler = sampler_of(self.spec, self._graphs.generator, self._validity)
         self.reports_unseen = self._validity is not None and self._validity.reports_unseen
         self.head_looks_at_map = self._validity is not None and self._validity.looks_at_map
 
@@ -93,11 +88,9 @@ class Bundle:
     ) -> "Bundle":
         """Read a bundle, verify its sums, schema and graphs, and replay its golden case.
 
-        A bundle of others is verified in a process of its own by :func:`load_verified`.
-
-        ``digest``: that the bundle has to have; any when None. ``check``: False where the graphs of this
-        digest were checked, or come with the program. ``replay``: whether the golden case is replayed; as
-        ``check`` when None.
+        Open untrusted bundles with :func:`load_verified`. ``digest``: that the bundle has to have; any when
+        None. ``check``: False where the graphs of this digest were checked, or come with the program.
+        ``replay``: whether the golden case is replayed; as ``check`` when None.
         """
         files = read_files(Path(folder))
         if digest not in (None, files.digest):
@@ -118,15 +111,18 @@ class Bundle:
         found = copy(self)
         found.spec = replace(self.spec, world=replace(cast("Any", self.spec.world), body=world.body))
         found.robot = robot_digest(found.spec.world)
-        found._sampler = sampler_of(  # noqa: SLF001 - its own
-            found.spec, self._graphs.generator, self._validity
-        )
         return found
 
     @property
     def has_validity(self) -> bool:
         """Whether the bundle scores its samples."""
         return self._validity is not None
+
+    @property
+    def _sampler(self) -> GeneratorSampler | PathSampler:
+        if self._graphs.generator is None:
+            return PathSampler(self.spec, self._head())
+        return GeneratorSampler(self.spec, self._graphs.generator, self._validity)
 
     def encode(self, image: NDArray[np.uint8]) -> Encoding:
         """Mean and standard deviation of the latent for a picture, uint8 (P, P, 3)."""
@@ -138,14 +134,18 @@ class Bundle:
         pixels = self._network_image(image)
         read = picture if isinstance(picture, Examined) else Examined(image[None])
         size = (1, self.spec.latent_dim)
-        found = self._graphs.encoder.run({"image": pixels}, {"mu": size, "sigma": size})
-        encoding = Encoding(found["mu"][0], found["sigma"][0])
-        novelty = self._novelty_of(image, pixels, found["mu"])
-        graph, sensor = self._graphs.map, self.spec.world.sensor
-        made = None
-        if graph is not None:
-            made = graph.run({"image": pixels}, {"map": graph.fixed_shape("map")})["map"]
-        return Picture(self.digest, image, sensor, encoding, novelty, made, read.known, read.pictures)
+        found = self._graphs.encoder.run({PICTURE: pixels}, {"mu": size, "sigma": size})
+        graph = self._graphs.map
+        return Picture(
+            self.digest,
+            image,
+            self.spec.world.sensor,
+            Encoding(found["mu"][0], found["sigma"][0]),
+            self._novelty_of(image, pixels, found["mu"]),
+            None if graph is None else graph.run({PICTURE: pixels}, {MAP: graph.fixed_shape(MAP)})[MAP],
+            read.known,
+            read.pictures,
+        )
 
     def _novelty_of(
         self, image: NDArray[np.uint8], pixels: NDArray[np.float32], mu: NDArray[np.float32]
@@ -153,7 +153,7 @@ class Bundle:
         graph, quantiles = self._graphs.novelty, self.spec.novelty_quantiles
         if graph is None or quantiles is None:
             return None
-        found = graph.run({"image": pixels, "mu": mu}, {"scores": (len(quantiles),)})
+        found = graph.run({PICTURE: pixels, "mu": mu}, {"scores": (len(quantiles),)})
         # Scores learned from pictures that show something are low for one that shows nothing.
         return max(novelty(found["scores"], quantiles), self.spec.world.least_novelty(image))
 
@@ -182,13 +182,8 @@ class Bundle:
         """Configurations for a picture; the same query gives bit-equal samples on one machine.
 
         With a confidence to reach, more are drawn and scored until ``n`` reach it, or the budget of four
-        times ``n`` is spent and the answer falls short.
-
-        What is random and in which order is told in :mod:`cspace.bundle.sampling`. The samples for a smaller
-        ``n`` are no prefix of those for a larger one.
-
-        ``image``: uint8 (P, P, 3), or one that :meth:`prepare` made. ``report_confidence``: whether samples
-        are scored that are not filtered; the samples are the same.
+        times ``n`` is spent and the answer falls short. The samples for a smaller ``n`` are no prefix of
+        those for a larger one. ``report_confidence``: whether samples are scored that are not filtered.
         """
         request = fitted(query, self.spec, has_validity=self.has_validity)
         began = time.perf_counter()
@@ -201,16 +196,17 @@ class Bundle:
         if picture.known is not None:
             # Where all are wanted, those that nothing has replaced are still among them.
             found = found.only(picture.known.free(found.samples, check_cancelled or (lambda: None)))
-        samples, columns = found.samples, found.scores.shape[1]
-        confidence = found.scores[:, 0] if columns > 0 else None
-        unseen = found.scores[:, 1] if columns > 1 else None
-        encode_ms, generate_ms = 1e3 * (encoded - began), 1e3 * (time.perf_counter() - encoded)
-        if picture is image:
-            encode_ms = 0.0
-        shortfall = request.n - len(samples)
-        times = encode_ms, generate_ms
+        columns = found.scores.shape[1]
         return SampleSet(
-            samples, confidence, shortfall, found.acceptance, *times, unseen, found.ways, found.proposals
+            found.samples,
+            confidence=found.scores[:, 0] if columns > 0 else None,
+            shortfall=request.n - len(found.samples),
+            acceptance=found.acceptance,
+            encode_ms=0.0 if picture is image else 1e3 * (encoded - began),
+            generate_ms=1e3 * (time.perf_counter() - encoded),
+            unseen=found.scores[:, 1] if columns > 1 else None,
+            ways=found.ways,
+            proposals=found.proposals,
         )
 
     def plan(
@@ -221,13 +217,11 @@ class Bundle:
         calibration: tuple[float, float] | None = None,
     ) -> Plan:
         """The path from start to goal of lowest cost; ``calibration`` (a, b) is in place of the bundle's."""
-        head, picture = self._head(), self._prepared(image)
-        ends = fitted_problem(self.spec, query)
-        wanted = fitted_plan(self.spec, query)
-        seen = head.seen(self.spec, picture, check_cancelled)
+        seen = self._head().seen(self.spec, self._prepared(image), check_cancelled)
         if calibration is not None:
             seen = replace(seen, plan_calibration=calibration)
-        return plan(seen, ends, wanted, check_cancelled)
+        ends = fitted_problem(self.spec, query)
+        return plan(seen, ends, fitted_plan(self.spec, query), check_cancelled)
 
     def golden_answer(self, image: NDArray[np.uint8], query: SampleQuery) -> SampleSet:
         """:meth:`answer`, or uniform samples where they are searched for, which needs more packages."""
@@ -253,14 +247,11 @@ class Bundle:
         configurations: NDArray[np.float32],
         check_cancelled: CheckCancelled | None = None,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
-        """What the validity head says of configurations.
+        """P(free | picture, configuration) of (n, d) rad, (n,), and the robot's share in unknown space, (n,).
 
-        Returns P(free | picture, configuration), float32 (n,), and the share of the robot that lies in space
-        that no picture shows, float32 (n,); None in worlds that are seen whole. ``image``: uint8 (P, P, 3),
-        or one that :meth:`prepare` made. ``configurations``: float32 (n, d) rad, at least one.
+        The latter is None in worlds that are seen whole.
         """
-        head, picture = self._head(), self._prepared(image)
-        return head.predict(picture, configurations, check_cancelled)
+        return self._head().predict(self._prepared(image), configurations, check_cancelled)
 
     def belief(
         self, image: NDArray[np.uint8] | Picture, check_cancelled: CheckCancelled | None = None
@@ -365,7 +356,9 @@ MEMORY_BYTES, CONTAINER_SHARE = 2**30, 0.25
 
 def verify(folder: Path, digest: str | None = None, limit_s: float = VERIFY_S) -> str:
     """The digest of a bundle whose sums, digest, graphs and golden case hold in a worker process."""
-    limits = bounded.Limits(memory_bytes(), math.ceil(limit_s), limit_s)
+    container = container_bytes()
+    memory = MEMORY_BYTES if container is None else min(MEMORY_BYTES, int(container * CONTAINER_SHARE))
+    limits = bounded.Limits(memory, math.ceil(limit_s), limit_s)
     found: str = bounded.call(
         checked_digest,
         str(folder.absolute()),
@@ -386,9 +379,3 @@ def checked_digest(folder: str, digest: str | None) -> str:
 def load_verified(folder: Path, digest: str | None = None) -> Bundle:
     """Verify a bundle in a worker process, then open it here."""
     return Bundle.load(folder, digest=verify(folder, digest), check=False)
-
-
-def memory_bytes() -> int:
-    """What a worker may take beyond its libraries."""
-    container = container_bytes()
-    return MEMORY_BYTES if container is None else min(MEMORY_BYTES, int(container * CONTAINER_SHARE))

@@ -71,8 +71,8 @@ def onnx_errors() -> tuple[type[Exception], ...]:
     return (*kinds, RuntimeError, ValueError, MemoryError)
 
 
-def said(error: BaseException) -> str:
-    """What a library's error says, without folders of the machine and of a bounded length."""
+def message_of(error: BaseException) -> str:
+    """A library's message, without folders of the machine and of a bounded length."""
     text = str(error) or type(error).__name__
     return _FOLDERS.sub("", text[: 4 * _LONGEST])[:_LONGEST]
 
@@ -124,7 +124,7 @@ class Graph:
             )
         except onnx_errors() as error:
             raise BundleIntegrityError(
-                f"{name} cannot be opened", expected="an ONNX graph", got=said(error)
+                f"{name} cannot be opened", expected="an ONNX graph", got=message_of(error)
             ) from error
         self.inputs = {node.name for node in self._session.get_inputs()}
         self._shapes = {node.name: node.shape for node in self._session.get_outputs()}
@@ -161,7 +161,7 @@ class Graph:
                 options.add_run_config_entry("memory.enable_memory_arena_shrinkage", "cpu:0")
                 found = self._session.run(list(outputs), dict(feeds), options)
         except onnx_errors() as error:
-            raise BundleError(f"{self._name} failed", got=said(error)) from error
+            raise BundleError(f"{self._name} failed", got=message_of(error)) from error
         return {
             name: self._checked(name, array, shape)
             for (name, shape), array in zip(outputs.items(), found, strict=True)
@@ -208,34 +208,33 @@ class GraphSet:
 
 
 def open_graphs(spec: BundleSpec, files: BundleFiles) -> GraphSet:
-    """Open them."""
+    """Open them, where those that the description speaks of are there, and no others."""
 
     def opened(
-        name: str,
-        inputs: set[str],
-        outputs: set[str],
-        optional: frozenset[str] = frozenset(),
+        name: str, inputs: set[str], output: str, optional: AbstractSet[str] = frozenset()
     ) -> Graph | None:
         model = files.contents.get(name)
-        return None if model is None else Graph(name, model, inputs, outputs, optional=optional)
+        return None if model is None else Graph(name, model, inputs, {output}, optional)
 
     noise = {item.name for item in spec.random_inputs}
-    encoder = Graph(ENCODER_FILE, files.contents[ENCODER_FILE], {"image"}, {"mu", "sigma"})
-    seen = opened(MAP_FILE, {"image"}, {"map"})
+    encoder = Graph(ENCODER_FILE, files.contents[ENCODER_FILE], {PICTURE}, {"mu", "sigma"})
+    seen = opened(MAP_FILE, {PICTURE}, MAP)
     if seen is not None:
-        seen.fixed_shape("map")
-    optional = frozenset[str]() if seen is None else frozenset({MAP})
-    generator = opened(GENERATOR_FILE, {"latent", *noise, *spec.conditions}, {"samples"})
-    _check_whole(GENERATOR_FILE, generator, "a model kind that has one", described=spec.model_kind != WAYS)
-    validity = opened(VALIDITY_FILE, {"image", "configurations"}, {"confidence"}, optional)
-    belief = opened(BELIEF_FILE, {PICTURE, MAP, "places"}, {"occupied"})
-    looked_at = spec.looks_at_map or belief is not None or (validity is not None and MAP in validity.inputs)
-    _check_whole(MAP_FILE, seen, "the condition map", described=looked_at)
-    scores = opened(NOVELTY_FILE, {"image", "mu"}, {"scores"})
-    _check_whole(NOVELTY_FILE, scores, "novelty_quantiles", described=spec.novelty_quantiles is not None)
-    return GraphSet(encoder, generator, validity, scores, seen, belief)
-
-
-def _check_whole(name: str, graph: Graph | None, beside: str, *, described: bool) -> None:
-    if (graph is None) == described:
-        raise BundleIntegrityError(f"the bundle has {name} without {beside}, or the other way round")
+        seen.fixed_shape(MAP)
+    generator = opened(GENERATOR_FILE, {"latent", *noise, *spec.conditions}, "samples")
+    validity = opened(
+        VALIDITY_FILE, {PICTURE, "configurations"}, "confidence", set() if seen is None else {MAP}
+    )
+    belief = opened(BELIEF_FILE, {PICTURE, MAP, "places"}, "occupied")
+    novelty = opened(NOVELTY_FILE, {PICTURE, "mu"}, "scores")
+    map_is_used = spec.looks_at_map or belief is not None or (validity is not None and MAP in validity.inputs)
+    for name, graph, is_used, beside in (
+        (GENERATOR_FILE, generator, spec.model_kind != WAYS, "a model kind that has one"),
+        (MAP_FILE, seen, map_is_used, "the condition map"),
+        (NOVELTY_FILE, novelty, spec.novelty_quantiles is not None, "novelty_quantiles"),
+    ):
+        if (graph is None) == is_used:
+            raise BundleIntegrityError(f"the bundle has {name} without {beside}, or the other way round")
+    if validity is None and spec.model_kind == WAYS:
+        raise BundleIntegrityError("a bundle of paths has no validity head", expected=VALIDITY_FILE)
+    return GraphSet(encoder, generator, validity, novelty, seen, belief)

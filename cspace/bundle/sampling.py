@@ -18,20 +18,19 @@ uniform where u < share, then d angles for each of these. Path models have no un
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cspace.bundle.runtime import CHUNK_ROWS, PATH_CHUNK_ROWS, Graph, chunked
-from cspace.bundle.samples import FittedQuery, Picture, ProposalCounts, Sampled
 from cspace.bundle.spec import MAP, PICTURE, BundleSpec, RandomInput
-from cspace.errors import BundleError, BundleIntegrityError
+from cspace.errors import BundleError
 from cspace.plan import Seen, search_paths
 from cspace.planning.paths import AlongPaths
-from cspace.query import DEFAULT_PATHS
+from cspace.query import DEFAULT_PATHS, SampleQuery
 from cspace.space import JointSpace
-from cspace.world import CheckCancelled, Known
+from cspace.world import CheckCancelled, Known, Sensor
 
 CONFIDENCE, UNSEEN = "confidence", "unseen"
 # Of the proposals that the validity head filters; the others are the generator's.
@@ -39,6 +38,92 @@ UNIFORM_SHARE = 0.25
 # A head that reads arrays of space at hundreds of spheres a configuration is quickest while what it computes
 # in between fits into a core's own cache: by 64 rows it takes 0.85 of the time that it takes by 512.
 CACHED_ROWS = 64
+
+
+@dataclass(frozen=True, slots=True)
+class Encoding:
+    """The encoder's view of one picture; ``mu`` is float32 (L,), ``sigma`` is float32 (L,), not negative."""
+
+    mu: NDArray[np.float32]
+    sigma: NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A picture that a bundle has encoded, by :meth:`Bundle.prepare`; what it costs is paid once."""
+
+    digest: str
+    image: NDArray[np.uint8]  # uint8, decoded
+    sensor: Sensor
+    encoding: Encoding
+    novelty: float | None = None  # 0 to 1, how unlike the training scenarios it is, where a bundle tells
+    map: NDArray[np.float32] | None = None  # what the bundle's map graph makes of it, where it has one
+    known: Known | None = None
+    pictures: int = 1
+
+    @cached_property
+    def pixels(self) -> NDArray[np.float32]:
+        """float32 (1, C, ...), as the graphs take it: four times the image's bytes, made at the first use."""
+        return self.sensor.to_network(self.image[None])
+
+    @property
+    def size_bytes(self) -> int:
+        """Of what it holds, nearly, before the first use of its pixels."""
+        known = 0 if self.known is None else self.known.size_bytes
+        return self.image.nbytes + (0 if self.map is None else self.map.nbytes) + known
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Belief:
+    """What a model takes a scene to be, seen or not, on a grid of cells in the base frame."""
+
+    low_m: tuple[float, float, float]
+    cell_m: float
+    # (X, Y, Z), the probability that a ball of the cell's width in its middle touches something
+    occupied: NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class ProposalCounts:
+    """How many configurations were proposed, and how many of them are in the answer, by their kind."""
+
+    generator: int = 0
+    generator_kept: int = 0
+    uniform: int = 0
+    uniform_kept: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sampled:
+    """What a sampler gives."""
+
+    samples: NDArray[np.float32]  # (n', d) rad
+    # (n', k), the validity head's confidence, then the unseen share where it gives that; no columns
+    # where the head was not asked
+    scores: NDArray[np.float32]
+    acceptance: float = 1.0
+    ways: NDArray[np.int64] | None = None  # (n',), see :class:`SampleSet`
+    proposals: ProposalCounts | None = None
+
+    def only(self, kept: NDArray[np.bool_]) -> "Sampled":
+        """The samples of which ``kept`` (n',) is true."""
+        ways = None if self.ways is None else self.ways[kept]
+        return Sampled(self.samples[kept], self.scores[kept], self.acceptance, ways, self.proposals)
+
+
+@dataclass(frozen=True, slots=True)
+class SampleSet:
+    """Configurations for one picture."""
+
+    samples: NDArray[np.float32]  # (n', d) rad, circles in [-pi, pi), others within their limits
+    confidence: NDArray[np.float32] | None  # (n',), None without a validity head
+    shortfall: int
+    acceptance: float  # share of what was drawn that reached the confidence asked for; 1 where none was
+    encode_ms: float  # time in the encoder; 0 for a picture that was prepared
+    generate_ms: float
+    unseen: NDArray[np.float32] | None = None  # (n',), share of the robot that no picture shows
+    ways: NDArray[np.int64] | None = None  # (n',), the path that each sample lies along, 0 for the best
+    proposals: ProposalCounts | None = None  # by kind; None for samples along paths
 
 
 class Head:
@@ -53,52 +138,34 @@ class Head:
         self, picture: Picture, configurations: NDArray[np.float32], check_cancelled: CheckCancelled | None
     ) -> NDArray[np.float32]:
         """Confidence in (n, d) rad, and the unseen share where the head gives that, (n, 1) or (n, 2)."""
-        fixed = {"image": picture.pixels}
+        fixed = {PICTURE: picture.pixels}
         if picture.map is not None and self.looks_at_map:
             fixed[MAP] = picture.map
-
-        stop = check_cancelled or (lambda: None)
+        known, stop = picture.known, check_cancelled or (lambda: None)
 
         def predicted(part: NDArray[np.float32]) -> NDArray[np.float32]:
             shapes = dict.fromkeys(self._outputs, (len(part),))
             found = self._graph.run(fixed | {"configurations": part}, shapes)
             return np.stack([found[name] for name in self._outputs], axis=1)
 
-        def score(part: NDArray[np.float32]) -> NDArray[np.float32]:
-            if picture.known is None:
-                return predicted(part)
-            return self._beside(picture.known, part, predicted, stop)
-
-        def run(rows: slice) -> NDArray[np.float32]:
+        def score(rows: slice) -> NDArray[np.float32]:
             part = configurations[rows]
-            if not self.reports_unseen:
-                return score(part)
-            parts = []
-            for first in range(0, len(part), CACHED_ROWS):
-                parts.append(score(part[first : first + CACHED_ROWS]))
-                stop()
-            return np.concatenate(parts)
+            if known is None:
+                return predicted(part)
+            # What is known is not predicted.
+            certain = known.certain(part, stop)
+            columns = np.zeros((len(part), len(self._outputs)), dtype=np.float32)
+            columns[certain, 0] = 1.0
+            if not certain.all():
+                columns[~certain] = predicted(part[~certain])
+            columns[~known.free(part, stop), 0] = 0.0
+            return columns
 
-        found = chunked(run, len(configurations), check_cancelled)
+        chunk_rows = CACHED_ROWS if self.reports_unseen else CHUNK_ROWS
+        found = chunked(score, len(configurations), check_cancelled, chunk_rows)
         if np.any((found < 0.0) | (found > 1.0)):
             raise BundleError("the validity head gives no probabilities", expected="values from 0 to 1")
         return found
-
-    def _beside(
-        self,
-        known: Known,
-        rows: NDArray[np.float32],
-        predicted: Callable[[NDArray[np.float32]], Any],
-        stop: CheckCancelled,
-    ) -> NDArray[np.float32]:
-        """Scores of rows (n, d) rad, of which those that are known are not predicted."""
-        certain = known.certain(rows, stop)
-        columns = np.zeros((len(rows), len(self._outputs)), dtype=np.float32)
-        columns[certain, 0] = 1.0
-        if not certain.all():
-            columns[~certain] = predicted(rows[~certain])
-        columns[~known.free(rows, stop), 0] = 0.0
-        return columns
 
     def predict(
         self, picture: Picture, configurations: NDArray[np.float32], check_cancelled: CheckCancelled | None
@@ -128,29 +195,22 @@ class RandomNumbers:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Proposals:
+class UniformProposals:
     """Which samples of a turn are uniform, and these."""
 
-    learned: list[int]
+    learned: list[int]  # how many the generator makes, by value of the schedule
     uniform: NDArray[np.bool_]  # (m,), the samples in their order
     angles: NDArray[np.float32]  # (u, d) rad, the uniform ones
 
-    def mixed_with(self, learned: NDArray[np.float32]) -> NDArray[np.float32]:
-        """All samples (m, d) in their order, from (m - u, d) generated ones."""
-        mixed = np.empty((len(self.uniform), self.angles.shape[1]), dtype=np.float32)
-        mixed[self.uniform] = self.angles
-        mixed[~self.uniform] = learned
-        return mixed
 
-
-def propose(spec: BundleSpec, counts: Sequence[int], seed: int, turn: int) -> Proposals:
+def propose(spec: BundleSpec, counts: Sequence[int], seed: int, turn: int) -> UniformProposals:
     """The uniform samples of one turn of a request that filters. ``turn``: 0 for the first."""
     total, space = sum(counts), spec.world.space
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(turn, 1))))
     uniform = rng.random(total) < (0.0 if spec.kind == "path" else UNIFORM_SHARE)
     angles = space.to_float32(space.sample_uniform(rng, int(uniform.sum())))
     by_value = np.split(uniform, np.cumsum(counts)[:-1])
-    return Proposals([len(part) - int(part.sum()) for part in by_value], uniform, angles)
+    return UniformProposals([len(part) - int(part.sum()) for part in by_value], uniform, angles)
 
 
 def shares(count: int, parts: int) -> list[int]:
@@ -226,7 +286,7 @@ def rejection_sample(
     while True:
         if turn and check_cancelled is not None:
             check_cancelled()
-        counts = _within(wanted, left)
+        counts = np.diff(np.minimum(np.cumsum(wanted), left), prepend=0).tolist()
         samples, confidence = propose_scored(counts, turn)
         good = confidence[:, 0] >= np.float32(threshold)
         belongs = np.repeat(np.arange(len(counts)), counts)
@@ -243,15 +303,6 @@ def rejection_sample(
     return Sampled(samples[kept], confidence[kept], passed / sampled)
 
 
-def _within(wanted: Sequence[int], left: int) -> list[int]:
-    """The counts, cut where the budget ends."""
-    cut = []
-    for count in wanted:
-        cut.append(min(count, max(left, 0)))
-        left -= count
-    return cut
-
-
 # Share of a first turn's proposals that is likely to pass. Samples about a path are close to contact where it
 # matters; of a generator's samples nearly all pass, and of uniform ones about every second.
 PATHS_PASS, PROPOSALS_PASS = 0.75, 0.85
@@ -266,7 +317,7 @@ class GeneratorSampler:
     def sample(
         self,
         picture: Picture,
-        request: FittedQuery,
+        request: SampleQuery,
         *,
         report_confidence: bool,
         check_cancelled: CheckCancelled | None,
@@ -294,10 +345,11 @@ class GeneratorSampler:
 
         def proposed(counts: Sequence[int], turn: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
             proposals = propose(spec, counts, request.seed, turn)
+            rows = np.empty((len(proposals.uniform), spec.dim), dtype=np.float32)
+            rows[proposals.uniform] = proposals.angles
             # Of a few all may be uniform.
-            nothing = np.empty((0, spec.dim), dtype=np.float32)
-            learned = generate(proposals.learned, turn) if any(proposals.learned) else nothing
-            rows = proposals.mixed_with(learned)
+            if any(proposals.learned):
+                rows[~proposals.uniform] = generate(proposals.learned, turn)
             samples, inside = space.to_float32(rows), space.keeps_pose(rows)
             # What lies outside reaches no confidence, and is not scored. The last column tells uniform ones.
             scores = np.full((len(rows), 2 + head.reports_unseen), -1.0, dtype=np.float32)
@@ -321,7 +373,7 @@ class GeneratorSampler:
     def _generate(
         self,
         draws: RandomNumbers,
-        request: FittedQuery,
+        request: SampleQuery,
         picture: Picture,
         check_cancelled: CheckCancelled | None,
     ) -> NDArray[np.float32]:
@@ -407,7 +459,7 @@ class PathSampler:
     def sample(
         self,
         picture: Picture,
-        request: FittedQuery,
+        request: SampleQuery,
         *,
         report_confidence: bool,
         check_cancelled: CheckCancelled | None,
@@ -445,14 +497,3 @@ class PathSampler:
         # The last column is the path that a sample lies along.
         numbers = found.scores[:, -1].astype(np.int64)
         return Sampled(found.samples, found.scores[:, :-1], found.acceptance, numbers)
-
-
-def sampler_of(
-    spec: BundleSpec, generator: Graph | None, head: Head | None
-) -> GeneratorSampler | PathSampler:
-    """The sampler of a bundle."""
-    if generator is not None:
-        return GeneratorSampler(spec, generator, head)
-    if head is None:
-        raise BundleIntegrityError("a bundle of paths has no validity head", expected="validity.onnx")
-    return PathSampler(spec, head)

@@ -1,19 +1,22 @@
-"""A bundle's description: the typed twin of ``bundle.json``, validated to the last key."""
+"""A bundle's description, as ``bundle.json`` holds it, and how requests fit it."""
 
 import json
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import field, replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, PositiveInt
 
 from cspace.bundle.files import SPEC_FILE
-from cspace.errors import BundleIntegrityError
-from cspace.space import Standardisation
+from cspace.errors import BundleIntegrityError, InputError, OtherRobotError
+from cspace.plan import planning_space
+from cspace.query import PlanQuery, SampleQuery
+from cspace.space import LIMIT_TOLERANCE_RAD, NEAR_LIMIT_RAD, JointSpace, Standardisation
 from cspace.strict_json import Share, adapter_of, json_text, read_json, read_object, validated
 from cspace.view_file import MAX_PICTURES
-from cspace.worlds import WorldField
+from cspace.worlds import WorldField, robot_digest, tool_constraints
 
 SCHEMA_VERSION = 6
 ModelKind = Literal["generator", "mixture", "ways"]
@@ -149,12 +152,19 @@ class BundleSpec:
         values = adapter_of(BundleSpec).dump_python(self) | {"schema_version": SCHEMA_VERSION} | self._derived
         for name in _LOOKS:
             del values[name]
-        return json_text(values, "the bundle's description", BundleIntegrityError).encode()
+        return json_text(values).encode()
 
     @classmethod
     def from_json(cls, data: bytes) -> "BundleSpec":
         """Parse and validate ``bundle.json``; every key is required and no other is allowed."""
-        members = _members(data)
+        members = read_json(data, SPEC_FILE, BundleIntegrityError)
+        if (version := members.pop("schema_version", None)) != SCHEMA_VERSION:
+            raise BundleIntegrityError(
+                "the bundle's schema is another",
+                expected=f"schema_version {SCHEMA_VERSION}",
+                got=repr(version)[:200],
+                remedy="use the release of cspace-sampler that wrote the bundle, or export it again",
+            )
         derived = {name: members.pop(name, None) for name in _DERIVED}
         seen = derived["conditions"] if isinstance(derived["conditions"], list) else ()
         members = {name: condition in seen for name, condition in _LOOKS.items()} | members
@@ -173,14 +183,92 @@ _DERIVED = ("joint_space", "image", "conditions")
 _LOOKS = {"looks_at_picture": PICTURE, "looks_at_map": MAP}
 
 
-def _members(data: bytes) -> dict[str, Any]:
-    """The members of a description without the version of its schema."""
-    members = read_json(data, SPEC_FILE, BundleIntegrityError)
-    if (version := members.pop("schema_version", None)) != SCHEMA_VERSION:
-        raise BundleIntegrityError(
-            "the bundle's schema is another",
-            expected=f"schema_version {SCHEMA_VERSION}",
-            got=repr(version)[:200],
-            remedy="use the release of cspace-sampler that wrote the bundle, or export it again",
+def fitted(query: SampleQuery, spec: BundleSpec, *, has_validity: bool) -> SampleQuery:
+    """The query as its bundle takes it: start and goal wrapped, the confidence that holds."""
+    require_robot(query.robot, spec)
+    least = query.min_confidence
+    if least is None:
+        least = (spec.confidence_threshold or 0.0) if has_validity else 0.0
+    elif least > 0.0 and not has_validity:
+        raise InputError(
+            "the model has no validity head",
+            expected="min_confidence 0",
+            got=str(least),
+            remedy="leave min_confidence out, or choose a model with a validity head",
         )
-    return members
+    start, goal = _endpoint(spec, "start", query.start), _endpoint(spec, "goal", query.goal)
+    return replace(query, start=start, goal=goal, min_confidence=least)
+
+
+def require_robot(robot: str | None, spec: BundleSpec) -> None:
+    """Refuse a robot that the model is not of; None is any."""
+    if robot is not None and robot != (found := robot_digest(spec.world)):
+        raise OtherRobotError(
+            "the model is of another robot",
+            expected=f"robot {robot}",
+            got=f"{found}, {json.dumps(spec.world.body.to_dict())}"[:400],
+            remedy="name a model of this robot; GET /models tells each model's",
+        )
+
+
+def _endpoint(spec: BundleSpec, name: str, angles: tuple[float, ...] | None) -> tuple[float, ...] | None:
+    if name not in spec.endpoints:
+        if angles is None:
+            return None
+        raise InputError(f"the model takes no {name}", expected="a path model", got=f"a {spec.kind} model")
+    if angles is None:
+        raise InputError(f"the model needs a {name}", expected=f"{spec.dim} angles in rad", got="none")
+    return fitted_end(spec, name, angles)
+
+
+def fitted_plan(spec: BundleSpec, query: PlanQuery) -> PlanQuery:
+    """The query with the confidence that fits the bundle, where it names none."""
+    least = spec.plan_confidence if query.min_confidence is None else query.min_confidence
+    return replace(query, min_confidence=least)
+
+
+def fitted_end(
+    spec: BundleSpec, name: str, angles: tuple[float, ...], space: JointSpace | None = None
+) -> tuple[float, ...]:
+    """A start or goal, finite rad, as a bundle takes it: circles wrapped, in single precision.
+
+    A start that lies a little beyond a limit is taken as that limit.
+    """
+    if len(angles) != spec.dim:
+        expected = f"{spec.dim} finite angles in rad"
+        raise InputError(f"{name} does not fit the robot", expected=expected, got=str(list(angles))[:200])
+    whose = "the robot's joints" if space is None else "this request"
+    space = spec.world.space if space is None else space
+    beyond_rad = NEAR_LIMIT_RAD if name == "start" else LIMIT_TOLERANCE_RAD
+    what = f"{name} lies outside the limits of {whose}"
+    configuration = space.admitted(angles, what, beyond_rad=beyond_rad)
+    return tuple(space.to_float32(configuration).tolist())
+
+
+def fitted_problem(spec: BundleSpec, query: PlanQuery) -> NDArray[np.float64]:
+    """Start and goal of a query as a search takes them, (2, d) rad; (1, d) where a pose is the goal."""
+    if (query.goal is None) == (query.goal_pose is None):
+        raise InputError(
+            "there is not one goal",
+            expected="either goal, a configuration, or goal_pose, a pose of the tool",
+            got="neither" if query.goal is None else "both",
+        )
+    space = None if query.limits is None else planning_space(spec.world, query.limits)
+    tool_constraints(spec.world, query.goal_pose, query.upright)
+    given = (("start", query.start), ("goal", query.goal))
+    rows = [fitted_end(spec, name, end, space) for name, end in given if end is not None]
+    return np.asarray(rows, dtype=np.float64)
+
+
+def fitted_configurations(values: ArrayLike, spec: BundleSpec) -> NDArray[np.float32]:
+    """Configurations as a bundle scores them, (n, d) rad: circles wrapped, in single precision."""
+    rows, space = np.asarray(values), spec.world.space
+    if rows.ndim != 2 or not len(rows) or rows.shape[1] != spec.dim or rows.dtype.kind not in "fiu":
+        raise InputError(
+            "the configurations do not fit the robot",
+            expected=f"an array of shape (n, {spec.dim}) in rad, n at least 1",
+            got=f"{rows.dtype} of shape {rows.shape}",
+        )
+    return space.to_float32(
+        space.admitted(rows, "configurations lie outside the limits of the robot's joints")
+    )

@@ -45,13 +45,11 @@ def read_world(values: object) -> World:
     return cast("World", _part(kind, "world").read(members))
 
 
-def _read_or_given(value: object) -> World:
-    return value if isinstance(value, World) else read_world(value)
-
-
 # A field of a pydantic model or dataclass.
 WorldField = Annotated[
-    World, PlainValidator(_read_or_given), PlainSerializer(lambda world: world.to_dict(), return_type=Any)
+    World,
+    PlainValidator(lambda value: value if isinstance(value, World) else read_world(value)),
+    PlainSerializer(lambda world: world.to_dict(), return_type=Any),
 ]
 
 
@@ -161,14 +159,11 @@ def best_view(
     seen_by: Sequence[Mapping[str, Any]] = (),
     seen_state: object = None,
 ) -> NextView | None:
-    """The camera that would see most of the space that makes a path uncertain.
+    """The camera, best from a new place, that would see most of the space that makes a path uncertain.
 
-    Of those from where nobody has looked yet; of the others where none of these sees any.
-
-    ``states``: (n, d) rad along the path. ``costs``: (n,) of each, 0 or more. ``given``: cameras to choose
-    from, as plain values; none for some about the uncertain places. ``seen_state``: where the robot was then,
-    as a view file has it; needed for cameras on a link. None where no camera would see any, and in
-    worlds that are seen whole.
+    ``states``: (n, d) rad along the path. ``costs``: (n,) of each. ``given``: cameras to choose from; none
+    for generated ones. ``seen_by``, ``seen_state``: cameras and robot state of the picture. None where no
+    camera would see any, and in worlds that are seen whole.
     """
     if world.kind not in _PARTLY_SEEN:
         return None

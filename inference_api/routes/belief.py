@@ -8,7 +8,7 @@ import numpy as np
 from fastapi import APIRouter, Depends
 from fastapi.responses import Response
 
-from cspace.bundle.samples import require_robot
+from cspace.bundle.spec import require_robot
 from cspace_client.wire import BeliefAnswer, ScoreTimingMs
 from inference_api.body import body_of, both_bodies
 from inference_api.limits import ComputePlace

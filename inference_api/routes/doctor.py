@@ -6,7 +6,7 @@ from typing import Annotated
 from fastapi import APIRouter, Depends
 from fastapi.responses import Response
 
-from cspace.bundle.samples import require_robot
+from cspace.bundle.spec import require_robot
 from cspace.errors import ImageError
 from cspace_client.wire import DoctorAnswer, DoctorTimingMs, ScenarioInfo, SuggestedPose, Verdict
 from inference_api.body import body_of, both_bodies

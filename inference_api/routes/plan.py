@@ -9,7 +9,7 @@ import numpy as np
 from fastapi import APIRouter, Depends, Request
 from fastapi.responses import Response
 
-from cspace.bundle.samples import fitted_plan, fitted_problem, require_robot
+from cspace.bundle.spec import fitted_plan, fitted_problem, require_robot
 from cspace.errors import InputError
 from cspace.plan import planning_space
 from cspace.query import Plan, PlanQuery, random_seed

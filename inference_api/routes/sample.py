@@ -6,7 +6,7 @@ from typing import Annotated
 from fastapi import APIRouter, Depends
 from fastapi.responses import Response
 
-from cspace.bundle.samples import fitted
+from cspace.bundle.spec import fitted
 from cspace.query import SampleQuery, random_seed
 from cspace_client.wire import ProposalCounts, SampleAnswer, TimingMs
 from inference_api.body import body_of, both_bodies

@@ -10,7 +10,7 @@ from fastapi import APIRouter, Depends
 from fastapi.responses import Response
 from numpy.typing import NDArray
 
-from cspace.bundle.samples import fitted_configurations, require_robot
+from cspace.bundle.spec import fitted_configurations, require_robot
 from cspace.errors import InputError
 from cspace.files import read_npy
 from cspace_client.wire import MAX_EXPLAINED, MAX_SAMPLES, Contact, ScoreTimingMs, ValidityAnswer

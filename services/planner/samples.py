@@ -15,7 +15,7 @@ from pydantic import ValidationError
 import cspace.errors
 import cspace_client
 from cspace.bundle import Bundle, load_verified
-from cspace.bundle.samples import fitted
+from cspace.bundle.spec import fitted
 from cspace.errors import BundleError, InputError, SamplerError, SamplerUnavailableError, ServiceError
 from cspace.query import MAX_SAMPLES, PlanQuery, QueryOptions, SampleQuery, random_seed
 from cspace.world import Examined

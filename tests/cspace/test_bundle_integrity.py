@@ -1,7 +1,5 @@
 import dataclasses
 import hashlib
-import shutil
-import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -33,13 +31,6 @@ def test_the_digest_is_that_of_the_sums_and_tells_models_apart(tmp_path: Path, f
         for scale in (1.0, 2.0)
     )
     assert again == bundle.digest != other
-
-
-def test_sha256sum_accepts_the_sums(folder: Path) -> None:
-    tool = shutil.which("sha256sum")
-    if tool is None:
-        pytest.skip("needs sha256sum of GNU coreutils")
-    subprocess.run([tool, "--check", "--strict", "SHA256SUMS"], cwd=folder, check=True, capture_output=True)
 
 
 @pytest.mark.parametrize("name", ["bundle.json", "generator.onnx", "golden.npz", "SHA256SUMS"])

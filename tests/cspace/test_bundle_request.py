@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cspace.bundle import Bundle
-from cspace.bundle.samples import fitted_configurations, fitted_end
+from cspace.bundle.spec import fitted_configurations, fitted_end
 from cspace.errors import InputError
 from cspace.worlds.planar.arm import PlanarArm
 from cspace.worlds.planar.world import PlanarWorld

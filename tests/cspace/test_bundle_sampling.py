@@ -10,7 +10,7 @@ import pytest
 
 from cspace.bundle import Bundle, write_bundle
 from cspace.bundle.golden import scene
-from cspace.bundle.samples import ProposalCounts
+from cspace.bundle.sampling import ProposalCounts
 from cspace.errors import InputError
 from cspace.query import SampleQuery
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm

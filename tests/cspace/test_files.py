@@ -47,14 +47,6 @@ def test_a_folder_that_holds_something_is_not_replaced(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["thesis"]
 
 
-def test_what_cannot_be_written_is_told_in_the_systems_words_without_a_path(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(StorageError) as caught, replacing(tmp_path / "file" / "new", "the bundle") as beside:
-        beside.mkdir(parents=True)
-    assert caught.value.what == "the bundle cannot be written"
-    assert str(tmp_path) not in str(caught.value)
-
-
 def test_a_lock_file_is_held_by_one_at_a_time_and_given_back_after_an_error(tmp_path: Path) -> None:
     path, busy = tmp_path / "lock", JobError("held")
     with suppress(ZeroDivisionError), holding(path, busy):

@@ -47,11 +47,6 @@ def test_uniform_samples_fill_the_joint_space():
     np.testing.assert_allclose(samples.std(axis=0), [2 * pi / sqrt(12), 3 / sqrt(12)], atol=0.03)
 
 
-def test_a_standardisation_is_that_of_the_data():
-    scale = Standardisation.fit([[1.0, -2.0], [3.0, 2.0]])
-    assert (scale.mean, scale.std) == ((2.0, 0.0), (1.0, 2.0))
-
-
 @pytest.mark.parametrize(("mean", "std"), [((0.0,), (0.0,)), ((0.0,), (float("nan"),)), ((0.0, 0.0), (1.0,))])
 def test_a_standardisation_that_cannot_be_undone_is_an_error(mean, std):
     with pytest.raises(ScenarioError, match="positive deviation"):

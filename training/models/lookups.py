@@ -40,10 +40,10 @@ class ArmLookups(nn.Module):
 
     def __init__(self, world: World, points_per_link: int, side_m: float) -> None:
         super().__init__()
-        found = world.levers(points_per_link, side_m)
+        found = world.link_sample_points(points_per_link, side_m)
         self.points = len(found.origin) // 2
         self.values = 3 * self.points
-        levers, origin = torch.from_numpy(found.levers), torch.from_numpy(found.origin)
+        levers, origin = torch.from_numpy(found.offsets), torch.from_numpy(found.origin)
         values = {"levers": levers, "origin": origin}
         # For each side of the picture apart, a point a row: what a served graph multiplies by.
         for side, turned, start in zip(

@@ -64,9 +64,8 @@ def _average(picture: Image.Image, pixels: int, check_cancelled: CheckCancelled 
         rows[:, left:right] = np.tensordot(weights, band, axes=(1, 0))
         if check_cancelled is not None:
             check_cancelled()
-    both: NDArray[np.float32] = np.tensordot(weights, rows, axes=(1, 1)).transpose(1, 0, 2)
-    rounded = np.clip(np.floor(both + np.float32(0.5)), 0, 255)
-    return np.asarray(rounded, dtype=np.uint8)
+    both = np.tensordot(weights, rows, axes=(1, 1)).transpose(1, 0, 2)
+    return np.asarray(np.clip(np.floor(both + np.float32(0.5)), 0, 255), dtype=np.uint8)
 
 
 def _overlap(source: int, target: int) -> NDArray[Any]:

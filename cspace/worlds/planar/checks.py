@@ -159,8 +159,8 @@ def seen_checkers(
     # Red discs lie over the blue arm and the white ground.
     covered = 1.0 - picture[..., 2] / _GROUND
     rows, columns = np.nonzero(_outline(covered >= _COVERED))
-    height, width = (side / camera.pixels for side in _sides(camera.extent_m))
-    left, _, _, top = camera.extent_m
+    left, right, bottom, top = camera.extent_m
+    height, width = (top - bottom) / camera.pixels, (right - left) / camera.pixels
     places = np.stack([left + (columns + 0.5) * width, top - (rows + 0.5) * height], axis=1)
     radii = np.sqrt(covered[rows, columns] * width * height / np.pi)
     least = np.zeros(len(radii))
@@ -175,12 +175,6 @@ def seen_checkers(
         discs = np.column_stack([places, sizes])[sizes > 0.0]
         found.append(CollisionChecker(Scenario.from_array(arm, discs, camera)))
     return found
-
-
-def _sides(extent_m: tuple[float, float, float, float]) -> tuple[float, float]:
-    """Height and width, m."""
-    left, right, bottom, top = extent_m
-    return top - bottom, right - left
 
 
 def _outline(covered: NDArray[np.bool_]) -> NDArray[np.bool_]:

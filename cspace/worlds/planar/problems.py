@@ -88,10 +88,6 @@ class FreeGrid:
         at = np.floor((space.wrap(configurations) - np.asarray(space.lower)) / self.spacing_rad)
         return tuple(np.moveaxis(np.clip(at.astype(np.int64), 0, self.cells - 1), -1, 0))
 
-    def cell_of(self, configuration: ArrayLike) -> tuple[int, ...]:
-        """The cell that holds a configuration (d,) rad."""
-        return tuple(int(index) for index in self.cells_of(configuration))
-
     def components(self, above_rad: float = 0.0, *, diagonal: bool = False) -> NDArray[np.int64]:
         """Component of each cell of larger clearance, 0 for the others; corners join if ``diagonal``."""
         inside = self.free if above_rad <= 0.0 else self.clearance_rad > above_rad
@@ -103,14 +99,14 @@ class FreeGrid:
     def joined(self, start: ArrayLike, goal: ArrayLike, above_rad: float = 0.0) -> bool:
         """Whether two configurations lie in one component; False when either's cell is outside."""
         labels = self.components(above_rad)
-        first, second = labels[self.cell_of(start)], labels[self.cell_of(goal)]
+        first, second = labels[self.cells_of(start)], labels[self.cells_of(goal)]
         return bool(first == second and first > 0)
 
     def bottleneck_rad(self, start: ArrayLike, goal: ArrayLike) -> float:
         """Largest clearance at which start and goal stay connected, by bisection; 0 when they never are."""
         if not self.joined(start, goal):
             return 0.0
-        low, high = 0.0, float(min(self.clearance_rad[self.cell_of(q)] for q in (start, goal)))
+        low, high = 0.0, float(min(self.clearance_rad[self.cells_of(q)] for q in (start, goal)))
         if math.isinf(high) or self.joined(start, goal, high * (1.0 - 1e-9)):
             return high
         for _ in range(_BISECTIONS):
@@ -161,12 +157,11 @@ class PathFinder:
     def path(self, start: ArrayLike, goal: ArrayLike) -> NDArray[np.float64] | None:
         """A free path (k, d) rad from ``start`` (d,) to ``goal`` (d,); None where the grid has none.
 
-        Every edge is free at the resolution. A route of the grid whose cells are free and whose edges are not
-        is no path, so that a passage finer than a cell may be missed; one that is found is always free.
+        Every edge is free at the resolution; a passage finer than a cell may be missed.
         """
         first, last = self._space.wrap(start), self._space.wrap(goal)
         shape = self._grid.free.shape
-        at, end = (int(np.ravel_multi_index(self._grid.cell_of(q), shape)) for q in (first, last))
+        at, end = (int(np.ravel_multi_index(self._grid.cells_of(q), shape)) for q in (first, last))
         parents = dijkstra(self._graph, directed=False, indices=end, return_predecessors=True)[1]
         cells = [at]
         while cells[-1] != end:
@@ -254,7 +249,7 @@ def draw_problem(
 
 
 def apart(scenario: Scenario, ends: NDArray[np.float64]) -> str | None:
-    """In words, that ends (2, d) rad lie in different parts of the free space; None where they may not."""
+    """A sentence if ends (2, d) rad lie in different parts of the free space; None where they may not."""
     grid = _fine(scenario)
     first, second = grid.touching[grid.cells_of(ends)]
     if 0 in (first, second) or first == second:
@@ -287,15 +282,11 @@ def _ends(
 def narrow_pairs(scenario: Scenario, configurations: NDArray[np.float64]) -> NDArray[np.int64]:
     """All pairs (k, 2) of free configurations (n, d) rad that a narrow passage joins and nothing wider."""
     low, high = NARROW_RAD
-    none = np.empty((0, 2), dtype=np.int64)
     for cells in _SCREEN_CELLS:
         grid = FreeGrid(scenario, cells)
         if not _passages(grid, configurations, 0.0, high + float(grid.spacing_rad.max()) / 2.0):
-            return none
-    grid = _fine(scenario)
-    if not _passages(grid, configurations, low, high):
-        return none
-    sides, whole = _sides(grid, configurations, low, high)
+            return np.empty((0, 2), dtype=np.int64)
+    sides, whole = _sides(_fine(scenario), configurations, low, high)
     return np.argwhere(
         (sides[:, None] != sides) & (whole[:, None] == whole) & (sides[:, None] > 0) & (sides > 0)
     )

@@ -154,19 +154,10 @@ class KnownDiscs:
     @classmethod
     def read(cls, text: bytes, arm: PlanarArm, seen: NDArray[np.uint8]) -> "KnownDiscs":
         """Of JSON: ``scene`` lists ``name`` and ``disc``, which has ``x_m``, ``y_m`` and ``radius_m``."""
-        values = read_json(text, _WHERE, InputError)
-        if others := ", ".join(sorted(set(values) - {"scene"}))[:200]:
-            raise InputError(
-                f"the planar world takes no {others}",
-                expected="scene alone, of discs with names",
-                got=others,
-                remedy=f"leave {others} out, or name a model of an arm in space",
-            )
-        bodies = read_object(_Scene, values, _WHERE, InputError).scene
+        bodies = read_object(_Scene, read_json(text, _WHERE, InputError), _WHERE, InputError).scene
         rows = [(one.disc.x_m, one.disc.y_m, one.disc.radius_m) for one in bodies]
-        return cls(
-            arm, tuple(one.name for one in bodies), np.asarray(rows, dtype=np.float64).reshape(-1, 3), seen
-        )
+        discs = np.asarray(rows, dtype=np.float64).reshape(-1, 3)
+        return cls(arm, tuple(one.name for one in bodies), discs, seen)
 
     @property
     def size_bytes(self) -> int:

@@ -16,10 +16,10 @@ from cspace.world import (
     CheckCancelled,
     Contact,
     Examined,
-    Levers,
+    LinkSamplePoints,
     World,
 )
-from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, JointLimits, PlanarArm, levers
+from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, JointLimits, PlanarArm, link_sample_points
 from cspace.worlds.planar.camera import Camera, Length, Place, decode_png
 from cspace.worlds.planar.scenes import MAX_GIVEN, DiscScenes, GivenScenes, KnownDiscs, Scenes
 
@@ -53,9 +53,9 @@ class PlanarWorld(World):
         del image
         return known.contact(configuration) if isinstance(known, KnownDiscs) else None
 
-    def levers(self, points_per_link: int, side_m: float) -> Levers:
-        """See :func:`cspace.worlds.planar.arm.levers`."""
-        return levers(self.body, self.sensor, points_per_link, side_m)
+    def link_sample_points(self, points_per_link: int, side_m: float) -> LinkSamplePoints:
+        """See :func:`cspace.worlds.planar.arm.link_sample_points`."""
+        return link_sample_points(self.body, self.sensor, points_per_link, side_m)
 
     def check_scenes(self, arrays: Arrays, count: int) -> None:
         """See :meth:`cspace.world.World.check_scenes`."""

@@ -15,7 +15,7 @@ from pydantic import Field
 
 from cspace.errors import DatasetError, ImageError, ScenarioError
 from cspace.files import replacing
-from cspace.simulator import Problem, ProblemRequest, Split, Taken
+from cspace.simulator import Problem, ProblemRequest, Split, UnseenPolicy
 from cspace.strict_json import Record, parse_json, read_object, validated
 from cspace.world import Image, World
 from cspace.worlds.spatial.arm import SerialArm
@@ -183,20 +183,20 @@ class SpatialPartlySeen:
             return None
         return Problem(scene, ends[0], ends[1], family, seed=request.seed)
 
-    def checkers(self, problem: Problem, image: Image, taken: Taken) -> Sequence[CollisionChecker]:
+    def checkers(self, problem: Problem, image: Image, taken: UnseenPolicy) -> Sequence[CollisionChecker]:
         """Where unseen space is occupied, room is made for the arm at the start, where it stands."""
         scene = cast("SpatialScene", problem.scenario)
         world, obstacles = replace(scene.world, body=scene.arm), scene.obstacles
-        if taken is Taken.KNOWN:
+        if taken is UnseenPolicy.KNOWN:
             return [CollisionChecker(world.body, obstacles)]
         ends = np.array([problem.start, problem.goal])
-        if taken is Taken.TRUE:
+        if taken is UnseenPolicy.TRUE:
             return seen_checkers(world, image, ends, obstacles)
-        if taken is Taken.FREE:
+        if taken is UnseenPolicy.FREE:
             return seen_checkers(world, image, ends)
         occupied = image.copy()
         occupied[image[..., 1] != FREE, 0] = 0
-        return seen_checkers(world, occupied, ends if taken is Taken.CLEARED else ends[:1])
+        return seen_checkers(world, occupied, ends if taken is UnseenPolicy.CLEARED else ends[:1])
 
     def unseen(self, image: Image, configurations: ArrayLike) -> NDArray[np.float64]:
         """By the centres of the spheres that move."""

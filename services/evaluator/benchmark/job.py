@@ -26,8 +26,7 @@ from cspace.plan import load_kernels
 from cspace.planning.paths import length_rad, spaced
 from cspace.planning.search import find_paths
 from cspace.query import DEFAULT_PATHS, SampleQuery
-from cspace.simulator import Problem
-from cspace.simulator import Taken as Unseen
+from cspace.simulator import Problem, UnseenPolicy
 from cspace.worlds import checker_of, partly_seen, picture_file_of
 from services.commands import Progress
 from services.evaluator.benchmark.report import Results, figures
@@ -149,7 +148,7 @@ class _Case:
             "request_s": request_s,
         }
 
-    def _search(self, unseen: Unseen) -> tuple[FoundPath, Row]:
+    def _search(self, unseen: UnseenPolicy) -> tuple[FoundPath, Row]:
         """The shortest path of a search by a fixed rule for unseen space."""
         problem = self.problem
         checkers = partly_seen(self.setting.world).checkers(problem, self.image, unseen)

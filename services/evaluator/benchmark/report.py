@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from cspace.errors import EvaluationError
 from cspace.planning.cost import calibration_error
-from cspace.simulator import Taken as Unseen
+from cspace.simulator import UnseenPolicy
 from cspace.worlds import partly_seen
 from services.evaluator.benchmark.variants import NO_PROBLEM, Group, Protocol, Setting, Variant
 from services.evaluator.statistics import (
@@ -407,7 +407,7 @@ def _safety(results: Results) -> Figure:
             if one.sampler is not None:
                 curve = confidence_curve(own)
                 axes.plot(curve["answered"], curve["collide"], label=one.name)
-            elif one.unseen is not Unseen.KNOWN and own["solved"].any():
+            elif one.unseen is not UnseenPolicy.KNOWN and own["solved"].any():
                 collide = (own["clearance_m"][own["solved"]] <= 0.0).mean()
                 axes.plot(own["solved"].mean(), collide, "o", label=one.name)
         title = f"{group} picture(s)\n{paired.problems} problems"

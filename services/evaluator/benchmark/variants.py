@@ -7,8 +7,7 @@ from pathlib import Path
 
 from cspace.errors import ConfigError
 from cspace.query import SampleQuery
-from cspace.simulator import Families, Problem, ProblemRequest, Split
-from cspace.simulator import Taken as Unseen
+from cspace.simulator import Families, Problem, ProblemRequest, Split, UnseenPolicy
 from cspace.world import World
 from cspace.worlds import default_world, partly_seen, simulator_of
 from services.evaluator.evaluation import planner_seed
@@ -75,12 +74,12 @@ class Variant:
     sampler: str | None = None
     share: float = 0.0
     samples: int = 0
-    unseen: Unseen | None = None
+    unseen: UnseenPolicy | None = None
 
     @property
     def pictured(self) -> bool:
         """Whether the result depends on the depth pictures."""
-        return self.sampler is not None or self.unseen not in (None, Unseen.KNOWN)
+        return self.sampler is not None or self.unseen not in (None, UnseenPolicy.KNOWN)
 
     def query(self, seed: int) -> SampleQuery:
         """The request for samples, unfiltered and without start and goal."""
@@ -108,9 +107,9 @@ def _samples(models: Sequence[str], samples: int, shares: Sequence[float]) -> It
 
 
 def _plans(models: Sequence[str]) -> Iterator[Variant]:
-    free = Unseen.FREE.value
+    free = UnseenPolicy.FREE.value
     yield from (Variant(model, Group.PLANS, None, free, model) for model in models)
-    yield from (Variant(unseen.value, Group.PLANS, None, free, unseen=unseen) for unseen in Unseen)
+    yield from (Variant(unseen.value, Group.PLANS, None, free, unseen=unseen) for unseen in UnseenPolicy)
 
 
 def pick(variants: Sequence[Variant], wanted: Sequence[str]) -> tuple[Variant, ...]:

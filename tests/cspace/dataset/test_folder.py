@@ -77,13 +77,6 @@ def test_equal_content_has_an_equal_digest_and_other_content_another(tmp_path):
     assert len({first.digest, other.digest, robot.digest}) == 3
 
 
-@pytest.mark.parametrize("value", [np.nan, np.float32(1.0)])
-def test_a_data_set_whose_making_is_not_plain_json_is_refused_before_it_is_there(tmp_path, value):
-    with pytest.raises(DatasetError, match="plain JSON"):
-        write_dataset(tmp_path / "data", **content(generator={"rate": value}))
-    assert not list(tmp_path.iterdir())
-
-
 PICTURES = np.zeros((3, 16, 16, 3), np.uint8)
 WRONG = {
     "images": ({"images": PICTURES[:, 1:]}, r"images.*16, 16, 3.*3, 15, 16, 3"),

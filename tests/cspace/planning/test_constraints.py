@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cspace.bundle import BundleSpec, RandomInput
-from cspace.bundle.samples import fitted_problem
+from cspace.bundle.spec import fitted_problem
 from cspace.errors import InputError
 from cspace.plan import Seen, plan
 from cspace.planning.paths import spaced

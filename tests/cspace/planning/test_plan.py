@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cspace.bundle import Bundle
-from cspace.bundle.samples import fitted_plan
+from cspace.bundle.spec import fitted_plan
 from cspace.errors import InputError
 from cspace.plan import Seen, plan
 from cspace.planning.cost import calibration_error, given_free, score

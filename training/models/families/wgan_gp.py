@@ -109,7 +109,7 @@ class WganConfig(TrainConfig):
                 if world is None or not lookups.points_per_link:
                     continue
                 try:
-                    world.levers(lookups.points_per_link, lookups.side_m)
+                    world.link_sample_points(lookups.points_per_link, lookups.side_m)
                 except ConfigError as error:
                     text = f"{key}.{part}.points_per_link does not fit the robot: {error}"
                     raise ValueError(text) from error

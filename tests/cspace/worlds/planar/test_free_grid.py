@@ -49,7 +49,7 @@ def test_a_cell_is_free_when_its_centre_is(robot):
     for index in itertools.product(range(12), repeat=robot.dim):
         centre = np.array(robot.space.lower) + (np.array(index) + 0.5) * grid.spacing_rad
         assert grid.free[index] == checker.valid(centre)
-        assert grid.cell_of(centre) == index
+        assert grid.cells_of(centre) == index
 
 
 def test_the_clearance_of_one_link_is_the_angle_to_contact():
@@ -61,15 +61,15 @@ def test_the_clearance_of_one_link_is_the_angle_to_contact():
         (-np.pi + 0.1, CONTACT_RAD + 0.1),
         (-np.pi / 2, CONTACT_RAD + np.pi / 2),
     ]:
-        assert grid.clearance_rad[grid.cell_of([angle])] == pytest.approx(distance, abs=0.004)
+        assert grid.clearance_rad[grid.cells_of([angle])] == pytest.approx(distance, abs=0.004)
 
 
 def test_a_limited_joint_does_not_see_across_its_limits():
     limited = PlanarArm(link_lengths_m=(2.0,), joint_limits_rad=((-3.1, 3.1),))
     grid = FreeGrid(Scenario(limited, (Disc(0.0, 3.0),)), 3600)
     blocked_from = np.pi - CONTACT_RAD
-    assert grid.clearance_rad[grid.cell_of([-3.0])] == pytest.approx(3.0 + CONTACT_RAD, abs=0.01)
-    assert grid.clearance_rad[grid.cell_of([3.0])] == pytest.approx(3.0 - blocked_from, abs=0.01)
+    assert grid.clearance_rad[grid.cells_of([-3.0])] == pytest.approx(3.0 + CONTACT_RAD, abs=0.01)
+    assert grid.clearance_rad[grid.cells_of([3.0])] == pytest.approx(3.0 - blocked_from, abs=0.01)
 
 
 def test_components_close_over_the_seams():

@@ -103,12 +103,6 @@ def test_the_ends_of_a_disconnected_problem_are_in_different_components(disconne
     assert not fine_grid(disconnected.scenario).joined(disconnected.start, disconnected.goal)
 
 
-def test_all_ends_are_free_and_apart(uniform, narrow, disconnected):
-    for problem in (uniform, narrow, disconnected):
-        assert CollisionChecker(problem.scenario).valid_batch([problem.start, problem.goal]).all()
-        assert problem.space.distance(problem.start, problem.goal) > 0.0
-
-
 def test_a_problem_is_fixed_by_family_split_seed_and_index():
     problems = [
         draw_problem(Family.UNIFORM, split, seed, index)

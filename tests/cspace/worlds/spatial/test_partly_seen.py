@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cspace.simulator import ProblemRequest, Split, Taken
+from cspace.simulator import ProblemRequest, Split, UnseenPolicy
 from cspace.worlds import checker_of, examples, partly_seen, picture_file_of, picture_of
 from cspace.worlds.spatial.benchmark import level_face
 from cspace.worlds.spatial.checks import CollisionChecker
@@ -35,13 +35,15 @@ def test_what_is_taken_for_occupied_collides_and_what_is_true_is_kept_to(problem
     image = picture_of(problem.scenario)
     rng = np.random.default_rng(0)
     rows = problem.space.sample_uniform(rng, 300)
-    free = {taken: SETS.checkers(problem, image, taken)[-1].valid_batch(rows) for taken in Taken}
-    assert free[Taken.OCCUPIED].sum() <= free[Taken.CLEARED].sum() < free[Taken.FREE].sum()
-    np.testing.assert_array_equal(free[Taken.TRUE], free[Taken.FREE] & free[Taken.KNOWN])
+    free = {taken: SETS.checkers(problem, image, taken)[-1].valid_batch(rows) for taken in UnseenPolicy}
+    assert (
+        free[UnseenPolicy.OCCUPIED].sum() <= free[UnseenPolicy.CLEARED].sum() < free[UnseenPolicy.FREE].sum()
+    )
+    np.testing.assert_array_equal(free[UnseenPolicy.TRUE], free[UnseenPolicy.FREE] & free[UnseenPolicy.KNOWN])
     ends = np.array([problem.start, problem.goal])
     occupied, cleared = (
         SETS.checkers(problem, image, taken)[-1].valid_batch(ends)
-        for taken in (Taken.OCCUPIED, Taken.CLEARED)
+        for taken in (UnseenPolicy.OCCUPIED, UnseenPolicy.CLEARED)
     )
     assert occupied.tolist() == [True, False]
     assert cleared.all()
@@ -76,7 +78,7 @@ def test_what_the_goal_grasps_is_carried_there_and_the_table_is_known(problem):
     image = scene.world.read_picture(picture_file_of(scene))
     empty = CollisionChecker(scene.world.body, scene.obstacles).valid_batch(rows)
     full = checker_of(scene).valid_batch(rows)
-    np.testing.assert_array_equal(full, SETS.checkers(held, image, Taken.KNOWN)[0].valid_batch(rows))
+    np.testing.assert_array_equal(full, SETS.checkers(held, image, UnseenPolicy.KNOWN)[0].valid_batch(rows))
     assert (full <= empty).all()
     assert (empty & ~full).sum() > 10
     assert SETS.mesh_checker(held) is None

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from cspace.errors import ConfigError, DatasetError
-from cspace.simulator import Taken
+from cspace.simulator import UnseenPolicy
 from inference_api.settings import PRETRAINED_FOLDER
 from services.evaluator.benchmark import __main__ as command
 from services.evaluator.benchmark.__main__ import make_request, parser
@@ -77,10 +77,10 @@ def test_a_benchmark_of_plans_leaves_its_files_and_goes_on_where_it_was_stopped(
     assert (out / "figures/safety.png").stat().st_size > 10_000
     frame = pd.read_parquet(out / "runs.parquet").set_index(["variant", "problem"])
     assert len(frame) == 2 * 6
-    known = frame.loc[Taken.KNOWN.value]
+    known = frame.loc[UnseenPolicy.KNOWN.value]
     assert known["solved"].all()
     assert (known["clearance_m"] > -0.005).all()
-    assert not frame.loc[Taken.OCCUPIED.value]["solved"].any()
+    assert not frame.loc[UnseenPolicy.OCCUPIED.value]["solved"].any()
     (run,) = tracking.runs.values()
     assert "MotionBenchMaker_1/tiny/solved" in run.history
     assert "## Plans without exact checks: MotionBenchMaker, 1" in (out / "report.md").read_text()
