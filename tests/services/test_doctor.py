@@ -9,7 +9,7 @@ import pytest
 from cspace.worlds.spatial.poses import pose_of
 from cspace.worlds.spatial.view import write_view
 from services.doctor import main
-from tests.cspace.worlds.spatial.test_doctor import CAMERA, VIEW
+from tests.cspace.worlds.spatial.test_diagnosis import CAMERA, VIEW
 
 
 def file_of(folder, view):
