@@ -14,7 +14,7 @@ import numpy as np
 from cspace.simulator import Split
 from cspace.worlds import examples
 from cspace.worlds.spatial.camera import OPTICAL_IN_BODY, DepthCamera
-from cspace.worlds.spatial.doctor import ELSEWHERE, NOT_IN_VIEW
+from cspace.worlds.spatial.diagnosis import ELSEWHERE, NOT_IN_VIEW
 from cspace.worlds.spatial.hypotheses import FEW_PIXELS, HYPOTHESES, Request
 from cspace.worlds.spatial.poses import make_pose, pose_of, quaternion_of, quaternion_pose, turn
 from cspace.worlds.spatial.scenes import draw_scene

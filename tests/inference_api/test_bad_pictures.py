@@ -17,7 +17,7 @@ from cspace.worlds import examples, simulator_of
 from cspace.worlds.spatial.camera import DepthCamera, encode_depth, looking
 from cspace.worlds.spatial.poses import make_pose, pose_of, turn
 from tests.bundles import picture
-from tests.cspace.worlds.spatial.test_doctor import CAMERA, PICTURE, STATE, order_wxyz
+from tests.cspace.worlds.spatial.test_diagnosis import CAMERA, PICTURE, STATE, order_wxyz
 from tests.inference_api.answers import assert_problem
 from tests.inference_api.client import ApiClient
 

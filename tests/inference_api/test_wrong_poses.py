@@ -15,7 +15,7 @@ from cspace.worlds import examples
 from cspace.worlds.spatial.hypotheses import Request
 from cspace.worlds.spatial.poses import make_pose, turn
 from cspace.worlds.spatial.scenes import draw_scene
-from tests.cspace.worlds.spatial.test_doctor import order_wxyz
+from tests.cspace.worlds.spatial.test_diagnosis import order_wxyz
 from tests.inference_api.answers import assert_problem
 from tests.inference_api.client import ApiClient
 from tests.inference_api.test_bad_pictures import START, ask, camera_of

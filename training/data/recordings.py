@@ -30,7 +30,7 @@ from cspace.strict_json import refused
 from cspace.view_file import pack_view
 from cspace.world import Finding
 from cspace.worlds.spatial.camera import decode_depth, encode_depth, in_range, read_pinhole
-from cspace.worlds.spatial.doctor import ELSEWHERE
+from cspace.worlds.spatial.diagnosis import ELSEWHERE
 from cspace.worlds.spatial.hypotheses import HYPOTHESES
 from cspace.worlds.spatial.poses import quaternion_pose
 from cspace.worlds.spatial.view import METRES, rounded_mm

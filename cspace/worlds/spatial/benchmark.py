@@ -313,18 +313,17 @@ def _bench(split: Split, folder: Path | None, family: str) -> tuple[BenchProblem
 
 @lru_cache(maxsize=2)
 def _meshes(arm: SerialArm, folder: Path | None) -> RobotMeshes | None:
-    description = _description(arm, folder)
-    try:
-        return None if description is None else RobotMeshes(arm, description)
-    except ScenarioError:
-        return None
-
-
-def _description(arm: SerialArm, folder: Path | None) -> Description | None:
     urdf = panda_urdf()
     if is_benchmarked(arm) and urdf is not None:
-        return Description(urdf, dict.fromkeys(("panda_finger_joint1", "panda_finger_joint2"), FINGERS_M))
-    if arm.name != UR5 or folder is None:
+        fingers = dict.fromkeys(("panda_finger_joint1", "panda_finger_joint2"), FINGERS_M)
+        description = Description(urdf, fingers)
+    elif arm.name == UR5 and folder is not None:
+        place = folder / "description"
+        description = Description(place / "ur5.urdf", packages=(place,))
+    else:
         return None
-    place = folder / "description"
-    return Description(place / "ur5.urdf", packages=(place,))
+    try:
+        return RobotMeshes(arm, description)
+    except (ScenarioError, ValueError):
+        # Without Pinocchio, or a file of the description.
+        return None

@@ -1,4 +1,4 @@
-"""Verdicts by the robot's own collision meshes, with Pinocchio and coal, an extra."""
+"""Collision checks of a serial arm by the meshes of its description, with Pinocchio and coal."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -11,11 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from cspace.errors import ScenarioError
 from cspace.worlds.spatial.arm import SerialArm
-from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles
+from cspace.worlds.spatial.obstacles import Box, Obstacles
 from cspace.worlds.spatial.poses import nearest_rotation
-
-# Of the arm's kinematics and the description's, m.
-_SAME_M = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,31 +22,32 @@ class Description:
     urdf: Path  # the file; packages that its meshes are named in are looked for in the folders above it
     locked: Mapping[str, float] = field(default_factory=dict)  # values of joints that do not move, rad or m
     packages: tuple[Path, ...] = ()
-    convex: bool = True  # take convex meshes as solids, which is quicker than as hollow surfaces
 
 
 class RobotMeshes:
-    """An arm's meshes, loaded once, for the checkers of many scenes."""
+    """The meshes of an arm, loaded once for the checkers of many scenes, as its description has them."""
 
     def __init__(self, arm: SerialArm, description: Description) -> None:
         self.arm = arm
-        self._pin, self._coal = _libraries()
+        self.pin, self._coal = _libraries()
         self.model, self.geometry = self._loaded(description)
-        self._columns = [self._column(joint.name) for joint in arm.joints]
+        joints = [self.model.joints[self.model.getJointId(joint.name)] for joint in arm.joints]
+        self._columns = [(joint.idx_q, joint.nq) for joint in joints]
         shapes: dict[str, list[int]] = {part.name: [] for part in arm.parts}
         for index, shape in enumerate(self.geometry.geometryObjects):
             shapes.setdefault(self.model.frames[shape.parentFrame].name, []).append(index)
-            if description.convex:
-                self._make_convex(shape)
-        if bare := [part.name for part in arm.parts if not shapes[part.name]]:
-            raise _bad(description, f"no shapes for the arm's parts {bare}")
+            mesh = shape.geometry
+            if mesh.getObjectType() == self._coal.OBJECT_TYPE.OT_BVH:
+                mesh.buildConvexHull(True, "Qt")  # noqa: FBT003 # takes no names
+                # Another mesh has vertices inside its hull, and is looked at triangle by triangle.
+                if mesh.convex.num_points == mesh.num_vertices:
+                    shape.geometry = mesh.convex
         self.pairs = tuple(
             (first, second)
             for one, other in arm.touching
             for first in shapes[one]
             for second in shapes[other]
         )
-        self._check_motion(description)
 
     def among(self, obstacles: Obstacles) -> "MeshChecker":
         """The checker of a scene."""
@@ -62,87 +60,46 @@ class RobotMeshes:
             found[column : column + width] = (angle,) if width == 1 else (np.cos(angle), np.sin(angle))
         return found
 
-    def places(self, row: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Poses (shapes, 4, 4) m of all shapes in the base frame, at a configuration (d,) rad."""
-        data, found = self.model.createData(), self.geometry.createData()
-        self._pin.updateGeometryPlacements(self.model, data, self.geometry, found, self.configuration(row))
-        return np.stack([np.asarray(place.homogeneous) for place in found.oMg])
-
     def with_obstacles(self, obstacles: Obstacles) -> Any:
         """A copy of the geometry in which every shape that moves is held apart from each obstacle, too."""
         geometry = self.geometry.copy()
         own = [number for number, one in enumerate(geometry.geometryObjects) if one.parentJoint > 0]
-        for pair in self.pairs:
-            geometry.addCollisionPair(self._pin.CollisionPair(*pair))
+        pairs = list(self.pairs)
         for number, shape in enumerate(obstacles.shapes):
             pose = np.asarray(shape.pose)
-            place = self._pin.SE3(nearest_rotation(pose[:3, :3]), pose[:3, 3])
-            added = self._pin.GeometryObject(f"obstacle {number}", 0, place, self._shape(shape))
+            place = self.pin.SE3(nearest_rotation(pose[:3, :3]), pose[:3, 3])
+            if isinstance(shape, Box):
+                solid = self._coal.Box(*(2.0 * half for half in shape.half_m))
+            else:
+                solid = self._coal.Cylinder(shape.radius_m, 2.0 * shape.half_length_m)
+            added = self.pin.GeometryObject(f"obstacle {number}", 0, place, solid)
             last = geometry.addGeometryObject(added)
-            for index in own:
-                geometry.addCollisionPair(self._pin.CollisionPair(index, last))
+            pairs += [(index, last) for index in own]
+        for pair in pairs:
+            geometry.addCollisionPair(self.pin.CollisionPair(*pair))
         return geometry
 
     def _loaded(self, description: Description) -> tuple[Any, Any]:
+        """Model and geometry, without the joints that do not move."""
         urdf = description.urdf.resolve()
         folders = [str(folder) for folder in (*description.packages, *urdf.parents)]
-        try:
-            whole = self._pin.buildModelFromUrdf(str(urdf))
-            kind = self._pin.GeometryType.COLLISION
-            geometry = self._pin.buildGeomFromUrdf(whole, str(urdf), kind, package_dirs=folders)
-        except (ValueError, RuntimeError) as error:
-            raise _bad(description, str(error)) from error
-        names = list(whole.names)
-        if unknown := sorted(set(description.locked) - set(names)):
-            raise _bad(description, f"no joints {unknown}")
-        values = self._pin.neutral(whole)
-        for name, value in description.locked.items():
-            joint = whole.joints[names.index(name)]
-            values[joint.idx_q : joint.idx_q + joint.nq] = (
-                value if joint.nq == 1 else (np.cos(value), np.sin(value))
-            )
-        model, reduced = self._pin.buildReducedModel(
-            whole, [geometry], [names.index(name) for name in description.locked], values
-        )
-        if sorted(model.names[1:]) != sorted(joint.name for joint in self.arm.joints):
-            raise _bad(description, f"joints that move {list(model.names)[1:]}")
+        whole = self.pin.buildModelFromUrdf(str(urdf))
+        kind = self.pin.GeometryType.COLLISION
+        geometry = self.pin.buildGeomFromUrdf(whole, str(urdf), kind, package_dirs=folders)
+        values, numbers = self.pin.neutral(whole), [whole.getJointId(name) for name in description.locked]
+        for number, value in zip(numbers, description.locked.values(), strict=True):
+            joint = whole.joints[number]
+            held = value if joint.nq == 1 else (np.cos(value), np.sin(value))
+            values[joint.idx_q : joint.idx_q + joint.nq] = held
+        model, reduced = self.pin.buildReducedModel(whole, [geometry], numbers, values)
         return model, reduced[0]
-
-    def _column(self, name: str) -> tuple[int, int]:
-        joint = self.model.joints[self.model.getJointId(name)]
-        return joint.idx_q, joint.nq
-
-    def _make_convex(self, shape: Any) -> None:
-        mesh = shape.geometry
-        if mesh.getObjectType() == self._coal.OBJECT_TYPE.OT_BVH:
-            mesh.buildConvexHull(True, "Qt")  # noqa: FBT003 # takes no names
-            # Another mesh has vertices inside its hull, and is looked at triangle by triangle.
-            if mesh.convex.num_points == mesh.num_vertices:
-                shape.geometry = mesh.convex
-
-    def _shape(self, shape: Box | Cylinder) -> Any:
-        if isinstance(shape, Box):
-            return self._coal.Box(*(2.0 * half for half in shape.half_m))
-        return self._coal.Cylinder(shape.radius_m, 2.0 * shape.half_length_m)
-
-    def _check_motion(self, description: Description) -> None:
-        """That joints of both are at the same places, in three configurations."""
-        space, data = self.arm.space, self.model.createData()
-        lower, upper = np.asarray(space.lower), np.asarray(space.upper)
-        for share in (0.2, 0.5, 0.9):
-            row = lower + share * (upper - lower)
-            self._pin.forwardKinematics(self.model, data, self.configuration(row))
-            own = self.arm.joint_positions_m(row)[0, 1:-1]
-            found = [data.oMi[self.model.getJointId(joint.name)].translation for joint in self.arm.joints]
-            if (off := np.linalg.norm(own - found, axis=1).max()) > _SAME_M:
-                raise _bad(description, f"joints {off:.3g} m away from the arm's")
 
 
 class MeshChecker:
     """Which configurations are free in one scene, whatever the joint limits; for one thread at a time."""
 
     def __init__(self, meshes: RobotMeshes, obstacles: Obstacles) -> None:
-        self._pin, self._meshes = meshes._pin, meshes  # noqa: SLF001 # one module
+        self._meshes = meshes
         self._geometry = meshes.with_obstacles(obstacles)
         self._data = meshes.model.createData()
         self._shapes = self._geometry.createData()
@@ -150,13 +107,13 @@ class MeshChecker:
         for request in self._shapes.collisionRequests:
             request.enable_contact = True
         # What it walks are the bounds of shapes in a tree; it keeps references to all three.
-        self._broad = self._pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(
+        self._broad = meshes.pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(
             meshes.model, self._geometry, self._shapes
         )
 
     def valid_batch(self, configurations: ArrayLike) -> NDArray[np.bool_]:
         """Whether no two shapes that are held apart meet: (N, d) rad to (N,)."""
-        model, data, walk = self._meshes.model, self._data, self._pin.computeCollisions
+        model, data, walk = self._meshes.model, self._data, self._meshes.pin.computeCollisions
         return np.array(
             [
                 not walk(model, data, self._broad, self._meshes.configuration(row), True)  # noqa: FBT003
@@ -173,7 +130,7 @@ class MeshChecker:
             for index, row in enumerate(rows):
                 at = self._meshes.configuration(row)
                 model, data = self._meshes.model, self._data
-                closest = self._pin.computeDistances(model, data, self._geometry, self._shapes, at)
+                closest = self._meshes.pin.computeDistances(model, data, self._geometry, self._shapes, at)
                 found[index] = self._shapes.distanceResults[closest].min_distance
         return found
 
@@ -200,11 +157,3 @@ def _libraries() -> tuple[Any, Any]:
             remedy="pip install -c constraints.txt '.[spatial]'",
         ) from error
     return pinocchio, coal
-
-
-def _bad(description: Description, got: str) -> ScenarioError:
-    return ScenarioError(
-        "the description does not fit the arm",
-        expected="the URDF file that the arm was made of, its meshes, and values for joints held there",
-        got=f"{description.urdf}: {got}"[:400],
-    )

@@ -27,15 +27,16 @@ from cspace.world import (
     World,
 )
 from cspace.worlds.spatial.arm import SerialArm, grouped, touching_sets
-from cspace.worlds.spatial.diagnostics import (
+from cspace.worlds.spatial.diagnosis import (
     colliding_findings,
     diagnose,
     least_novelty,
+    picture_findings,
+    pose_findings,
     start_findings,
     unseen_m,
     view_findings,
 )
-from cspace.worlds.spatial.doctor import diagnosed, nothing_in_reach, pose_findings
 from cspace.worlds.spatial.furniture import SpatialScenes
 from cspace.worlds.spatial.obstacles import BOX_VALUES, CYLINDER_VALUES
 from cspace.worlds.spatial.planning_scene import PlanningScene
@@ -72,7 +73,7 @@ class SpatialWorld(World):
         return self.examined(read_view(data, self.body, check_cancelled), check_cancelled)
 
     def least_novelty(self, image: NDArray[np.uint8]) -> float:
-        """See :func:`cspace.worlds.spatial.diagnostics.least_novelty`."""
+        """See :func:`cspace.worlds.spatial.diagnosis.least_novelty`."""
         return least_novelty(self.body, self.sensor.grid, image)
 
     def state_findings(
@@ -104,7 +105,7 @@ class SpatialWorld(World):
         image = fused(single)
         if known is not None:
             known.complete(image, self.sensor.grid, check_cancelled or (lambda: None))
-        findings = (*diagnose(self.body, self.sensor, view, single, image, posed), *posed)
+        findings = (*picture_findings(self.body, self.sensor, view, single, image, posed), *posed)
         return Examined(image[None], findings, None in view.states, known, len(view.pictures))
 
     def scene_checker(self, known: PlanningScene) -> Any:
@@ -127,7 +128,7 @@ class SpatialWorld(World):
         return cast("Contact | None", found.contact(configuration, image, self.sensor.grid))
 
     def diagnosis(self, data: bytes | View, check_cancelled: CheckCancelled | None = None) -> Diagnosis:
-        """See :func:`cspace.worlds.spatial.doctor.diagnosed`."""
+        """See :func:`cspace.worlds.spatial.diagnosis.diagnose`."""
         return self.diagnosed(read_view(data, self.body, check_cancelled), check_cancelled)
 
     def diagnosed(self, view: DepthView, check_cancelled: CheckCancelled | None = None) -> Diagnosis:
@@ -135,8 +136,10 @@ class SpatialWorld(World):
         try:
             cheap = self.examined(view, check_cancelled).findings
         except ImageError as error:
-            cheap = (nothing_in_reach(error), *view_findings(self.body, self.sensor, view))
-        return diagnosed(self.body, self.sensor, view, cheap, check_cancelled or (lambda: None))
+            seen, remedy = f"{error.what}: {error.got}", str(error.remedy)
+            blind = Finding("nothing-in-reach", seen, "it is refused", remedy)
+            cheap = (blind, *view_findings(self.body, self.sensor, view))
+        return diagnose(self.body, self.sensor, view, cheap, check_cancelled or (lambda: None))
 
     def _each(
         self, view: DepthView, check_cancelled: CheckCancelled | None, known: Any = None

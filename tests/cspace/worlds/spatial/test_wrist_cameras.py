@@ -13,7 +13,7 @@ from cspace.worlds.spatial.camera import OPTICAL_IN_BODY, camera_pose, encode_de
 from cspace.worlds.spatial.poses import make_pose, turned
 from cspace.worlds.spatial.view import DepthView
 from tests.cspace.worlds.spatial.test_camera_forms import placed
-from tests.cspace.worlds.spatial.test_doctor import CAMERA, OTHER, PICTURE, STATE, WORLD, codes, taken
+from tests.cspace.worlds.spatial.test_diagnosis import CAMERA, OTHER, PICTURE, STATE, WORLD, codes, taken
 
 ARM = WORLD.body
 MOVED = (STATE[0] + 0.9, STATE[1] + 0.3, *STATE[2:])

@@ -1,4 +1,4 @@
-"""The doctor: each mistake in a view is named, and nothing is found where there is none."""
+"""The diagnosis: each mistake in a view is named, and nothing is found where there is none."""
 
 from dataclasses import replace
 
@@ -51,7 +51,6 @@ def test_a_right_view_has_notes_alone():
     assert found.poses == ()
     notes = " ".join(found.notes)
     assert "the arm is where `state` and the pose say" in notes
-    assert "z = 0.22 m" in notes
     assert "65 degrees wide, trained 52 to 85" in notes
 
 
