@@ -40,7 +40,6 @@ COMMANDS = (
     Command("python -m training.path_sampler", "training.path_sampler"),
     Command("python -m training.limits", "training.limits"),
     Command("python -m training.plan_confidence", "training.plan_confidence"),
-    Command("python training/search.py", "training.search"),
     Command("python -m training.scene_model", "training.scene_model"),
     Command("python -m training.field", "training.field"),
     Command("python -m training.untrained", "training.untrained"),

@@ -193,17 +193,13 @@ def partition(
     return Partition(cells, group(cells, count, seed))
 
 
-def train_family(
-    job: Job[TrainConfig], arrays: TrainingArrays, until: str | None = None
-) -> list[TrialOutcome]:
-    """Stages 5 and on: what the model family trains from the latents; ``until`` names the last stage."""
+def train_family(job: Job[TrainConfig], arrays: TrainingArrays) -> list[TrialOutcome]:
+    """Stages 5 and on: what the model family trains from the latents."""
     config, outcomes = job.config, list[TrialOutcome]()
     kind = family(config.clusters.form)
     for stage, names in kind(config, arrays).stages().items():
         done = checkpoints(outcomes)
         outcomes += run_trials(job, stage, names, family_trial, kind=kind, arrays=arrays, done=done)
-        if stage == until:
-            break
     return outcomes
 
 

@@ -1,1 +1,1 @@
-"""The trials, a Ray task each: VAE, gate, WGAN-GPs and path models; and searches, by Ray Tune."""
+"""The trials, a Ray task each: VAE, gate, WGAN-GPs and path models."""
