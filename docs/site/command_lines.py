@@ -38,7 +38,6 @@ COMMANDS = (
     Command("python training/cluster_train.py", "training.cluster_train", "COMMAND.main"),
     Command("python training/path_train.py", "training.path_train", "COMMAND.main"),
     Command("python -m training.path_sampler", "training.path_sampler"),
-    Command("python -m training.limits", "training.limits"),
     Command("python -m training.plan_confidence", "training.plan_confidence"),
     Command("python -m training.scene_model", "training.scene_model"),
     Command("python -m training.field", "training.field"),
