@@ -20,7 +20,6 @@ from training.config import SCENE_MODEL, GridConfig, TrainConfig, ValidityConfig
 from training.models.checkpoint import load_scene_model, save_scene_model, seeded_initialisation
 from training.models.grid_head import GridHead, counts_of
 from training.models.grid_training import ArmSamples
-from training.random_arms import random_arm
 from training.scene_model import (
     SceneTask,
     disturbed,
@@ -28,6 +27,7 @@ from training.scene_model import (
     make_scenes,
     measure,
     named_arm,
+    random_arm,
     scene_world,
     train,
 )
