@@ -66,8 +66,8 @@ def parser() -> argparse.ArgumentParser:
         epilog="Exit codes: 0 done, 1 the disk is bad, 2 the command or the description is wrong.",
     )
     commands = result.add_subparsers(required=True, metavar="COMMAND")
-    one = commands.add_parser("import", help="a serial arm from a URDF or xacro file")
-    one.add_argument("urdf", type=Path, help="the description; a name that ends with .xacro is expanded")
+    one = commands.add_parser("import", help="a serial arm from a URDF file")
+    one.add_argument("urdf", type=Path, help="the description")
     named = "of the robot and its models, as in NAME-sampler; default: the description's"
     one.add_argument("--name", help=named)
     one.add_argument("--srdf", type=Path, help="with the pairs that need no check; default: beside the URDF")
@@ -77,8 +77,7 @@ def parser() -> argparse.ArgumentParser:
     for name, value, kind, help_text in (
         ("--lock", "JOINT=VALUE", finite, held),
         ("--limit", "JOINT=LOW,HIGH", _limits, "instead of the description's, rad; JOINT=none for a circle"),
-        ("--package", "NAME=FOLDER", Path, "where a package of meshes or xacro files lies"),
-        ("--xacro", "NAME=VALUE", str, "an argument of xacro"),
+        ("--package", "NAME=FOLDER", Path, "where a package of meshes lies"),
     ):
         one.add_argument(
             name, action="append", default=[], type=partial(_pair, kind), metavar=value, help=help_text
@@ -126,7 +125,6 @@ def _request(options: argparse.Namespace) -> Request:
         locked=dict(options.lock),
         limits=dict(options.limit),
         packages=dict(options.package),
-        arguments=dict(options.xacro),
         without=tuple(options.without),
         kept=tuple((first, second) for first, second in options.keep),
         allowances=Allowances(options.slack_mm / 1e3, excess_m, relaxed=options.excess_mm is None),

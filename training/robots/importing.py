@@ -65,7 +65,6 @@ class Request:
     locked: Mapping[str, float] = field(default_factory=dict)
     limits: Mapping[str, Limits] = field(default_factory=dict)
     packages: Mapping[str, Path] = field(default_factory=dict)
-    arguments: Mapping[str, str] = field(default_factory=dict)
     without: tuple[str, ...] = ()
     kept: tuple[tuple[str, str], ...] = ()
     allowances: Allowances = field(default_factory=Allowances)
@@ -152,7 +151,7 @@ class Imported:
 
 def import_robot(request: Request, report: Callable[[str], None] = lambda _: None) -> Imported:
     """The arm that a request describes; ``report`` takes each part's name before its spheres are sought."""
-    description = read_description(request.urdf, request.packages, request.arguments)
+    description = read_description(request.urdf)
     srdf = request.srdf or find_srdf(request.urdf)
     disabled, notes = ({}, []) if srdf is None else read_srdf(srdf, description.links)
     notes = [*description.notes, *notes]
