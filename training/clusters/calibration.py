@@ -28,8 +28,7 @@ from cspace.world import World
 from cspace.worlds import checker_of, picture_file_of, simulator_of
 from services.evaluator.scenes import Scene, Stage
 from training.config import VaeConfig
-from training.models.autoencoders import blocks
-from training.trials.arrays import load_encoder
+from training.models.autoencoders import blocks, load_encoder
 
 _LOG = logging.getLogger(__name__)
 

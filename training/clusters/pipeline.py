@@ -26,12 +26,11 @@ from training.clusters.clustering import Partition, cluster, group
 from training.config import CLUSTERS_FILE, TrainConfig
 from training.data.generate import generate
 from training.jobs.job import TAG_START, Job, kept_bundle, registered_name, world_tag
-from training.models.autoencoders import encode, shown
+from training.models.autoencoders import encode, load_encoder, shown
 from training.models.data import TrainingArrays
 from training.models.families import family
-from training.trials.arrays import has_occupancy, load_encoder
 from training.trials.launch import TrialOutcome, run_trials
-from training.trials.trainables import VAE, VALIDITY, family_trial, picture_trial
+from training.trials.trainables import VAE, VALIDITY, family_trial, has_occupancy, picture_trial
 
 SHOWN_SCENARIOS = 3
 
@@ -218,24 +217,6 @@ def encoder_checkpoint(job: Job[TrainConfig], vae: TrialOutcome | None) -> Path:
     return given
 
 
-def require_encoder(job: Job[TrainConfig], dataset: Dataset) -> None:
-    """See that an encoder that the configuration names is there and fits, before anything is trained."""
-    config = job.config.vae
-    if config.checkpoint is None:
-        return
-    checkpoint = encoder_checkpoint(job, None)
-    try:
-        load_encoder(config, dataset.world.sensor, checkpoint)
-    except (OSError, RuntimeError) as error:
-        raise ConfigError(
-            "vae.checkpoint does not fit",
-            expected=f"the weights of an encoder with vae.latent_dim={config.latent_dim}, "
-            f"vae.width={config.width} and vae.patches={config.patches} for the data's pictures",
-            got=f"{checkpoint}: {str(error)[:300]}",
-            remedy="name another checkpoint, or set the sizes of its job",
-        ) from error
-
-
 BUNDLE_FOLDER = "bundle"
 
 
@@ -279,7 +260,6 @@ def run_job(job: Job[TrainConfig]) -> TrainResult:
             if one is not None:
                 run.dataset(one.folder.name, one.digest, str(one.folder), "training")
         job.add_tags(world_tag(dataset.world, config.robot_name))
-        require_encoder(job, dataset)
         data = cluster_data(job, dataset)
         vae, head = train_on_pictures(job, dataset)
         arrays = encode_data(job, dataset, vae, data)

@@ -215,9 +215,9 @@ class Series:
 
     def __init__(self) -> None:
         self._stamps: list[int] = []
-        self._rows: list[Sequence[float]] = []
+        self._rows: list[Sequence[float] | NDArray[np.float64]] = []
 
-    def add(self, stamp_ns: int, row: Sequence[float]) -> None:
+    def add(self, stamp_ns: int, row: Sequence[float] | NDArray[np.float64]) -> None:
         """One more."""
         self._stamps.append(stamp_ns)
         self._rows.append(row)

@@ -17,9 +17,8 @@ from tests.scenarios import random_scenarios
 from tests.training.models.builders import run, save
 from training.clusters.calibration import KNOWN_PICTURES, known_pictures, known_quantiles
 from training.config import VaeConfig
-from training.models.autoencoders import VaeModule
+from training.models.autoencoders import VaeModule, load_encoder, load_scores
 from training.models.checkpoint import seeded_initialisation
-from training.trials.arrays import load_encoder, load_scores
 
 CONFIG = VaeConfig(latent_dim=16, width=8, steps=1)
 

@@ -13,6 +13,7 @@ from cspace.worlds.planar.world import PlanarWorld
 from training import path_train
 from training.cluster_train import COMMAND
 from training.config import PathTrainConfig, TrainConfig
+from training.section import described
 
 
 @pytest.mark.parametrize("preset", TrainConfig.presets())
@@ -120,10 +121,18 @@ def test_the_free_share_of_own_data_is_that_of_their_world(monkeypatch, tmp_path
     assert own.validity.free_share == pytest.approx(0.3)
 
 
+@pytest.mark.parametrize(
+    ("kind", "preset"),
+    [(kind, preset) for kind in (TrainConfig, PathTrainConfig) for preset in kind.presets()],
+)
+def test_every_key_of_every_preset_has_a_description(kind, preset):
+    assert [line for line in described(kind.load(preset)) if "  # " not in line] == []
+
+
 def test_the_command_prints_its_configuration(capsys):
     assert COMMAND.main(["--preset", "smoke", "--print-config"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert 'preset="smoke"' in lines
+    assert any(line.startswith('preset="smoke"') for line in lines)
     assert any(line.startswith("resources.max_failures=2 ") and "# after so many" in line for line in lines)
     assert any(line.startswith("global.local_critic_weight=") for line in lines)
 

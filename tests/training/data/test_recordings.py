@@ -302,7 +302,7 @@ def test_another_camera_robot_or_compression_is_refused_by_its_names(tmp_path):
             (usual(), "--depth names.*image_rect_raw", {"depth": "/wrong"}),
             (usual(pictures=False), "no topic, or several, of depth images.*got none", {}),
             (usual(states=False), "no topic, or several, of joint states.*got none", {}),
-            (usual(static=(*STATIC, ("camera_link", BASE, UP))), "two parents.*'world' and 'camera_link'", {}),
+            (usual(static=(*STATIC, ("camera_link", BASE, UP))), "two parents.*'world' and", {}),
             (usual(static=(("a", FRAME, UP), (FRAME, "a", UP))), "loop", {}),
             (usual(static=(*STATIC[:2], ("camera_link", FRAME, 0.0 * UP))), "no transforms lead", {}),
         )

@@ -40,11 +40,11 @@ class GateConfig(TrialSettings):
 
     cells: int = Field(32, ge=1, description="that clusters are made of")
     points: int = Field(1024, ge=1, description="stored in each cell, from which the generators start")
-    steps: int = Field(600, ge=1)
-    batch_size: int = Field(128, ge=1)
-    hidden: int = Field(128, ge=1)
-    layers: int = Field(2, ge=1)
-    learning_rate: float = Field(4e-3, gt=0)
+    steps: int = Field(600, ge=1, description="optimiser steps")
+    batch_size: int = Field(128, ge=1, description="scenarios a step")
+    hidden: int = Field(128, ge=1, description="units of a layer")
+    layers: int = Field(2, ge=1, description="hidden layers")
+    learning_rate: float = Field(4e-3, gt=0, description="highest of the one-cycle schedule")
 
 
 class MixtureConfig(WganConfig):
