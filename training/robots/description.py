@@ -199,8 +199,8 @@ def _names_of_package(folder: Path) -> set[str]:
     return {folder.name} if _is_file(folder / "model.config") else set()
 
 
-def package_roots(name: str, folder: Path, packages: Mapping[str, Path]) -> list[Path]:
-    """Where a package may lie: as given, else above the description or beside these folders."""
+def _package_roots(name: str, folder: Path, packages: Mapping[str, Path]) -> list[Path]:
+    """Where a package may lie: as given, else above the description or beside its own package."""
     if name in packages:
         return [packages[name]]
     if not re.fullmatch(r"\w[\w.-]{,99}", name):
@@ -217,31 +217,25 @@ def found_file(name: str | None, folder: Path, packages: Mapping[str, Path]) -> 
     """The file that a description names: in its package, in its folder, or in a package that is given.
 
     A package is looked for among those given, else in the folders above the description. A file that lies
-    elsewhere, also by a symbolic link, is refused.
+    elsewhere, also by a symbolic link, is not found.
     """
     name = unquote(name or "")
     if address := re.match("(?:package|model)://([^/]*)/*", name):
-        package, rest = address[1], name[address.end() :]
-        places: list[tuple[Path, tuple[Path, ...]]]
-        places = [(root / rest, (root,)) for root in package_roots(package, folder, packages)]
-        remedy = f"say where the package lies with --package {package}=FOLDER"
+        remedy = f"say where the package lies with --package {address[1]}=FOLDER"
+        roots = _package_roots(address[1], folder, packages)
+        places = [(root / name[address.end() :], root) for root in roots]
     else:
-        places = [(folder / name.removeprefix(_FILE), (package_of(folder), *packages.values()))]
-        remedy = "put the mesh where the description names it"
-    for place, within in places:
-        if not _is_file(place):
-            continue
-        real = place.resolve()
-        if any(real.is_relative_to(root.resolve()) for root in within):
+        remedy = "put it where the description names it, or name its folder with --package NAME=FOLDER"
+        place = folder / name.removeprefix(_FILE)
+        places = [(place, root) for root in (package_of(folder), *packages.values())]
+    for place, root in places:
+        if _is_file(place) and place.resolve().is_relative_to(root.resolve()):
             return place
-        raise ScenarioError(
-            "a mesh lies outside the robot's folder",
-            expected=f"a file in {' or '.join(str(root) for root in within)}",
-            got=str(real),
-            remedy="copy it there, or name the folder that holds it with --package NAME=FOLDER",
-        )
     raise ScenarioError(
-        "a mesh is not found", expected=f"a file at {name[:200]}", got=f"none from {folder}", remedy=remedy
+        "a mesh is not found in the robot's folders",
+        expected=f"a file at {name[:200]}",
+        got=f"none from {folder}",
+        remedy=remedy,
     )
 
 
