@@ -20,8 +20,6 @@ from training.config import VaeConfig
 from training.models.autoencoders import VaeModule, load_encoder, load_scores
 from training.models.checkpoint import seeded_initialisation
 
-CONFIG = VaeConfig(latent_dim=16, width=8, steps=1)
-
 
 def checkpoint(folder, config, pictures):
     with seeded_initialisation(0):
@@ -49,14 +47,6 @@ def test_generated_scenarios_are_held_against_validation_scenarios_of_the_same_c
 def test_data_of_ones_own_are_held_against_their_own_pictures(tmp_path):
     dataset = opened(tmp_path, generator={"from": "elsewhere"})
     np.testing.assert_array_equal(known_pictures(dataset), dataset.images)
-
-
-def test_both_scores_have_rising_quantiles(tmp_path):
-    dataset = opened(tmp_path)
-    folder = checkpoint(tmp_path, CONFIG, np.array(dataset.images))
-    quantiles = known_quantiles(CONFIG, folder, load_scores(CONFIG, dataset.world.sensor, folder), dataset)
-    assert np.shape(quantiles) == (2, 101)
-    assert (np.diff(quantiles, axis=1) >= 0).all()
 
 
 @pytest.mark.slow

@@ -16,11 +16,6 @@ from training.config import PathTrainConfig, TrainConfig
 from training.section import described
 
 
-@pytest.mark.parametrize("preset", TrainConfig.presets())
-def test_every_preset_that_ships_is_valid(preset):
-    assert TrainConfig.load(preset).preset == preset
-
-
 def test_the_paper_preset_is_the_papers_numbers():
     config = TrainConfig.load("paper")
     assert (config.data.scenario_count, config.data.free_per_scenario) == (100, 10_000)
@@ -63,13 +58,6 @@ def test_the_papers_columns_differ_from_its_preset_only_where_they_must():
 def test_a_joint_encoder_refuses_what_it_can_not_be_with(overrides, says):
     with pytest.raises(ConfigError, match=says):
         TrainConfig.load("paper_joint", overrides)
-
-
-def test_an_override_reaches_its_key_and_leaves_its_neighbours():
-    config = TrainConfig.load("quickstart", ["gate.steps=7", "data.robot.link_lengths_m=[1, 1, 1]", "seed=3"])
-    assert (config.gate.steps, config.seed) == (7, 3)
-    assert config.data.world.body.dim == 3
-    assert config.local.steps == TrainConfig.load("quickstart").local.steps
 
 
 @pytest.mark.parametrize(

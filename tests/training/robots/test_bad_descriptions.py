@@ -186,22 +186,3 @@ def test_meshes_outside_the_robots_folder_are_refused(tmp_path: Path, name: str)
         found_file(name, folder, {})
     if not name.startswith("package"):
         assert found_file(name, folder, {"top": tmp_path}).samefile(tmp_path / "secret.stl")
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        "package://etc/hostname",
-        "package://../secret.stl",
-        "package://other/secret.stl",
-        "a\0b.stl",
-        "a" * 300 + ".stl",
-    ],
-)
-def test_names_that_are_no_mesh_s_are_not_found(tmp_path: Path, name: str) -> None:
-    for place in (tmp_path / "secret.stl", tmp_path / "other" / "secret.stl"):
-        place.parent.mkdir(exist_ok=True)
-        place.touch()
-    (tmp_path / "arm").mkdir()
-    with pytest.raises(ScenarioError, match="a mesh is not found"):
-        found_file(name, tmp_path / "arm", {})

@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cspace.worlds.spatial.arm import MAX_OVERLAP_M, SerialArm
+from cspace.worlds.spatial.arm import SerialArm
 from tests.training.robots.descriptions import FINGER, TWO_LINKS, described, with_more
 from training.robots import spheres
 from training.robots.__main__ import main
 from training.robots.chain import read_chain
 from training.robots.description import read_description
 from training.robots.importing import Request, import_robot
-from training.robots.spheres import Allowances
 
 CYLINDER, BOX = '<cylinder radius="0.05" length="0.3"/>', '<box size="0.04 0.06 0.1"/>'
 # Spheres are taken as they are, which is quick.
@@ -73,13 +72,6 @@ def test_spheres_cover_what_they_stand_for_and_stick_out_little(tmp_path: Path) 
         pytest.approx(0.005, abs=3e-4),
         pytest.approx(0.0, abs=1e-4),
     ]
-
-
-def test_coarse_spheres_may_overlap_by_no_more_than_a_robot_file_takes(tmp_path: Path) -> None:
-    coarse = Allowances(excess_m=0.08, relaxed=False)
-    arm = import_robot(Request(described(tmp_path, ROUND_LOWER), allowances=coarse)).arm
-    assert max(part.overlap_m or 0.0 for part in arm.parts) <= MAX_OVERLAP_M
-    assert SerialArm.from_dict(arm.to_dict()) == arm
 
 
 def test_pairs_that_can_touch_are_those_that_spheres_show(tmp_path: Path) -> None:
