@@ -19,7 +19,9 @@ from services.registry.entities import ModelReference
 from services.registry.models import ModelRegistry
 from training.config import PathTrainConfig
 from training.data.generate import generate
+from training.jobs.fit import fit_tracked
 from training.jobs.job import TAG_START, Job, kept_bundle, registered_name, world_tag
+from training.jobs.launch import TrialOutcome, TrialRequest, run_trials
 from training.models.checkpoint import seeded_initialisation, trained
 from training.models.paths import (
     PathGanModule,
@@ -30,8 +32,6 @@ from training.models.paths import (
     point_sizes,
 )
 from training.path_sampler import write_path_bundle
-from training.trials.fit import fit_tracked
-from training.trials.launch import TrialOutcome, TrialRequest, run_trials
 
 _LOG = logging.getLogger("training")
 

@@ -26,11 +26,11 @@ from training.clusters.clustering import Partition, cluster, group
 from training.config import CLUSTERS_FILE, TrainConfig
 from training.data.generate import generate
 from training.jobs.job import TAG_START, Job, kept_bundle, registered_name, world_tag
+from training.jobs.launch import TrialOutcome, run_trials
+from training.jobs.trainables import VAE, VALIDITY, family_trial, has_occupancy, picture_trial
 from training.models.autoencoders import encode, load_encoder, shown
 from training.models.data import TrainingArrays
 from training.models.families import family
-from training.trials.launch import TrialOutcome, run_trials
-from training.trials.trainables import VAE, VALIDITY, family_trial, has_occupancy, picture_trial
 
 SHOWN_SCENARIOS = 3
 

@@ -13,8 +13,8 @@ from tests.fakes.registry import FakeRun, FakeTracking
 from tests.training.models.builders import save, tiny_module
 from training.config import CLUSTERS_FILE, PathTrainConfig, TrainConfig
 from training.jobs.job import CONFIGURATION, TAG_START, Environment, Job, job_folder
+from training.jobs.launch import FINAL, TrialRequest
 from training.models.checkpoint import start_from
-from training.trials.launch import FINAL, TrialRequest
 
 EARLIER, CHILD = "a" * 32, "c" * 32
 SMOKE = TrainConfig.load("smoke")

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from cspace.dataset import Dataset, open_dataset
 from cspace.worlds import simulator_of
 from training.config import GridConfig, HeadConfig, TrainConfig, TrialSettings, ValidityConfig
+from training.jobs.fit import fit_tracked
+from training.jobs.launch import TrialRequest
 from training.models.autoencoders import VaeModule
 from training.models.checkpoint import load_scene_model, seeded_initialisation
 from training.models.data import TrainingArrays
@@ -18,8 +20,6 @@ from training.models.families import Family
 from training.models.grid_training import ArmSamples, GridHeadModule, GridSamples
 from training.models.modules import TrialModule
 from training.models.validity import OccupancySamples, ValidityModule
-from training.trials.fit import fit_tracked
-from training.trials.launch import TrialRequest
 
 VAE, VALIDITY = "vae", "validity"
 
