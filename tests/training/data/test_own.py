@@ -66,13 +66,6 @@ def test_whole_numbers_and_full_turns_are_angles_too(tmp_path):
     np.testing.assert_allclose(dataset.free_of(0), [[7 - 2 * np.pi, 2 * np.pi - 7]], atol=1e-6)
 
 
-def test_configurations_that_are_free_and_colliding_are_refused(tmp_path):
-    both = fill(tmp_path / "own")["a"][:1]
-    np.save(tmp_path / "own" / "a.collision.npy", both.astype(np.float32))
-    with pytest.raises(DatasetError, match=r"a\.collision\.npy holds .* a\.npy holds too.*got 1 in both"):
-        take(tmp_path / "own", tmp_path / "data")
-
-
 def array(name, value):
     return lambda folder: np.save(folder / name, value, allow_pickle=True)
 
