@@ -87,21 +87,13 @@ def open_outcomes(config: TrainConfig, dataset: Dataset) -> Dataset | None:
     if folder is None:
         return None
     found = open_dataset(folder)
-    for what in ("body", "sensor"):
-        ours, theirs = getattr(dataset.world, what), getattr(found.world, what)
-        if ours != theirs:
-            words = "robot" if what == "body" else "sensor"
-            raise DatasetError(
-                f"the outcomes are of another {words}",
-                expected=str(ours)[:200],
-                got=f"{str(theirs)[:200]} in {folder}",
-                remedy="import them with the options of the training's robot",
-            )
-    if found.collision is None:
+    ours, theirs = ((one.world.body, one.world.sensor) for one in (dataset, found))
+    if ours != theirs or found.collision is None:
         raise DatasetError(
-            "data.outcomes is no data set of outcomes",
-            expected="what python -m training.data import-outcomes writes",
-            got=str(folder),
+            "data.outcomes does not fit",
+            expected=f"what python -m training.data import-outcomes writes for {ours}"[:300],
+            got=f"{theirs} in {folder}"[:300],
+            remedy="import them with the options of the training's robot",
         )
     return found
 
