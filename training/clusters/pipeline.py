@@ -1,7 +1,7 @@
 """The main job: data, clusters, VAE and validity head, the model family's trials, bundle, registry."""
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -189,14 +189,9 @@ def train_family(job: Job[TrainConfig], arrays: TrainingArrays) -> list[TrialOut
     config, outcomes = job.config, list[TrialOutcome]()
     kind = family(config.clusters.form)
     for stage, names in kind(config, arrays).stages().items():
-        done = checkpoints(outcomes)
+        done = {outcome.name: outcome.checkpoint for outcome in outcomes}
         outcomes += run_trials(job, stage, names, family_trial, kind=kind, arrays=arrays, done=done)
     return outcomes
-
-
-def checkpoints(outcomes: Sequence[TrialOutcome]) -> dict[str, Path]:
-    """Where the weights of trials are, by their names."""
-    return {outcome.name: outcome.checkpoint for outcome in outcomes}
 
 
 def encoder_checkpoint(job: Job[TrainConfig], vae: TrialOutcome | None) -> Path:
@@ -259,7 +254,8 @@ def run_job(job: Job[TrainConfig]) -> TrainResult:
         _LOG.info("bundle: exporting")
         encoder = trained[-1].checkpoint if config.trains_encoder else encoder_checkpoint(job, vae)
         head_at = config.validity.scene_model_file if head is None else head.checkpoint
-        parts = TrainedParts(encoder, checkpoints(trained), head_at, arrays, job.start_run_id)
+        done = {outcome.name: outcome.checkpoint for outcome in trained}
+        parts = TrainedParts(encoder, done, head_at, arrays, job.start_run_id)
         bundle = kept_bundle(job.folder / BUNDLE_FOLDER)
         if bundle is None:
             bundle = make_bundle(job.folder / BUNDLE_FOLDER, config, dataset, parts)
