@@ -34,7 +34,7 @@ from tests.training.data.test_recordings import BASE, STATE, only_file, usual
 from tests.training.robots.descriptions import TWO_LINKS
 from training.data.recordings import RecordingOptions, import_recording
 from training.robots import spheres
-from training.robots.importing import Request, import_robot
+from training.robots.importing import import_robot
 from training.robots.spheres import Allowances
 
 LIMITS = bounded.Limits(memory_bytes=2**30, cpu_s=600, wall_s=900.0, file_bytes=2**26)
@@ -172,7 +172,7 @@ def mesh(rng: Rng, folder: Path, out: str) -> Read:
 
 def _robot(path: Path, data: bytes) -> Read:
     path.write_bytes(data)
-    return lambda: import_robot(Request(path, tip="gripper", allowances=Allowances(0.05, 0.05)))
+    return lambda: import_robot(path, tip="gripper", allowances=Allowances(0.05, 0.05))
 
 
 def recording(rng: Rng, folder: Path, out: str) -> Read:

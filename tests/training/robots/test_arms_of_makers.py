@@ -11,7 +11,7 @@ from cspace.errors import ScenarioError
 from cspace.worlds.spatial.arm import SerialArm
 from training.robots.chain import read_chain
 from training.robots.description import read_description
-from training.robots.importing import Request, import_robot
+from training.robots.importing import import_robot
 
 LIFT = {"torso_lift_joint": 0.0}
 # Each arm's file, its tip, the joints that are held, and how many move.
@@ -90,7 +90,7 @@ def test_an_arm_on_a_lift_is_refused_with_what_holds_the_lift() -> None:
     with pytest.raises(
         ScenarioError, match=r"torso_lift_joint .*got prismatic.*--lock torso_lift_joint=VALUE"
     ):
-        import_robot(Request(path, tip="arm_7_link"))
+        import_robot(path, tip="arm_7_link")
 
 
 @pytest.mark.slow
@@ -98,7 +98,7 @@ def test_an_arm_on_a_lift_is_refused_with_what_holds_the_lift() -> None:
 @pytest.mark.parametrize("name", ["panda", "so101", "ur10", "kinova", "baxter_left"])
 def test_spheres_cover_the_meshes(name: str) -> None:
     file, tip, locked, joints = ARMS[name]
-    found = import_robot(Request(published(file), tip=tip, locked=locked))
+    found = import_robot(published(file), tip=tip, locked=locked)
     assert found.arm.dim == joints
     large = " ".join(note for note in found.notes if "is large" in note)
     for part, fit in found.fits.items():

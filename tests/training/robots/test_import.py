@@ -13,7 +13,7 @@ from training.robots import spheres
 from training.robots.__main__ import main
 from training.robots.chain import read_chain
 from training.robots.description import read_description
-from training.robots.importing import Request, import_robot
+from training.robots.importing import import_robot
 
 CYLINDER, BOX = '<cylinder radius="0.05" length="0.3"/>', '<box size="0.04 0.06 0.1"/>'
 # Spheres are taken as they are, which is quick.
@@ -54,7 +54,7 @@ def test_a_description_becomes_a_robot_file(tmp_path: Path, capsys: pytest.Captu
 
 
 def test_spheres_cover_what_they_stand_for_and_stick_out_little(tmp_path: Path) -> None:
-    arm = import_robot(Request(described(tmp_path, ROUND_LOWER))).arm
+    arm = import_robot(described(tmp_path, ROUND_LOWER)).arm
     spheres = np.asarray(arm.parts[1].spheres_m)
     rng = np.random.default_rng(0)
     angles, heights = rng.uniform(0, 2 * pi, 5000), rng.uniform(0.1, 0.4, 5000)
@@ -76,7 +76,7 @@ def test_spheres_cover_what_they_stand_for_and_stick_out_little(tmp_path: Path) 
 
 def test_pairs_that_can_touch_are_those_that_spheres_show(tmp_path: Path) -> None:
     urdf = described(tmp_path, ROUND)
-    found = import_robot(Request(urdf))
+    found = import_robot(urdf)
     srdf = described(
         tmp_path,
         '<robot name="two"><disable_collisions link1="gripper" link2="base" reason="Never"/></robot>',
@@ -91,10 +91,10 @@ def test_pairs_that_can_touch_are_those_that_spheres_show(tmp_path: Path) -> Non
     assert reasons["base", "upper"] == "neighbours"
     assert reasons["base", "lower"] == "never overlap"
     # The SRDF beside the description is read without being named.
-    without = import_robot(Request(urdf))
+    without = import_robot(urdf)
     assert without.srdf == srdf
     assert without.arm.touching == (("upper", "gripper"),)
-    kept = import_robot(Request(urdf, srdf=srdf, kept=(("base", "gripper"),))).arm.touching
+    kept = import_robot(urdf, srdf=srdf, kept=(("base", "gripper"),)).arm.touching
     assert kept == found.arm.touching
 
 
@@ -111,8 +111,8 @@ def test_held_joints_carry_what_hangs_on_them(tmp_path: Path) -> None:
 
 def test_the_same_description_gives_the_same_robot(tmp_path: Path) -> None:
     text = ROUND.replace('<sphere radius="0.03"/>', '<box size="0.02 0.02 0.05"/>')
-    request = Request(described(tmp_path, text))
-    first, second = (import_robot(request).arm for _ in range(2))
+    urdf = described(tmp_path, text)
+    first, second = (import_robot(urdf).arm for _ in range(2))
     assert first == second
     assert first.sphere_count > 4
 

@@ -9,7 +9,7 @@ import trimesh
 from cspace.errors import ScenarioError
 from cspace.worlds.spatial.sensor import MAX_VOXELS, grid_of
 from tests.training.robots.descriptions import BRANCH, FINGER, described, with_more
-from training.robots.importing import Imported, Request, import_robot
+from training.robots.importing import Imported, import_robot
 
 BALL = '<{kind}><geometry><sphere radius="{radius}"/></geometry></{kind}>'
 LIMIT = '<limit lower="-2" upper="2" effort="1" velocity="1"/>'
@@ -35,7 +35,7 @@ def chain(
 
 
 def imported(folder: Path, text: str, **options: object) -> Imported:
-    return import_robot(Request(described(folder, text), **options))
+    return import_robot(described(folder, text), **options)
 
 
 @pytest.mark.parametrize("limit", ['<limit lower="0" upper="0"/>', '<limit lower="-inf" upper="inf"/>', ""])

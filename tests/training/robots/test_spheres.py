@@ -6,7 +6,7 @@ import trimesh
 
 from cspace.errors import ScenarioError
 from tests.training.robots.descriptions import TWO_LINKS, described
-from training.robots.importing import Imported, Request, import_robot
+from training.robots.importing import Imported, import_robot
 from training.robots.spheres import (
     Allowances,
     Solid,
@@ -105,7 +105,7 @@ def _imported(folder: Path, mesh: str) -> Imported:
     text = TWO_LINKS.replace('<sphere radius="0.12"/>', f'<mesh filename="{mesh}"/>')
     for shape in ('<cylinder radius="0.05" length="0.3"/>', '<box size="0.04 0.06 0.1"/>'):
         text = text.replace(shape, '<sphere radius="0.05"/>')
-    return import_robot(Request(described(folder, text)))
+    return import_robot(described(folder, text))
 
 
 def _two_boxes(end: str) -> str:
