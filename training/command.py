@@ -58,8 +58,8 @@ class JobCommand:
     def _job(self, config: JobConfig, options: argparse.Namespace) -> Any:
         """The job that is to be run: a new one, or one that goes on."""
         from training.jobs.job import Job, job_environment  # noqa: PLC0415
+        from training.jobs.launch import connect  # noqa: PLC0415
         from training.jobs.provenance import job_tags  # noqa: PLC0415
-        from training.trials.launch import connect  # noqa: PLC0415
 
         environment = job_environment()
         connect()

@@ -53,7 +53,7 @@ class JobConfig(Section):
         )
     )
 
-    preset: str
+    preset: str = Field(description="settings that the job starts from")
     seed: int = Field(0, ge=0, description="of everything that is drawn, except the data")
     data: GeneratedConfig = GeneratedConfig()
     data_folder: AbsolutePath | None = Field(
@@ -124,7 +124,7 @@ SCENE_MODEL = Path(__file__).parent / "pretrained" / "scene_model.safetensors"
 class TrialSettings(Section):
     """A section by which one kind of trial is trained."""
 
-    steps: int = Field(1000, ge=0)
+    steps: int = Field(1000, ge=0, description="optimiser steps")
 
 
 class VaeConfig(TrialSettings):
@@ -133,15 +133,12 @@ class VaeConfig(TrialSettings):
     checkpoint: AbsolutePath | None = Field(
         None, description="absolute: a VAE trial's final.ckpt whose encoder is taken; none is trained"
     )
-    latent_dim: int = Field(64, ge=1)
+    latent_dim: int = Field(64, ge=1, description="numbers that a picture is encoded by")
     width: int = Field(16, ge=1, description="channels of the first convolution")
-    patches: Literal[1, 4] = 4
-    steps: int = Field(400, ge=1)
-    batch_size: int = Field(64, ge=2)
-    learning_rate: float = Field(2e-3, gt=0)
-    kl_weight: float = Field(1.0, ge=0)
-    kl_warmup: float = Field(0.3, ge=0, le=1, description="share of the steps over which the KL term grows")
-    gradient_clip: float = Field(200.0, gt=0)
+    patches: Literal[1, 4] = Field(4, description="of a flat picture that share their convolutions")
+    steps: int = Field(400, ge=1, description="optimiser steps")
+    batch_size: int = Field(64, ge=2, description="pictures a step")
+    learning_rate: float = Field(2e-3, gt=0, description="highest of the one-cycle schedule")
 
 
 class ClusterConfig(Section):
@@ -180,31 +177,31 @@ class GridConfig(Section):
         description="channels of features in voxels of 5 cm; 0: those of 10 cm are read",
     )
     width: int = Field(20, ge=4, multiple_of=4, description="channels of features in voxels of 10 cm")
-    middle: int = Field(40, ge=4, multiple_of=4)
-    deep: int = Field(64, ge=4, multiple_of=4)
+    middle: int = Field(40, ge=4, multiple_of=4, description="channels in voxels of 20 cm")
+    deep: int = Field(64, ge=4, multiple_of=4, description="channels in voxels of 40 cm")
     hazard_weight: float = Field(1.0, ge=0, description="of the groups' cross entropy, where truth is known")
-    gradient_clip: float = Field(1.0, gt=0)
+    gradient_clip: float = Field(1.0, gt=0, description="largest norm of the gradient")
 
 
 class ValidityConfig(TrialSettings):
     """The validity head: an occupancy network that reads the picture where the arm would be."""
 
     steps: int = Field(3000, ge=0, description="0 leaves the bundle without a head")
-    pictures_per_step: int = Field(32, ge=1)
-    configurations_per_picture: int = Field(64, ge=2)
+    pictures_per_step: int = Field(32, ge=1, description="scenarios of a batch")
+    configurations_per_picture: int = Field(64, ge=2, description="of each scenario of a batch")
     free_share: float = Field(
         gt=0, lt=1, description="of the joint space, on average: the prior that confidences are true to"
     )
-    points_per_link: int = Field(12, ge=2)
+    points_per_link: int = Field(12, ge=2, description="look-ups along each link, both ends included")
     side_m: float = Field(0.1, ge=0, description="distance of the look-ups beside each link")
     grid: GridConfig | None = Field(
         None,
         exclude_if=lambda part: part is None,
         description="of a head that reads arrays of space at an arm's spheres; none: pictures along links",
     )
-    hidden: int = Field(160, ge=1)
-    layers: int = Field(2, ge=1)
-    learning_rate: float = Field(4e-3, gt=0)
+    hidden: int = Field(160, ge=1, description="units of a layer")
+    layers: int = Field(2, ge=1, description="hidden layers")
+    learning_rate: float = Field(4e-3, gt=0, description="highest of the one-cycle schedule")
 
 
 class HeadConfig(ValidityConfig):
@@ -273,7 +270,7 @@ class TrainConfig(JobConfig):
     # Whether the encoder is trained with the generator.
     trains_encoder: ClassVar[bool] = False
 
-    preset: str = "quickstart"
+    preset: str = Field("quickstart", description="settings that the job starts from")
     data: DatasetConfig = DatasetConfig()
     vae: VaeConfig = VaeConfig()
     clusters: ClusterConfig = ClusterConfig()
@@ -358,19 +355,21 @@ def _world(data: DatasetConfig, folder: Path | None) -> World:
 class PathGanConfig(TrialSettings):
     """A WGAN-GP whose condition is latent, start and goal (MultiWGAN-GP paper, section 4)."""
 
-    hidden: int = Field(256, ge=1)
-    layers: int = Field(3, ge=1)
-    noise_dim: int = Field(2, ge=1)
-    critic_hidden: int = Field(256, ge=1)
-    critic_layers: int = Field(3, ge=2)
-    penalty: Literal["one_sided", "two_sided"] = "one_sided"
-    penalty_weight: float = Field(10.0, ge=0)
-    critic_steps: int = Field(4, ge=1)
-    critic_learning_rate: float = Field(2e-3, gt=0)
-    betas: tuple[float, float] = (0.0, 0.9)
-    batch_size: int = Field(512, ge=2)
-    steps: int = Field(1500, ge=1)
-    learning_rate: float = Field(1e-3, gt=0)
+    hidden: int = Field(256, ge=1, description="units of the generator's layers")
+    layers: int = Field(3, ge=1, description="hidden layers of the generator")
+    noise_dim: int = Field(2, ge=1, description="numbers of explicit noise")
+    critic_hidden: int = Field(256, ge=1, description="units of the critic's layers")
+    critic_layers: int = Field(3, ge=2, description="hidden layers of the critic")
+    penalty: Literal["one_sided", "two_sided"] = Field(
+        "one_sided", description="form of the gradient penalty"
+    )
+    penalty_weight: float = Field(10.0, ge=0, description="lambda of the gradient penalty")
+    critic_steps: int = Field(4, ge=1, description="critic steps before each generator step")
+    critic_learning_rate: float = Field(2e-3, gt=0, description="Adam's, of the critic")
+    betas: tuple[float, float] = Field((0.0, 0.9), description="Adam's")
+    batch_size: int = Field(512, ge=2, description="points a step, each of another path")
+    steps: int = Field(1500, ge=1, description="generator steps")
+    learning_rate: float = Field(1e-3, gt=0, description="Adam's, of the generator")
 
 
 class PathTrainConfig(JobConfig):
@@ -379,7 +378,7 @@ class PathTrainConfig(JobConfig):
     SCRIPT = "path_train.py"
     PRESETS = TrainConfig.PRESETS / "paths"
 
-    preset: str = "paths"
+    preset: str = Field("paths", description="settings that the job starts from")
     source: str = Field(
         "cspace-sampler@champion",
         description="a bundle's absolute folder or a registered version: its encoder and head are seen with",

@@ -1,5 +1,5 @@
 #!/usr/bin/env python
-"""The Ray job: train the paper's path model and register it beside the search that needs no training.
+"""The Ray job: train the paper's path model and register it.
 
 ray job submit --working-dir . -- python training/path_train.py
 ray job submit --working-dir . -- python training/path_train.py --preset paper --set seed=1
@@ -15,7 +15,7 @@ from training.config import PathTrainConfig
 
 def run(job: Any) -> Any:
     """Runs the job, and returns its result."""
-    from training.paths.pipeline import run_job  # noqa: PLC0415
+    from training.paths import run_job  # noqa: PLC0415
 
     return run_job(job)
 

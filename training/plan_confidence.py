@@ -14,13 +14,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from cspace.bundle import Bundle, load_verified
+from cspace.bundle.files import VALIDITY_FILE
 from cspace.errors import BundleError, ConfigError, CspaceError, InputError
 from services.commands import report_error
 from training.clusters.calibration import (
     PlanCalibration,
     fit_plan_calibration,
     planned,
-    require_head,
     write_fitted,
 )
 
@@ -61,7 +61,8 @@ def parser() -> argparse.ArgumentParser:
 def _fitted(source: Bundle, problems: int) -> PlanCalibration:
     if problems < _LEAST:
         raise ConfigError("too few problems to fit anything", expected=f"{_LEAST} or more", got=str(problems))
-    require_head(source)
+    if not source.has_validity:
+        raise BundleError("the bundle has no validity head", expected=VALIDITY_FILE, got=str(source.folder))
     found = fit_plan_calibration(planned(source, source.spec.world, problems))
     if found is None:
         raise BundleError(

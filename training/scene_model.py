@@ -3,70 +3,41 @@
 Draws scenes with the Panda and with random arms, trains, and measures on scenes and arms that training does
 not see. Stopped, it goes on where it was. It takes 20 minutes with a GPU and 16 cores, and 26 GB of disk.
 
-With ``--register`` the weights become a version of ``scene-model``, and its champion where they are better;
-``--fetch`` writes those of a version into the folder instead of training.
-
-Exit codes: 0 done, 1 the disk or the registry is bad, 2 the command is wrong.
+Exit codes: 0 done, 1 the disk is bad, 2 the command is wrong.
 """
 
 import argparse
-import hashlib
 import json
 import logging
 import multiprocessing
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Any
 
 import numpy as np
 import torch
 from lightning.pytorch.callbacks import ModelCheckpoint, TQDMProgressBar
 from numpy.typing import NDArray
 
-from cspace.errors import (
-    BundleIntegrityError,
-    ConfigError,
-    CspaceError,
-    ImageError,
-    InputError,
-    ModelNotFoundError,
-    ScenarioError,
-)
+from cspace.errors import ConfigError, CspaceError, ImageError, InputError, ScenarioError
 from cspace.files import replacing
 from cspace.simulator import Split, scenario_rng
 from cspace.worlds import examples
-from cspace.worlds.spatial.arm import SerialArm
+from cspace.worlds.spatial.arm import Joint, Part, SerialArm
 from cspace.worlds.spatial.camera import DepthCamera
 from cspace.worlds.spatial.checks import CollisionChecker, group_hits
-from cspace.worlds.spatial.poses import make_pose, pose_of, turned
+from cspace.worlds.spatial.poses import Frame, make_pose, pose_of, turned
 from cspace.worlds.spatial.problems import draw_proposals
 from cspace.worlds.spatial.scenes import draw_layout, scenes_of, seen, waiting
 from cspace.worlds.spatial.view import DepthView
 from cspace.worlds.spatial.world import SpatialWorld, usual
 from services.commands import Progress, report_error
-from services.names import (
-    ALIAS_CHALLENGER,
-    ALIAS_CHAMPION,
-    SCENE_MODEL_FILE,
-    SCENE_MODEL_NAME,
-    SCENE_MODELS_EXPERIMENT,
-    TAG_DIGEST,
-    TAG_STAGE,
-)
-from services.registry import connect, tracking_uri
-from services.registry.entities import ID, ModelReference, ModelVersion
-from services.registry.models import ModelRegistry
-from services.registry.tracking import Tracking
 from training.config import GridConfig, ValidityConfig
 from training.models.checkpoint import fit_module, save_scene_model, seeded_initialisation
 from training.models.grid_head import GridHead, counts_of
 from training.models.grid_training import ArmSamples, GridHeadModule, GridSamples
-from training.random_arms import random_arm
 
 _LOG = logging.getLogger("training")
 # Shares of scenes with the arm on a table or block, and with poses or a state that are a little wrong.
@@ -78,6 +49,15 @@ TRAINED, RANDOM_ARMS, RANDOM_SCENES, HELD_OUT = "panda", 10, 300, ("panda", "ur5
 HELD_OUT_SCENES = 200
 SIZES = GridConfig(finest=12, width=32, middle=64, deep=96)
 _SAVE_EVERY = 2000
+WEIGHTS = "scene_model.safetensors"
+_AXES = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+# Axes of joints from the base on, as arms have them that are sold.
+_PATTERNS = ("zyzyzyz", "zyyyzy", "zyyzyz")
+# Links that are so many joints apart can touch.
+_APART = 3
+_HOLDS = 0.3
+
+_Sphere = tuple[float, float, float, float]
 
 
 def scene_world(arm: SerialArm) -> SpatialWorld:
@@ -98,6 +78,70 @@ def named_arm(name: str) -> SerialArm:
     body = examples()[name].body
     assert isinstance(body, SerialArm)  # noqa: S101 - for the type checker
     return body
+
+
+def random_arm(seed: int) -> SerialArm:
+    """An arm of six or seven joints: rods of spheres, with fingers that may hold something."""
+    rng = np.random.default_rng(seed)
+    pattern = _PATTERNS[int(rng.integers(len(_PATTERNS)))]
+    size = rng.uniform(0.7, 1.2)
+    steps = _steps(rng, pattern, size)
+    joints, parts = [], []
+    thick = rng.uniform(0.045, 0.09) * size
+    for number, axis in enumerate(pattern, 1):
+        bend = 2.8 if axis == "z" else rng.uniform(1.8, 2.6)
+        joints.append(Joint(f"joint{number}", _frame(steps[number - 1]), _AXES[axis], (-bend, bend)))
+        thick *= rng.uniform(0.85, 1.0)
+        spheres = _rod(steps[number], thick)
+        if number == len(pattern):
+            spheres += _hand(rng, steps[-1], size)
+        parts.append(Part(f"link{number}", number, tuple(spheres)))
+    pairs = tuple((a.name, b.name) for i, a in enumerate(parts) for b in parts[i + _APART :])
+    bent = [number for number, axis in enumerate(pattern) if axis == "y"]
+    ready = dict(zip(bent, (0.2, 1.2, 0.8), strict=False))
+    waits = tuple(ready.get(number, 0.0) for number in range(len(pattern)))
+    return SerialArm(f"random{seed}", tuple(joints), tuple(parts), pairs, _frame(steps[-1]), waits)
+
+
+def _frame(place_m: NDArray[np.float64]) -> Frame:
+    x, y, z = (float(one) for one in place_m)
+    return Frame((x, y, z))
+
+
+def _steps(rng: np.random.Generator, pattern: str, size: float) -> list[NDArray[np.float64]]:
+    """From each frame to the next one, m, and to the tool: long behind shoulder and elbow."""
+    bends, found = 0, [np.array([0.0, 0.0, rng.uniform(0.1, 0.4) * size])]
+    for axis in pattern[1:]:
+        is_long = axis == "y" and 0 < bends < 3
+        along = rng.uniform(0.3, 0.45) if is_long else rng.uniform(0.06, 0.14)
+        bends += axis == "y"
+        aside = rng.uniform(-0.1, 0.1, 2) * (rng.random(2) < 0.5)
+        found.append(np.array([aside[0], aside[1], along]) * size)
+    return [*found, np.array([0.0, 0.0, rng.uniform(0.06, 0.22) * size])]
+
+
+def _rod(step: NDArray[np.float64], radius: float) -> list[_Sphere]:
+    count = max(6, int(np.ceil(np.linalg.norm(step) / (0.5 * radius))))
+    x, y, z = (float(one) for one in step)
+    return [
+        (share * x, share * y, share * z, float(radius)) for share in np.linspace(0.0, 1.0, count).tolist()
+    ]
+
+
+def _hand(rng: np.random.Generator, tip: NDArray[np.float64], size: float) -> list[_Sphere]:
+    """Two fingers at the tip of the last link, and what joins them."""
+    wide, radius = rng.uniform(0.03, 0.1) * size, rng.uniform(0.01, 0.025)
+    back, end = rng.uniform(0.04, 0.12) * size, float(tip[2])
+    found = [
+        (0.0, side * wide, end - share * back, radius)
+        for side in (-1, 1)
+        for share in np.linspace(0.0, 1.0, 5).tolist()
+    ]
+    found += [(0.0, y, end - back, 1.5 * radius) for y in np.linspace(-wide, wide, 7).tolist()]
+    if rng.random() < _HOLDS:
+        half, radius = rng.uniform(0.05, 0.25) / 2.0, rng.uniform(0.02, 0.05)
+        found += [(0.0, y, end, radius) for y in np.linspace(-half, half, 8).tolist()]
+    return found
 
 
 def disturbed(rng: np.random.Generator, view: DepthView) -> DepthView:
@@ -250,72 +294,6 @@ def measure(head: GridHead, samples: GridSamples) -> dict[str, float]:
     }
 
 
-# How many more of those that pass may be in collision for an arm, before a model is no better.
-_MARGIN = 0.005
-ACCURACY, FALSE_FREE = "accuracy", "false_free_above_0.9"
-
-Figures = Mapping[str, Mapping[str, float]]
-
-
-def register(
-    file: Path, figures: Figures, params: Mapping[str, Any], tracking: Tracking, registry: ModelRegistry
-) -> ModelVersion:
-    """Make weights a version: the champion where they are better than those of the one before.
-
-    Better is a higher accuracy on average over the held-out arms, with no arm for which 0.5 percentage points
-    more of what passes a confidence of 0.9 are in collision. The same weights are registered once.
-    """
-    digest = hashlib.sha256(file.read_bytes()).hexdigest()
-    flat = {f"{arm}.{name}": value for arm, found in figures.items() for name, value in found.items()}
-    champion = None
-    with suppress(ModelNotFoundError):
-        champion = registry.by_alias(SCENE_MODEL_NAME, ALIAS_CHAMPION)
-    is_champion = champion is None or champion.digest == digest or _is_better(figures, champion.tags)
-    tags = {TAG_STAGE: "scene model", TAG_DIGEST: digest}
-    with tracking.start(SCENE_MODELS_EXPERIMENT, f"scene model, {ID}", tags=tags, key=digest) as run:
-        run.params(params)
-        run.metrics(flat, 0)
-        run.artifact(file)
-    alias = ALIAS_CHAMPION if is_champion else ALIAS_CHALLENGER
-    values = {name: repr(value) for name, value in flat.items()}
-    return registry.record(SCENE_MODEL_NAME, run.run_id, {TAG_DIGEST: digest, **values}, alias=alias)
-
-
-def fetch(reference: str, file: Path, tracking: Tracking, registry: ModelRegistry) -> ModelVersion:
-    """Write the weights of a version."""
-    named = ModelReference.parse(reference)
-    if named.name != SCENE_MODEL_NAME:
-        raise InputError(
-            "the reference is of no scene model", expected=f"{SCENE_MODEL_NAME}@champion", got=reference
-        )
-    version = registry.look_up(named)
-    with TemporaryDirectory() as folder:
-        kept = tracking.file(version.run_id, SCENE_MODEL_FILE, Path(folder))
-        if kept is None:
-            raise ModelNotFoundError(f"the run of {version} keeps no weights", expected=SCENE_MODEL_FILE)
-        data = kept.read_bytes()
-    if (found := hashlib.sha256(data).hexdigest()) != version.digest:
-        raise BundleIntegrityError(
-            f"the weights of {version} are not those that were registered", expected=version.digest, got=found
-        )
-    with replacing(file, "the scene model") as beside:
-        beside.write_bytes(data)
-    return version
-
-
-def _is_better(figures: Figures, before: Mapping[str, str]) -> bool:
-    gained = 0.0
-    for arm, found in figures.items():
-        # An arm that the champion was not measured with says nothing.
-        if f"{arm}.{ACCURACY}" not in before:
-            continue
-        accuracy, false_free = (float(before[f"{arm}.{name}"]) for name in (ACCURACY, FALSE_FREE))
-        if found[FALSE_FREE] > false_free + _MARGIN:
-            return False
-        gained += found[ACCURACY] - accuracy
-    return gained > 0.0
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """See the module."""
     parser = argparse.ArgumentParser(prog="python -m training.scene_model", description=__doc__)
@@ -324,32 +302,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--steps", type=int, default=19532, help="of 16 pictures each (default: 19532)")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--processes", type=int, default=multiprocessing.cpu_count(), help="that draw scenes")
-    kept = parser.add_mutually_exclusive_group()
-    kept.add_argument("--register", action="store_true", help="at MLFLOW_TRACKING_URI")
-    kept.add_argument("--fetch", metavar="VERSION", help="scene-model@champion or scene-model/3")
     options = parser.parse_args(arguments)
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
     folder = options.folder.absolute()
     try:
-        # Before hours of training.
-        uri = tracking_uri() if options.register or options.fetch else ""
         folder.mkdir(parents=True, exist_ok=True)
-        if options.fetch:
-            version = fetch(options.fetch, folder / SCENE_MODEL_FILE, *connect(uri))
-            _LOG.info("%s: %s", folder / SCENE_MODEL_FILE, version)
-            return 0
-        figures = trained_and_measured(folder, options)
-        if options.register:
-            params = {name: getattr(options, name) for name in ("scenes", "steps", "seed")}
-            version = register(folder / SCENE_MODEL_FILE, figures, params, *connect(uri))
-            _LOG.info("registered as %s, %s", version, ", ".join(version.aliases))
+        trained_and_measured(folder, options)
     except CspaceError as error:
         return report_error(error, InputError, ConfigError)
     return 0
 
 
-def trained_and_measured(folder: Path, options: argparse.Namespace) -> dict[str, dict[str, float]]:
-    """Draw, train and write the weights; figures of each held-out arm."""
+def trained_and_measured(folder: Path, options: argparse.Namespace) -> None:
+    """Draw, train, write the weights, and print the figures of each held-out arm."""
     tasks, held_out = plan_tasks(folder, options.scenes, options.seed)
     draw_all([*held_out, *tasks], options.processes)
     config = ValidityConfig(
@@ -367,16 +332,13 @@ def trained_and_measured(folder: Path, options: argparse.Namespace) -> dict[str,
         tuple(load_samples(task.path for task in tasks if task.arm == arm) for arm in arms),
     )
     module = train(config, held, options.seed, folder)
-    save_scene_model(folder / SCENE_MODEL_FILE, module.head.model)
-    figures, device = {}, torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    save_scene_model(folder / WEIGHTS, module.head.model)
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     for arm in HELD_OUT:
         world = scene_world(named_arm(arm))
         head = GridHead(module.head.model, world.grid_arm(SIZES.groups), counts_of(world))
-        figures[arm] = measure(
-            head.to(device).eval(), load_samples(task.path for task in held_out if task.arm == arm)
-        )
-        _LOG.info("%s: %s", arm, json.dumps(figures[arm]))
-    return figures
+        samples = load_samples(task.path for task in held_out if task.arm == arm)
+        _LOG.info("%s: %s", arm, json.dumps(measure(head.to(device).eval(), samples)))
 
 
 if __name__ == "__main__":

@@ -10,8 +10,8 @@ from mlflow.entities import LoggedModelStatus, Run
 from cspace.bundle import Bundle
 from services.names import EXPERIMENT, MODEL_NAME
 from services.registry.models import ModelRegistry
+from training.jobs.launch import FINAL
 from training.models.checkpoint import read_checkpoint
-from training.trials.launch import FINAL
 
 STAGES = {
     "vae": "pictures",

@@ -11,8 +11,8 @@ from cspace.worlds.planar.arm import PlanarArm
 from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.benchmark import LIMITS_RAD
 from cspace.worlds.spatial.world import shipped
-from tests.bundles import picture, tiny_graphs, tiny_spec, write_tiny_bundle
-from training import limits, plan_confidence
+from tests.bundles import tiny_graphs, tiny_spec, write_tiny_bundle
+from training import plan_confidence
 from training.motionbench import main as motionbench
 
 WIDE = PlanarArm(joint_limits_rad=((-3.0, 3.0), (-3.0, 3.0)))
@@ -35,32 +35,6 @@ def both(source, new):
     for graph in sorted(source.glob("*.onnx")):
         assert (new / graph.name).read_bytes() == graph.read_bytes()
     return Bundle.load(source), Bundle.load(new)
-
-
-def limited(source, folder, *limit):
-    width = str(WIDE.half_width_m)
-    links = map(str, WIDE.link_lengths_m)
-    arm = ["--links", *links, "--half-width", width, "--limit", "1", *limit, "--limit", "2", "-3", "3"]
-    return limits.main([str(source), str(folder), *arm])
-
-
-def test_narrower_limits_are_kept_to(source, tmp_path):
-    assert limited(source, tmp_path / "new", "-1.5", "2.5") == 0
-    before, after = both(source, tmp_path / "new")
-    assert after.spec.joint_space["lower"] == [-1.5, -3.0]
-    samples = after.sample(picture(), 500, 2, min_confidence=0.1).samples
-    assert len(samples) == 500
-    assert after.spec.world.space.contains(samples).all()
-    assert before.spec.world.body != after.spec.world.body
-    note = after.spec.provenance.config["limits_narrowed"]
-    assert note["source_digest"] == before.digest
-    assert note["trained_lower"] == [-3.0, -3.0]
-
-
-def test_wider_limits_are_refused(source, tmp_path, capsys):
-    assert limited(source, tmp_path / "new", "-3.1", "2.5") == 1
-    assert "the limits do not fit the bundle" in capsys.readouterr().err
-    assert not (tmp_path / "new").exists()
 
 
 def test_the_benchmarks_robot_is_the_shipped_one_with_wider_limits(tmp_path):

@@ -174,17 +174,3 @@ def test_a_fetch_that_pip_refuses_says_what_to_do(tmp_path: Path, monkeypatch: p
     refused = pytest.raises(ServiceError, match=r"No matching distribution.*--archive")
     with refused, motionbench.downloaded("0" * 64):
         pass
-
-
-def test_an_archive_with_another_digest_is_refused_before_it_is_prepared(
-    sound: tuple[Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    prepared = tmp_path / "prepared"
-    backend = f"def prepare_metadata_for_build_wheel(*_): open({str(prepared)!r}, 'w')"
-    project = b'[build-system]\nrequires = []\nbuild-backend = "own"\nbackend-path = ["."]\n'
-    foreign = {"vamp_planner-0.6.4/pyproject.toml": project, "vamp_planner-0.6.4/own.py": backend.encode()}
-    (tmp_path / "vamp_planner-0.6.4.tar.gz").write_bytes(packed(foreign, "w:gz"))
-    offline(monkeypatch, tmp_path)
-    with pytest.raises(ServiceError, match="Expected sha256"), motionbench.downloaded(sound[1]):
-        pass
-    assert not prepared.exists()

@@ -23,8 +23,7 @@ from tests.bundles import picture, write_tiny_bundle
 from tests.contracts.mlflow_server import mlflow_server
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
 from tests.inference_api.server import api_server
-from training.path_sampler import main
-from training.paths.writing import make_path_bundle
+from training.path_sampler import main, make_path_bundle
 
 START, GOAL = (0.5, 0.5), (-0.5, -1.0)
 

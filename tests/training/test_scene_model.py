@@ -17,10 +17,9 @@ from cspace.worlds.spatial.obstacles import Obstacles
 from cspace.worlds.spatial.poses import Frame
 from cspace.worlds.spatial.view import DepthView
 from training.config import SCENE_MODEL, GridConfig, TrainConfig, ValidityConfig
-from training.models.checkpoint import load_scene_model, save_scene_model, seeded_initialisation
+from training.models.checkpoint import load_scene_model, save_scene_model
 from training.models.grid_head import GridHead, counts_of
 from training.models.grid_training import ArmSamples
-from training.random_arms import random_arm
 from training.scene_model import (
     SceneTask,
     disturbed,
@@ -28,6 +27,7 @@ from training.scene_model import (
     make_scenes,
     measure,
     named_arm,
+    random_arm,
     scene_world,
     train,
 )
@@ -147,13 +147,3 @@ def test_a_job_takes_the_shipped_model_its_own_or_trains_a_head() -> None:
     assert TrainConfig.load("panda_quick", ["validity.scene_model=null"]).validity.scene_model_file is None
     with pytest.raises(ConfigError, match=r"needs validity\.grid"):
         TrainConfig.load("quickstart", ["validity.scene_model=shipped"])
-
-
-def test_weights_of_a_head_know_no_arm() -> None:
-    config = ValidityConfig(free_share=0.6, hidden=8, grid=SMALL)
-    with seeded_initialisation(0):
-        one = GridHead.of(config, PANDA)
-    with seeded_initialisation(0):
-        other = GridHead.of(config, UR5)
-    assert one.state_dict().keys() == other.state_dict().keys()
-    other.load_state_dict(one.state_dict())

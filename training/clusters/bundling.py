@@ -22,7 +22,7 @@ from training.clusters.calibration import (
 from training.config import HeadConfig, TrainConfig
 from training.jobs.job import TAG_START
 from training.jobs.provenance import provenance
-from training.models.autoencoders import network_size
+from training.models.autoencoders import load_encoder, load_scores, network_size
 from training.models.belief import belief_graph
 from training.models.checkpoint import load_scene_model, load_weights, trained
 from training.models.data import TrainingArrays
@@ -35,7 +35,6 @@ from training.models.families import family
 from training.models.grid_head import GridHead, counts_of
 from training.models.grid_training import grid_validity_graph, map_graph
 from training.models.validity import make_head, validity_graph
-from training.trials.arrays import load_encoder, load_scores
 
 _LOG = logging.getLogger("training")
 THRESHOLD_SCENARIOS = 40

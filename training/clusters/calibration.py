@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from torch import nn
 
 from cspace.bundle import Bundle, BundleSpec, graphs_of, write_bundle
-from cspace.bundle.files import GOLDEN_FILE, VALIDITY_FILE
+from cspace.bundle.files import GOLDEN_FILE
 from cspace.bundle.golden import GoldenCase
 from cspace.bundle.load import quantiles_of
 from cspace.bundle.sampling import UNIFORM_SHARE
 from cspace.dataset import Dataset
-from cspace.errors import BundleError, ScenarioError
+from cspace.errors import ScenarioError
 from cspace.planning.calibration import fit_calibration
 from cspace.planning.cost import calibration_error, confidence_of_cost
 from cspace.planning.paths import spaced
@@ -28,16 +28,9 @@ from cspace.world import World
 from cspace.worlds import checker_of, picture_file_of, simulator_of
 from services.evaluator.scenes import Scene, Stage
 from training.config import VaeConfig
-from training.models.autoencoders import blocks
-from training.trials.arrays import load_encoder
+from training.models.autoencoders import blocks, load_encoder
 
 _LOG = logging.getLogger(__name__)
-
-
-def require_head(source: Bundle) -> None:
-    """Refuse a bundle that scores nothing."""
-    if not source.has_validity:
-        raise BundleError("the bundle has no validity head", expected=VALIDITY_FILE, got=str(source.folder))
 
 
 def write_fitted(source: Bundle, folder: Path, spec: BundleSpec, name: str, note: Mapping[str, Any]) -> Path:
@@ -108,19 +101,15 @@ def choose_threshold(
     Returns:
         The threshold; the highest candidate where none is enough.
     """
+    low = 1.0 - 2.0 * (1.0 - target_precision)
     for threshold in candidates:
         passing = np.array([rows.passing(threshold) for rows in proposed])
         if not passing[:, 0].all():
             break
-        if _precise(passing, target_precision):
+        precisions = passing[:, 1] / passing[:, 0]
+        if precisions.mean() >= target_precision and np.quantile(precisions, 0.1) >= low:
             return threshold
     return candidates[-1]
-
-
-def _precise(passing: NDArray[np.float64], target: float) -> bool:
-    precisions = passing[:, 1] / passing[:, 0]
-    low = 1.0 - 2.0 * (1.0 - target)
-    return bool(precisions.mean() >= target and np.quantile(precisions, 0.1) >= low)
 
 
 def validation_scores(

@@ -1,7 +1,7 @@
 """The main job: data, clusters, VAE and validity head, the model family's trials, bundle, registry."""
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -26,12 +26,11 @@ from training.clusters.clustering import Partition, cluster, group
 from training.config import CLUSTERS_FILE, TrainConfig
 from training.data.generate import generate
 from training.jobs.job import TAG_START, Job, kept_bundle, registered_name, world_tag
-from training.models.autoencoders import encode, shown
+from training.jobs.launch import TrialOutcome, run_trials
+from training.jobs.trainables import VAE, VALIDITY, family_trial, has_occupancy, picture_trial
+from training.models.autoencoders import encode, load_encoder, shown
 from training.models.data import TrainingArrays
 from training.models.families import family
-from training.trials.arrays import has_occupancy, load_encoder
-from training.trials.launch import TrialOutcome, run_trials
-from training.trials.trainables import VAE, VALIDITY, family_trial, picture_trial
 
 SHOWN_SCENARIOS = 3
 
@@ -88,21 +87,13 @@ def open_outcomes(config: TrainConfig, dataset: Dataset) -> Dataset | None:
     if folder is None:
         return None
     found = open_dataset(folder)
-    for what in ("body", "sensor"):
-        ours, theirs = getattr(dataset.world, what), getattr(found.world, what)
-        if ours != theirs:
-            words = "robot" if what == "body" else "sensor"
-            raise DatasetError(
-                f"the outcomes are of another {words}",
-                expected=str(ours)[:200],
-                got=f"{str(theirs)[:200]} in {folder}",
-                remedy="import them with the options of the training's robot",
-            )
-    if found.collision is None:
+    ours, theirs = ((one.world.body, one.world.sensor) for one in (dataset, found))
+    if ours != theirs or found.collision is None:
         raise DatasetError(
-            "data.outcomes is no data set of outcomes",
-            expected="what python -m training.data import-outcomes writes",
-            got=str(folder),
+            "data.outcomes does not fit",
+            expected=f"what python -m training.data import-outcomes writes for {ours}"[:300],
+            got=f"{theirs} in {folder}"[:300],
+            remedy="import them with the options of the training's robot",
         )
     return found
 
@@ -193,23 +184,14 @@ def partition(
     return Partition(cells, group(cells, count, seed))
 
 
-def train_family(
-    job: Job[TrainConfig], arrays: TrainingArrays, until: str | None = None
-) -> list[TrialOutcome]:
-    """Stages 5 and on: what the model family trains from the latents; ``until`` names the last stage."""
+def train_family(job: Job[TrainConfig], arrays: TrainingArrays) -> list[TrialOutcome]:
+    """Stages 5 and on: what the model family trains from the latents."""
     config, outcomes = job.config, list[TrialOutcome]()
     kind = family(config.clusters.form)
     for stage, names in kind(config, arrays).stages().items():
-        done = checkpoints(outcomes)
+        done = {outcome.name: outcome.checkpoint for outcome in outcomes}
         outcomes += run_trials(job, stage, names, family_trial, kind=kind, arrays=arrays, done=done)
-        if stage == until:
-            break
     return outcomes
-
-
-def checkpoints(outcomes: Sequence[TrialOutcome]) -> dict[str, Path]:
-    """Where the weights of trials are, by their names."""
-    return {outcome.name: outcome.checkpoint for outcome in outcomes}
 
 
 def encoder_checkpoint(job: Job[TrainConfig], vae: TrialOutcome | None) -> Path:
@@ -220,24 +202,6 @@ def encoder_checkpoint(job: Job[TrainConfig], vae: TrialOutcome | None) -> Path:
     if given is None or not given.is_file():
         raise ConfigError("there is no encoder", expected="a VAE trial's checkpoint", got=str(given))
     return given
-
-
-def require_encoder(job: Job[TrainConfig], dataset: Dataset) -> None:
-    """See that an encoder that the configuration names is there and fits, before anything is trained."""
-    config = job.config.vae
-    if config.checkpoint is None:
-        return
-    checkpoint = encoder_checkpoint(job, None)
-    try:
-        load_encoder(config, dataset.world.sensor, checkpoint)
-    except (OSError, RuntimeError) as error:
-        raise ConfigError(
-            "vae.checkpoint does not fit",
-            expected=f"the weights of an encoder with vae.latent_dim={config.latent_dim}, "
-            f"vae.width={config.width} and vae.patches={config.patches} for the data's pictures",
-            got=f"{checkpoint}: {str(error)[:300]}",
-            remedy="name another checkpoint, or set the sizes of its job",
-        ) from error
 
 
 BUNDLE_FOLDER = "bundle"
@@ -283,7 +247,6 @@ def run_job(job: Job[TrainConfig]) -> TrainResult:
             if one is not None:
                 run.dataset(one.folder.name, one.digest, str(one.folder), "training")
         job.add_tags(world_tag(dataset.world, config.robot_name))
-        require_encoder(job, dataset)
         data = cluster_data(job, dataset)
         vae, head = train_on_pictures(job, dataset)
         arrays = encode_data(job, dataset, vae, data)
@@ -291,7 +254,8 @@ def run_job(job: Job[TrainConfig]) -> TrainResult:
         _LOG.info("bundle: exporting")
         encoder = trained[-1].checkpoint if config.trains_encoder else encoder_checkpoint(job, vae)
         head_at = config.validity.scene_model_file if head is None else head.checkpoint
-        parts = TrainedParts(encoder, checkpoints(trained), head_at, arrays, job.start_run_id)
+        done = {outcome.name: outcome.checkpoint for outcome in trained}
+        parts = TrainedParts(encoder, done, head_at, arrays, job.start_run_id)
         bundle = kept_bundle(job.folder / BUNDLE_FOLDER)
         if bundle is None:
             bundle = make_bundle(job.folder / BUNDLE_FOLDER, config, dataset, parts)

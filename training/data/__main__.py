@@ -1,4 +1,4 @@
-"""Data sets: ``python -m training.data generate|paths|import|import-recording|import-outcomes|merge|verify``.
+"""Data sets: ``python -m training.data generate|import|import-recording|import-outcomes|merge|verify``.
 
 Exit codes: 0 done; 1 the data or the disk is bad; 2 the command is wrong; 3 most of a recording's views fail
 the diagnosis.
@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
 from cspace import bounded
 from cspace.dataset import Dataset, open_dataset
@@ -24,7 +24,7 @@ from cspace.worlds import add_world_options, described_world
 from services.commands import report_error
 from services.registry import tracking_uri
 from services.scene_files import given_scenes, read_scene_file
-from training.data.config import USUAL_OF_ARMS, DatasetConfig, PathDatasetConfig
+from training.data.config import USUAL_OF_ARMS, DatasetConfig
 from training.data.merge import merge
 from training.data.outcomes import import_outcomes
 from training.data.own import import_folder
@@ -88,17 +88,8 @@ def parser() -> argparse.ArgumentParser:
     )
     result.set_defaults(is_foreign=False)
     commands = result.add_subparsers(required=True, metavar="COMMAND")
-    _add_generated(
-        commands.add_parser("generate", help="random scenarios, by Ray tasks; goes on where it stopped"),
-        DatasetConfig,
-        *("split", "seed", "scenario_count", "free_per_scenario", "collision_per_scenario"),
-        *("proposals_per_scenario", "extra_image_count", "shard_size"),
-    )
-    _add_generated(
-        commands.add_parser("paths", help="near-optimal paths between starts and goals, by Ray tasks"),
-        PathDatasetConfig,
-        *("split", "seed", "scenario_count", "pairs_per_scenario", "points_per_path", "free_per_scenario"),
-        *("shard_size", "narrow_share", "time_limit_s", "source"),
+    _add_generate(
+        commands.add_parser("generate", help="random scenarios, by Ray tasks; goes on where it stopped")
     )
     _add_import(commands.add_parser("import", help="your own pictures (PNG) and configurations (.npy)"))
     add_recording_options(
@@ -121,12 +112,11 @@ def parser() -> argparse.ArgumentParser:
     return result
 
 
-def _add_generated(
-    parser: argparse.ArgumentParser, kind: type[DatasetConfig] | type[PathDatasetConfig], *names: str
-) -> None:
+def _add_generate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("folder", type=Path, help="where the data set goes")
-    for name in names:
-        field = kind.model_fields[name]
+    for name, field in DatasetConfig.model_fields.items():
+        if name in (*_PARTS, "outcomes"):
+            continue
         choices = get_args(field.annotation)
         parser.add_argument(
             f"--{name.replace('_', '-')}",
@@ -145,7 +135,7 @@ def _add_generated(
         metavar="FILE",
         help="scene files or folders of them: obstacles of your own; every fifth is held out for evaluation",
     )
-    parser.set_defaults(run=lambda options: _made(options, kind))
+    parser.set_defaults(run=_generate)
 
 
 def _default(name: str, planar: object) -> str:
@@ -189,11 +179,11 @@ def _merge(options: argparse.Namespace) -> Dataset:
     return merged
 
 
-def _made(options: argparse.Namespace, kind: type[DatasetConfig] | type[PathDatasetConfig]) -> Dataset:
-    given = {name: getattr(options, name, None) for name in kind.model_fields if name not in _PARTS}
-    values = _world_parts(options, kind) | {name: one for name, one in given.items() if one is not None}
+def _generate(options: argparse.Namespace) -> Dataset:
+    given = {name: getattr(options, name, None) for name in DatasetConfig.model_fields if name not in _PARTS}
+    values = _world_parts(options) | {name: one for name, one in given.items() if one is not None}
     try:
-        config = kind.model_validate(values)
+        config = DatasetConfig.model_validate(values)
     except ValidationError as error:
         raise refused(error, ConfigError, "the data set") from error
     # A Ray that this command starts for itself reports no use; its token mode is that of all the services.
@@ -205,12 +195,11 @@ def _made(options: argparse.Namespace, kind: type[DatasetConfig] | type[PathData
     return generate(config, options.folder.absolute())
 
 
-def _world_parts(options: argparse.Namespace, kind: type[BaseModel]) -> dict[str, Any]:
+def _world_parts(options: argparse.Namespace) -> dict[str, Any]:
     """Robot, camera and scenes of options; each given scene is taken once, where no number is asked for."""
     if not (options.robot or options.scenes):
         world = described_world(options)
-        usual = USUAL_OF_ARMS if kind is DatasetConfig and world.kind == "spatial" else {}
-        return {"robot": world.body, **usual}
+        return {"robot": world.body, **(USUAL_OF_ARMS if world.kind == "spatial" else {})}
     files = [read_scene_file(path) for path in _files(options.scenes or ())]
     first = read_scene_file(options.robot) if options.robot else files[0]
     world = first.world
@@ -218,8 +207,7 @@ def _world_parts(options: argparse.Namespace, kind: type[BaseModel]) -> dict[str
     parts["robot_name"] = first.name
     if files:
         parts["scenes"] = given_scenes(world, files)
-        counts = {"scenario_count": len(parts["scenes"].train), "extra_image_count": 0}
-        parts |= {name: count for name, count in counts.items() if name in kind.model_fields}
+        parts |= {"scenario_count": len(parts["scenes"].train), "extra_image_count": 0}
     return parts
 
 

@@ -65,9 +65,9 @@ class GeneratedConfig(BaseModel):
         None, exclude_if=lambda part: part is None, description="a family, or given ones; None: the usual"
     )
     robot_name: RobotName = None
-    split: Literal["train", "validation", "test", "demo"] = "train"
-    seed: int = Field(0, ge=0)
-    shard_size: int = Field(500, ge=1)
+    split: Literal["train", "validation", "test", "demo"] = Field("train", description="whose scenes")
+    seed: int = Field(0, ge=0, description="of the scenes and of what is sampled in them")
+    shard_size: int = Field(500, ge=1, description="scenarios that one Ray task makes")
 
     @model_validator(mode="before")
     @classmethod
@@ -108,9 +108,9 @@ class GeneratedConfig(BaseModel):
 class DatasetConfig(GeneratedConfig):
     """Everything that fixes a generated data set of configurations."""
 
-    scenario_count: int = Field(3000, ge=1)
-    free_per_scenario: int = Field(300, ge=1)
-    collision_per_scenario: int = Field(50, ge=0)
+    scenario_count: int = Field(3000, ge=1, description="scenes with configurations")
+    free_per_scenario: int = Field(300, ge=1, description="uniform free configurations")
+    collision_per_scenario: int = Field(50, ge=0, description="uniform colliding configurations")
     proposals_per_scenario: int = Field(
         0,
         ge=0,
@@ -118,7 +118,7 @@ class DatasetConfig(GeneratedConfig):
         description="configurations of all kinds that a head learns from, free or not, with their clearance; "
         "0: uniform ones, in the numbers of free_per_scenario and collision_per_scenario",
     )
-    extra_image_count: int = Field(6000, ge=0)
+    extra_image_count: int = Field(6000, ge=0, description="pictures without configurations")
     outcomes: AbsolutePath | None = Field(
         None,
         exclude_if=lambda folder: folder is None,
@@ -142,17 +142,18 @@ USUAL_OF_ARMS = {
 class PathDatasetConfig(GeneratedConfig):
     """Everything that fixes a generated data set of paths."""
 
-    scenario_count: int = Field(4000, ge=1)
+    scenario_count: int = Field(4000, ge=1, description="scenes with paths")
     narrow_share: float = Field(
         0.5, ge=0, le=1, description="of scenarios, with a narrow passage on every path"
     )
-    pairs_per_scenario: int = Field(8, ge=1)
-    points_per_path: int = Field(64, ge=2)
-    free_per_scenario: int = Field(50, ge=1)
-    source: Literal["grid", "rrt_star"] = "grid"
-    """``grid``: the world's own, near-optimal; ``rrt_star``: OMPL's, with a limit in time, as the paper."""
+    pairs_per_scenario: int = Field(8, ge=1, description="of start and goal, each with a path")
+    points_per_path: int = Field(64, ge=2, description="at equal distances")
+    free_per_scenario: int = Field(50, ge=1, description="free configurations that are stored")
+    source: Literal["grid", "rrt_star"] = Field(
+        "grid", description="grid: the world's own, near-optimal; rrt_star: OMPL's, as in the paper"
+    )
     time_limit_s: float = Field(10.0, gt=0, description="of RRT* for each path")
-    shard_size: int = Field(100, ge=1)
+    shard_size: int = Field(100, ge=1, description="scenarios that one Ray task makes")
 
     @property
     def narrow_count(self) -> int:

@@ -1,8 +1,8 @@
-"""Data sets of free and colliding configurations, as a recipe."""
+"""Data sets as recipes, and that of free and colliding configurations."""
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,37 +25,77 @@ MAX_DRAWS = 100
 _MIN_ROUND = 64
 
 
-@dataclass(frozen=True)
-class ConfigurationRecipe:
-    """How the shards of a configuration are made, anywhere, and put together."""
+class Recipe(ABC):
+    """How the shards of a data set are made, anywhere, and put together."""
 
-    config: DatasetConfig
+    def __init__(self, config: Any, values_per_scenario: int, extra_image_count: int = 0) -> None:
+        self.config, self.values_per_scenario = config, values_per_scenario
+        self.extra_image_count = extra_image_count
+
+    @abstractmethod
+    def row(self, index: int, extra: bool) -> dict[str, NDArray[Any]]:
+        """The arrays of one scenario, or of one picture alone."""
 
     @property
     def finished_bytes(self) -> int:
-        """Of pictures and configurations."""
-        config = self.config
-        pictures = config.scenario_count + config.extra_image_count
-        each = config.proposals_per_scenario or config.free_per_scenario + config.collision_per_scenario
-        rows = config.scenario_count * each
-        return pictures * math.prod(config.world.sensor.picture_shape) + rows * 8 * config.world.dim
+        """Of pictures, configurations and paths."""
+        count = self.config.scenario_count
+        pictures = (count + self.extra_image_count) * math.prod(self.config.world.sensor.picture_shape)
+        return int(pictures + 8 * count * self.values_per_scenario)
 
     def plan(self) -> list[Shard]:
         """Scenarios, then pictures alone."""
-        config, size = self.config, self.config.shard_size
+        size = self.config.shard_size
         return [
             Shard(first, min(size, total - first), extra)
-            for extra, total in ((False, config.scenario_count), (True, config.extra_image_count))
+            for extra, total in ((False, self.config.scenario_count), (True, self.extra_image_count))
             for first in range(0, total, size)
         ]
 
     def make(self, shard: Shard) -> dict[str, NDArray[Any]]:
         """The arrays of one shard; the same whatever the shards' size and wherever it is computed."""
         offset = EXTRA_FIRST_INDEX if shard.extra else 0
-        rows = [self._row(offset + shard.first + place, shard.extra) for place in range(shard.count)]
+        rows = [self.row(offset + shard.first + place, shard.extra) for place in range(shard.count)]
         return {name: np.stack([row[name] for row in rows]) for name in rows[0]}
 
-    def _row(self, index: int, extra: bool) -> dict[str, NDArray[Any]]:
+    def write(self, folder: Path, load: Callable[[Shard], Arrays]) -> Dataset:
+        """The data set of all shards."""
+        world, kept = self.config.world, dict[str, list[NDArray[Any]]]()
+        # Filled shard by shard: arrays of space are large, and are not held twice.
+        shape = world.sensor.picture_shape
+        images = np.empty((self.config.scenario_count, *shape), dtype=np.uint8)
+        extras = np.empty((self.extra_image_count, *shape), dtype=np.uint8)
+        for shard in self.plan():
+            arrays = dict(load(shard))
+            (extras if shard.extra else images)[shard.rows] = arrays.pop("images")
+            if not shard.extra:
+                for name, rows in (_split(arrays) if "labelled" in arrays else arrays).items():
+                    kept.setdefault(name, []).extend(rows)
+        paths = [(scenario, path) for scenario, rows in enumerate(kept.get("paths", ())) for path in rows]
+        return write_dataset(
+            folder,
+            world=world,
+            images=images,
+            free=kept["free"],
+            collision=kept.get("collision"),
+            attributes={name: kept[name] for name in ATTRIBUTES if name in kept},
+            paths=paths or None,
+            scenes={name: np.stack(kept[name]) for name in world.scene_files},
+            extra_images=extras if len(extras) else None,
+            generator=self.config.model_dump(mode="json"),
+        )
+
+
+class ConfigurationRecipe(Recipe):
+    """Data sets of free and colliding configurations."""
+
+    config: DatasetConfig
+
+    def __init__(self, config: DatasetConfig) -> None:
+        rows = config.proposals_per_scenario or config.free_per_scenario + config.collision_per_scenario
+        super().__init__(config, rows * config.world.dim, config.extra_image_count)
+
+    def row(self, index: int, extra: bool) -> dict[str, NDArray[Any]]:
         """One scenario; of a family another one is drawn where hardly anything collides, or all of it."""
         config, split = self.config, Split(self.config.split)
         simulator, rng = simulator_of(config.world), scenario_rng(split, config.seed, index)
@@ -71,45 +111,18 @@ class ConfigurationRecipe:
                     **label(checker, simulator.proposals(scene, rng, config.proposals_per_scenario)),
                 }
             try:
-                free = plot_configurations(checker, config.free_per_scenario, rng, free=True)
-                collision = plot_configurations(checker, config.collision_per_scenario, rng, free=False)
+                sides = {"free": plot_configurations(checker, config.free_per_scenario, rng, free=True)}
+                if count := config.collision_per_scenario:
+                    sides["collision"] = plot_configurations(checker, count, rng, free=False)
             except DatasetError as error:
                 problem = error
                 continue
             return {
                 "images": simulator.render(scene),
                 **simulator.arrays_of(scene),
-                "free": free,
-                "collision": collision,
+                **sides,
             }
         raise problem
-
-    def write(self, folder: Path, load: Callable[[Shard], Arrays]) -> Dataset:
-        """The data set of all shards."""
-        config = self.config
-        known, kept = config.world.scene_files, dict[str, list[NDArray[Any]]]()
-        # Filled shard by shard: arrays of space are large, and are not held twice.
-        shape = config.world.sensor.picture_shape
-        images = np.empty((config.scenario_count, *shape), dtype=np.uint8)
-        extras = np.empty((config.extra_image_count, *shape), dtype=np.uint8)
-        for shard in self.plan():
-            arrays = dict(load(shard))
-            (extras if shard.extra else images)[shard.rows] = arrays.pop("images")
-            if not shard.extra:
-                for name, rows in (_split(arrays) if "labelled" in arrays else arrays).items():
-                    kept.setdefault(name, []).extend(rows)
-        collided = config.collision_per_scenario or config.proposals_per_scenario
-        return write_dataset(
-            folder,
-            world=config.world,
-            images=images,
-            free=kept["free"],
-            collision=kept["collision"] if collided else None,
-            attributes={name: kept[name] for name in ATTRIBUTES if name in kept},
-            scenes={name: np.stack(kept[name]) for name in known},
-            extra_images=extras if len(extras) else None,
-            generator=config.model_dump(mode="json"),
-        )
 
 
 def label(checker: Checker, proposals: Proposals) -> dict[str, NDArray[Any]]:

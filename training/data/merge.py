@@ -32,7 +32,6 @@ def merge(parts: Sequence[Dataset], folder: Path) -> Dataset:
         free=[part.free_of(row) for part, row in pairs],
         collision=None if first.collision is None else [part.collision_of(row) for part, row in pairs],
         attributes={name: [part.attribute_of(name, row) for part, row in pairs] for name in first.attributes},
-        paths=_paths(parts, kept) if "paths" in first.arrays else None,
         scenes={name: _joined(parts, kept, name) for name in _geometry(first)} or None,
         extra_images=_distinct(np.concatenate(extras)) if extras else None,
         generator=_provenance(parts, kept),
@@ -40,6 +39,9 @@ def merge(parts: Sequence[Dataset], folder: Path) -> Dataset:
 
 
 def _require_alike(first: Dataset, part: Dataset) -> None:
+    if "paths" in first.arrays:
+        raise DatasetError(f"{first.folder} holds paths", expected="data sets of configurations")
+
     def alike(what: str, ours: object, theirs: object) -> None:
         if ours != theirs:
             raise DatasetError(
@@ -86,22 +88,6 @@ def _new_rows(digests: Sequence[Sequence[bytes]]) -> list[NDArray[np.int64]]:
 
 def _joined(parts: Sequence[Dataset], kept: Sequence[NDArray[np.int64]], name: str) -> NDArray[Any]:
     return np.concatenate([part.arrays[name][rows] for part, rows in zip(parts, kept, strict=True)])
-
-
-def _paths(
-    parts: Sequence[Dataset], kept: Sequence[NDArray[np.int64]]
-) -> list[tuple[int, NDArray[np.float32]]]:
-    """(scenario, waypoints) of all paths whose scenario is kept, scenarios counted again."""
-    found: list[tuple[int, NDArray[np.float32]]] = []
-    before = 0
-    for part, rows in zip(parts, kept, strict=True):
-        place = {int(row): before + index for index, row in enumerate(rows)}
-        offsets, points = part.arrays["path_offsets"], part.arrays["paths"]
-        for path, scenario in enumerate(part.arrays["path_scenario"]):
-            if int(scenario) in place:
-                found.append((place[int(scenario)], points[offsets[path] : offsets[path + 1]]))
-        before += len(rows)
-    return found
 
 
 def _distinct(images: NDArray[np.uint8]) -> NDArray[np.uint8]:

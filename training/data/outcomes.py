@@ -51,7 +51,7 @@ class KnownPlan:
         """Whether it is left out of training, as a fifth of all pictures is."""
         return int(self.picture, 16) % HELD_OUT == 0
 
-    def labelled(self, space: JointSpace) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def labelled(self, space: JointSpace) -> Labelled:
         """Configurations of the path that are known to be free, and to collide, each (n, d) rad.
 
         What comes after a collision is not known, nor for certain the tenth of a radian before it.
@@ -112,7 +112,9 @@ def import_outcomes(folder: Path, *, world: World, tracking: Tracking, site: str
             got=f"none of robot {robot_digest(world)[:8]}" + ("" if site is None else f" at {site}"),
             remedy="plan with keep, report with POST /outcomes, upload with python -m services.outcomes",
         )
-    free, collision = ([np.concatenate(one) for one in side] for side in _sides(found))
+    free, collision = (
+        [np.concatenate([one[side] for one in plans]) for plans in found.values()] for side in (0, 1)
+    )
     return write_dataset(
         folder,
         # Where the pictures come from, nobody says.
@@ -124,7 +126,3 @@ def import_outcomes(folder: Path, *, world: World, tracking: Tracking, site: str
         collision=collision,
         generator={"outcomes": batches, "site": site, "split": "train"},
     )
-
-
-def _sides(found: dict[str, list[Labelled]]) -> tuple[list[list[NDArray[np.float32]]], ...]:
-    return tuple([[one[side] for one in plans] for plans in found.values()] for side in (0, 1))

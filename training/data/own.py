@@ -1,6 +1,6 @@
 """Import of own data: a folder of pictures, or of views in JSON, with their configurations as arrays."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -18,24 +18,51 @@ from cspace.world import World
 
 _MAX_BYTES = 8 * 2**20
 _KINDS = (".png", ".tif", ".tiff", ".npy")
+EXTRA_FOLDER = "extra"
+COLLISION_ENDING = ".collision.npy"
 
 
-def found_pictures(folder: Path) -> list[Path]:
-    """The files of a folder that show a scene each, in the order of their names: views, and other PNGs.
-
-    A view is a JSON file that names its pictures, or a view file (``.view``).
-    """
-    views = sorted(folder.glob("*.json"))
-    named = {name for view in views for name in _read_view(view).pictures}
-    others = (path for path in folder.glob("*.png") if path.name not in named)
-    return sorted([*views, *folder.glob("*.view"), *others])
+def _is_name(name: str) -> str:
+    if not name.endswith(_KINDS) or Path(name).name != name:
+        raise ValueError(f"the name of a file beside it, {', '.join(_KINDS)}")
+    return name
 
 
-def read_own_picture(path: Path, world: World) -> NDArray[np.uint8]:
-    """The picture of a scene as its world reads it."""
-    # A view may be none as well.
+@validated(DatasetError)
+class View:
+    """A JSON file that names its pictures."""
+
+    pictures: Annotated[
+        tuple[Annotated[str, AfterValidator(_is_name)], ...], Field(min_length=1, max_length=MAX_PICTURES)
+    ]
+    cameras: list[object]
+    state: Annotated[object, LEFT_OUT] = None
+    depth_scale_m: Annotated[object, LEFT_OUT] = None
+
+
+def _read_view(path: Path) -> View:
+    data = read_bounded(path, _MAX_BYTES, DatasetError)
     try:
-        data = _view(path) if path.suffix == ".json" else _bytes(path)
+        values = parse_json(data)
+    except ValueError as error:
+        raise DatasetError(f"{path} is no JSON", got=str(error)[:200]) from error
+    return read_object(View, values, str(path), DatasetError)
+
+
+def _found_pictures(folder: Path) -> dict[Path, View | None]:
+    """The files of a folder that show a scene each, by their names: views, view files and other PNGs."""
+    views = {path: _read_view(path) for path in folder.glob("*.json")}
+    named = {name for view in views.values() for name in view.pictures}
+    others = [path for path in folder.glob("*.png") if path.name not in named]
+    return {path: views.get(path) for path in sorted([*views, *folder.glob("*.view"), *others])}
+
+
+def _read_picture_of(path: Path, view: View | None, world: World) -> NDArray[np.uint8]:
+    if view is None:
+        return read_picture(read_bounded(path, _MAX_BYTES, DatasetError), str(path), world)
+    files = [read_bounded(path.with_name(name), _MAX_BYTES, DatasetError) for name in view.pictures]
+    try:
+        data = pack_view(files, view.cameras, view.state, view.depth_scale_m)
     except ImageError as error:
         raise _named(str(path), error) from error
     return read_picture(data, str(path), world)
@@ -54,60 +81,12 @@ def _named(where: str, error: ImageError) -> DatasetError:
     return DatasetError(what, expected=error.expected, got=error.got, remedy=error.remedy)
 
 
-def _view(path: Path) -> bytes:
-    view = _read_view(path)
-    files = [_bytes(path.with_name(name)) for name in view.pictures]
-    return pack_view(files, view.cameras, view.state, view.depth_scale_m)
-
-
-def _is_name(name: str) -> str:
-    if not name.endswith(_KINDS) or Path(name).name != name:
-        raise ValueError(f"the name of a file beside it, {', '.join(_KINDS)}")
-    return name
-
-
-@validated(DatasetError)
-class _View:
-    pictures: Annotated[
-        tuple[Annotated[str, AfterValidator(_is_name)], ...], Field(min_length=1, max_length=MAX_PICTURES)
-    ]
-    cameras: list[object]
-    state: Annotated[object, LEFT_OUT] = None
-    depth_scale_m: Annotated[object, LEFT_OUT] = None
-
-
-def _read_view(path: Path) -> _View:
-    data = _bytes(path)
-    try:
-        values = parse_json(data)
-    except ValueError as error:
-        raise DatasetError(f"{path} is no JSON", got=str(error)[:200]) from error
-    return read_object(_View, values, str(path), DatasetError)
-
-
-def _bytes(path: Path) -> bytes:
-    return read_bounded(path, _MAX_BYTES, DatasetError)
-
-
-EXTRA_FOLDER = "extra"
-COLLISION_ENDING = ".collision.npy"
-
-
-@dataclass(frozen=True, slots=True)
-class OwnScenario:
-    """One picture (P, P, 3) uint8 with its configurations (n, d) and (m, d) rad."""
-
-    image: NDArray[np.uint8]
-    free: NDArray[np.float64]
-    collision: NDArray[np.float64]
-
-
 def import_folder(source: Path, folder: Path, *, world: World) -> Dataset:
     """Write the data set of a folder of pictures, scenarios in the order of their names.
 
     Pictures have 16 to 2048 pixels and are resized to the camera's.
     """
-    pictures = found_pictures(source)
+    pictures = _found_pictures(source)
     if not pictures:
         raise DatasetError(
             f"{source} holds no pictures",
@@ -116,39 +95,26 @@ def import_folder(source: Path, folder: Path, *, world: World) -> Dataset:
         )
     _refuse_strays(source, pictures)
     require_room(folder, 2 * sum(path.stat().st_size for path in source.glob("*.npy")))
-    scenarios = [_read(picture, world) for picture in pictures]
-    extras = [read_own_picture(path, world) for path in found_pictures(source / EXTRA_FOLDER)]
-    has_collision = any(len(scenario.collision) for scenario in scenarios)
+    free = [_configurations(path.with_suffix(".npy"), world.space) for path in pictures]
+    none = np.empty((0, world.dim))
+    beside = [path.with_suffix(COLLISION_ENDING) for path in pictures]
+    collision = [_configurations(path, world.space) if path.exists() else none for path in beside]
+    extras = _found_pictures(source / EXTRA_FOLDER)
     return write_dataset(
         folder,
         # Where the pictures come from, nobody says.
         world=replace(cast("Any", world), scenes=None),
-        images=np.stack([scenario.image for scenario in scenarios]),
-        free=[scenario.free for scenario in scenarios],
-        collision=[scenario.collision for scenario in scenarios] if has_collision else None,
-        extra_images=np.stack(extras) if extras else None,
-        generator={"imported": [picture.name for picture in pictures]},
+        images=np.stack([_read_picture_of(path, view, world) for path, view in pictures.items()]),
+        free=free,
+        collision=collision if any(map(len, collision)) else None,
+        extra_images=np.stack([_read_picture_of(path, view, world) for path, view in extras.items()])
+        if extras
+        else None,
+        generator={"imported": [path.name for path in pictures]},
     )
 
 
-def _read(picture: Path, world: World) -> OwnScenario:
-    free = _configurations(picture.with_suffix(".npy"), world.space)
-    path = picture.with_suffix(COLLISION_ENDING)
-    collision = _configurations(path, world.space) if path.exists() else np.empty((0, world.dim))
-    if both := {row.tobytes() for row in world.space.to_float32(free)} & {
-        row.tobytes() for row in world.space.to_float32(collision)
-    }:
-        raise DatasetError(
-            f"{path} holds configurations that {picture.stem}.npy holds too",
-            expected="each of them free or in collision",
-            got=f"{len(both)} in both",
-            remedy="leave them out of one of the files",
-        )
-    return OwnScenario(read_own_picture(picture, world), free, collision)
-
-
 def _configurations(path: Path, space: JointSpace) -> NDArray[np.float64]:
-    dim = space.dim
     if not path.is_file():
         raise DatasetError(
             f"{path} is missing",
@@ -156,10 +122,10 @@ def _configurations(path: Path, space: JointSpace) -> NDArray[np.float64]:
             remedy=f"add it, or move the picture to {EXTRA_FOLDER}/",
         )
     array = map_npy(path, DatasetError)
-    if array.ndim != 2 or array.shape[1] != dim or array.dtype.kind not in "fiu":
+    if array.ndim != 2 or array.shape[1] != space.dim or array.dtype.kind not in "fiu":
         raise DatasetError(
             f"{path} does not fit the robot",
-            expected=f"numbers of shape (n, {dim})",
+            expected=f"numbers of shape (n, {space.dim})",
             got=f"{array.dtype} of shape {array.shape}",
         )
     if not np.isfinite(array).all():
@@ -169,12 +135,10 @@ def _configurations(path: Path, space: JointSpace) -> NDArray[np.float64]:
     return space.admitted(rows, f"{path} holds configurations outside the robot's limits", DatasetError)
 
 
-def _refuse_strays(source: Path, pictures: list[Path]) -> None:
+def _refuse_strays(source: Path, pictures: dict[Path, View | None]) -> None:
     """An array without its picture is a mistake in a name, and its data would be lost without a word."""
-    known = {
-        picture.with_suffix(ending).name for picture in pictures for ending in (".npy", COLLISION_ENDING)
-    }
-    known |= {name for one in pictures if one.suffix == ".json" for name in _read_view(one).pictures}
+    known = {path.with_suffix(ending).name for path in pictures for ending in (".npy", COLLISION_ENDING)}
+    known |= {name for view in pictures.values() if view is not None for name in view.pictures}
     strays = sorted(path.name for path in source.glob("*.npy") if path.name not in known)
     if strays:
         raise DatasetError(

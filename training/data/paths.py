@@ -5,24 +5,21 @@ path's points lie at equal distances along it. Where the paths come from is a ch
 or OMPL's RRT* with a limit in time, as in the MultiWGAN-GP paper (section 4).
 """
 
-import math
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.dataset import Dataset, write_dataset
 from cspace.errors import DatasetError
 from cspace.planning.paths import spread_points
 from cspace.simulator import NARROW, UNIFORM, PathSearch, Problem, Simulator, Split, scenario_rng
-from cspace.world import Arrays, Scene
+from cspace.world import Scene
 from cspace.worlds import simulator_of
 from services.planner.ompl_planner import solve
 from services.planner.result import RRT_STAR, PlannerSettings
 from training.data.config import PathDatasetConfig, Shard
+from training.data.configurations import Recipe
 
 MAX_DRAWS = 5000
 _PROPOSALS = 1000
@@ -30,54 +27,25 @@ _PROPOSALS = 1000
 _TRIES_PER_PAIR = 8
 
 
-@dataclass(frozen=True)
-class PathRecipe:
-    """How the shards of a configuration are made, anywhere, and put together."""
+class PathRecipe(Recipe):
+    """Data sets of paths."""
 
     config: PathDatasetConfig
 
-    @property
-    def finished_bytes(self) -> int:
-        """Of pictures, configurations and paths."""
-        config = self.config
+    def __init__(self, config: PathDatasetConfig) -> None:
         rows = config.free_per_scenario + config.pairs_per_scenario * config.points_per_path
-        each = math.prod(config.world.sensor.picture_shape) + rows * 4 * config.world.dim
-        return config.scenario_count * each
+        super().__init__(config, rows * config.world.dim)
 
     def plan(self) -> list[Shard]:
         """Ranges of scenarios."""
         if self.config.narrow_count:
             simulator_of(self.config.world).require(NARROW)
-        total, size = self.config.scenario_count, self.config.shard_size
-        return [Shard(first, min(size, total - first)) for first in range(0, total, size)]
+        return super().plan()
 
-    def make(self, shard: Shard) -> dict[str, NDArray[Any]]:
-        """Pictures (n, ...), the scenes' arrays, free (n, f, d) and paths (n, pairs, points, d)."""
-        rows = [
-            _scenario_with_paths(self.config, index)
-            for index in range(shard.first, shard.first + shard.count)
-        ]
-        return {name: np.stack([row[name] for row in rows]) for name in rows[0]}
-
-    def write(self, folder: Path, load: Callable[[Shard], Arrays]) -> Dataset:
-        """The data set of all shards."""
-        world, parts = self.config.world, list[Arrays]()
-        # Filled shard by shard: arrays of space are large, and are not held twice.
-        images = np.empty((self.config.scenario_count, *world.sensor.picture_shape), dtype=np.uint8)
-        for shard in self.plan():
-            arrays = dict(load(shard))
-            images[shard.rows] = arrays.pop("images")
-            parts.append(arrays)
-        paths = np.concatenate([part["paths"] for part in parts])
-        return write_dataset(
-            folder,
-            world=world,
-            images=images,
-            free=[free for part in parts for free in part["free"]],
-            paths=[(scenario, path) for scenario, of_one in enumerate(paths) for path in of_one],
-            scenes={name: np.concatenate([part[name] for part in parts]) for name in world.scene_files},
-            generator=self.config.model_dump(mode="json"),
-        )
+    def row(self, index: int, extra: bool) -> dict[str, NDArray[Any]]:
+        """A picture, the scene's arrays, free (f, d) and paths (pairs, points, d)."""
+        del extra
+        return _scenario_with_paths(self.config, index)
 
 
 def _scenario_with_paths(config: PathDatasetConfig, index: int) -> dict[str, NDArray[Any]]:

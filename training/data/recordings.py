@@ -6,9 +6,8 @@ All stamps are those of the messages' headers. A recording is read in a worker t
 
 import argparse
 import logging
-from array import array
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -46,7 +45,7 @@ TRANSFORMS = "tf2_msgs/msg/TFMessage"
 _DEPTH = {"16UC1": "u2", "32FC1": "f4"}
 # In front of the PNG of a compressed depth image.
 _HEADER_BYTES = 12
-_QUATERNION_TOLERANCE, _FAR_M = 1e-2, 1e6
+_FAR_M = 1e6
 # Views that are diagnosed, 2 s each.
 _DIAGNOSED = 8
 _WRONG = {*HYPOTHESES, ELSEWHERE}
@@ -70,11 +69,7 @@ class RecordingOptions(BaseModel, frozen=True):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordedView:
-    """A complete picture of a recording.
-
-    ``state`` (d,) rad and ``image``, the picture as the robot's world reads it, are None where no robot is
-    known.
-    """
+    """A complete picture; ``state`` (d,) rad and the world's ``image`` are None without a robot."""
 
     stamp_ns: int
     state: tuple[float, ...] | None
@@ -83,11 +78,10 @@ class RecordedView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Imported:
-    """What an import wrote: ``views`` and, where a robot is known, ``data`` in a folder.
+    """What an import wrote into a folder: views and, where a robot is known, a data set with a digest.
 
-    ``skipped`` counts pictures that were left out by the reason. Where a robot is known, ``diagnosed`` views
-    are looked at closely: ``findings`` are theirs, and in ``wrong`` of them the arm is not where it should
-    be. ``digest`` is the data set's.
+    ``skipped`` counts pictures that were left out by the reason; ``wrong`` of the ``diagnosed`` views show
+    the arm in another place than their state and pose say.
     """
 
     folder: Path
@@ -126,18 +120,17 @@ def import_recording(
     if folder.exists():
         raise StorageError("the folder exists", expected="a new folder", got=str(folder))
     settings = options or RecordingOptions()
-    digest = None
+    digest, skipped = None, Counter[str]()
     with replacing(folder, "the import") as beside:
         (beside / "views").mkdir(parents=True)
         with opened(source) as reader:
-            selection = _Selection(reader, source.name, settings, world)
-            views = selection.views(beside / "views")
+            recording = Recording.read(reader, settings, world)
+            views = list(_views(reader, recording, settings, world, beside / "views", skipped))
         if not views:
             raise DatasetError(
                 f"{source} holds no complete picture",
                 expected="depth images with a joint state and transforms of nearly the same stamp",
-                got="; ".join(f"{count} times {reason}" for reason, count in selection.skipped.items())
-                or "no picture",
+                got="; ".join(f"{count} times {reason}" for reason, count in skipped.items()) or "no picture",
                 remedy="look at --base, --tolerance and the topics",
             )
         found = [] if world is None else _diagnosed(world, sorted((beside / "views").iterdir()))
@@ -147,13 +140,12 @@ def import_recording(
                 # Nobody says where the scenes come from.
                 world=replace(world, scenes=None),
                 images=np.stack([view.image for view in views if view.image is not None]),
-                free=selection.free(views, world.space),
+                free=_free(views, recording.states, world.space, settings),
                 generator={"recording": source.name, "stamps_ns": [view.stamp_ns for view in views]},
             )
             digest = written.digest
     wrong = sum(any(one.code in _WRONG for one in findings) for findings in found)
-    flat = tuple(chain.from_iterable(found))
-    return Imported(folder, len(views), selection.skipped, len(found), flat, wrong, digest)
+    return Imported(folder, len(views), skipped, len(found), tuple(chain(*found)), wrong, digest)
 
 
 def _diagnosed(world: SpatialWorld, files: Sequence[Path]) -> list[tuple[Finding, ...]]:
@@ -165,16 +157,15 @@ def _diagnosed(world: SpatialWorld, files: Sequence[Path]) -> list[tuple[Finding
 @contextmanager
 def opened(source: Path) -> Iterator[AnyReader]:
     """The messages of a ``.mcap`` or ``.db3`` file, or of those in a folder."""
-    files = [source]
-    if source.is_dir():
-        files = sorted(one for one in source.iterdir() if one.suffix in KINDS)
+    is_folder = source.is_dir()
+    files = sorted(one for one in source.iterdir() if one.suffix in KINDS) if is_folder else [source]
     inside = source.resolve()
-    # The reader of .db3 takes a path for a part of a URI, in which some characters lead elsewhere.
-    if not files or any(
-        one.suffix not in KINDS
-        or not one.is_file()
-        or not one.resolve().is_relative_to(inside)
-        or any(mark in str(one) for mark in "?#%")
+    if not files or not all(
+        one.suffix in KINDS
+        and one.is_file()
+        and one.resolve().is_relative_to(inside)
+        # The reader of .db3 takes a path for a part of a URI, in which some characters lead elsewhere.
+        and not set("?#%") & set(str(one))
         for one in files
     ):
         raise DatasetError(
@@ -197,177 +188,45 @@ def opened(source: Path) -> Iterator[AnyReader]:
         ) from error
 
 
-class _Selection:
-    """The pictures that are taken out of a recording, and why others are not."""
+def _messages(reader: AnyReader, *topics: str) -> Iterator[tuple[str, Any]]:
+    connections = [one for one in reader.connections if one.topic in topics]
+    for connection, _, data in reader.messages(connections):
+        yield connection.topic, reader.deserialize(data, connection.msgtype)
 
-    def __init__(
-        self, reader: AnyReader, name: str, options: RecordingOptions, world: SpatialWorld | None
-    ) -> None:
-        self._reader, self._name, self._options, self._world = reader, name, options, world
-        self.skipped: Counter[str] = Counter()
-        self._within_ns = 1e9 * options.tolerance_s
-        self._tree = TransformTree(options.base)
-        # Those that differ from the one before.
-        self._infos: list[tuple[int, dict[str, Any]]] = []
-        self._names = [] if world is None else [options.joint_prefix + one for one in world.space.names]
-        self._joints: dict[str, float] = {}
-        self._since = 0
-        self._states = Series(len(self._names))
 
-    def views(self, folder: Path) -> list[RecordedView]:
-        """The complete pictures, as far apart and as many as asked for; their view files go to a folder."""
-        depth = self._depth_topic()
-        self._read_small(depth)
-        found: list[RecordedView] = []
-        count = self._reader.topics[depth].msgcount
-        with Progress("pictures", count, _LOG.info, "picture") as progress:
-            for _, message in self._messages(depth):
-                progress.advance()
-                stamp = stamp_of(message.header)
-                if found and stamp - found[-1].stamp_ns < 1e9 * self._options.every_s:
-                    continue
-                view = self._view(message, stamp, folder / f"{len(found):04d}-{stamp}.view")
-                if isinstance(view, str):
-                    self.skipped[view] += 1
-                    continue
-                found.append(view)
-                if len(found) == self._options.most:
-                    break
-        return found
+def _topics(reader: AnyReader, *types: str) -> list[str]:
+    return sorted(topic for topic, info in reader.topics.items() if info.msgtype in types)
 
-    def free(self, views: Sequence[RecordedView], space: JointSpace) -> list[NDArray[np.float64]]:
-        """For each view the joint states (n, d) rad that were nearest to it, each once."""
-        stamps, rows = self._states.sorted
-        pictures = np.array([view.stamp_ns for view in views], dtype=np.int64)
-        nearest = np.searchsorted((pictures[1:] + pictures[:-1]) // 2, stamps)
-        close = np.abs(stamps - pictures[nearest]) <= max(1e9 * self._options.every_s, self._within_ns)
-        usable = close & space.contains(rows)
-        found = []
-        for number, view in enumerate(views):
-            passed = rows[usable & (nearest == number)]
-            found.append(np.unique(np.concatenate([[view.state], passed]).round(6), axis=0))
-        return found
 
-    def _messages(self, *topics: str) -> Iterator[tuple[str, Any]]:
-        connections = [one for one in self._reader.connections if one.topic in topics]
-        for connection, _, data in self._reader.messages(connections):
-            yield connection.topic, self._reader.deserialize(data, connection.msgtype)
-
-    def _of_type(self, *types: str) -> list[str]:
-        return sorted(topic for topic, info in self._reader.topics.items() if info.msgtype in types)
-
-    def _depth_topic(self) -> str:
-        topics = self._of_type(IMAGE, COMPRESSED)
-        if self._options.depth is None:
-            # Those of colour are of the same type.
-            first = {topic: next(self._messages(topic), (topic, None))[1] for topic in topics}
-            topics = [topic for topic, message in first.items() if message is not None and is_depth(message)]
-        return self._chosen("depth images", "--depth", self._options.depth, topics)
-
-    def _chosen(self, what: str, option: str, requested: str | None, topics: Sequence[str]) -> str:
-        found = [topic for topic in topics if requested in (None, topic)]
-        if len(found) != 1:
-            raise DatasetError(
-                f"{self._name} has no topic of {what} to choose"
-                if not topics
-                else f"{self._name} has several topics of {what}, or another",
-                expected=f"one, or the one that {option} names",
-                got=", ".join(topics)[:300] or f"topics {', '.join(sorted(self._reader.topics))}"[:300],
-            )
-        return found[0]
-
-    def _read_small(self, depth: str) -> None:
-        """All that is no picture."""
-        infos = self._of_type(CAMERA_INFO)
-        beside = [depth.rsplit("/", levels)[0] + "/camera_info" for levels in (1, 2)]
-        near = [topic for topic in beside if topic in infos][:1] if self._options.camera_info is None else []
-        info = self._chosen("camera infos", "--camera-info", self._options.camera_info, near or infos)
-        topics = [info, *self._of_type(TRANSFORMS)]
-        joints = None
-        if self._world is not None:
-            known = self._of_type(JOINT_STATE)
-            joints = self._chosen("joint states", "--joint-states", self._options.joint_states, known)
-            topics.append(joints)
-        others: set[str] = set()
-        for topic, message in self._messages(*topics):
-            if topic == info:
-                values = camera_info(message, rectified="/image_rect" in depth)
-                if not self._infos or self._infos[-1][1] != values:
-                    self._infos.append((stamp_of(message.header), values))
-            elif topic == joints:
-                others |= self._add_state(message)
-            else:
-                for transform in message.transforms:
-                    self._tree.add(transform, static=topic.rsplit("/", 1)[-1] == "tf_static")
-        if self._world is not None and not len(self._states.sorted[0]):
-            raise DatasetError(
-                f"{self._name} has no joint state of the robot",
-                expected=f"joints {', '.join(self._names)}",
-                got=f"joints {', '.join(sorted(others))}"[:300],
-                remedy="give what is in front of the robot's names by --joint-prefix, name the topic by "
-                "--joint-states, or import the arm with the recording's joint names",
-            )
-
-    def _add_state(self, message: Any) -> set[str]:
-        """Add a joint state once all joints have come, in one message or several; returns others' names."""
-        stamp = stamp_of(message.header)
-        if not self._joints or abs(stamp - self._since) > self._within_ns:
-            self._joints, self._since = {}, stamp
-        came = zip(message.name, message.position.tolist(), strict=False)
-        self._joints |= {name: at for name, at in came if name in self._names and np.isfinite(at)}
-        if len(self._joints) < len(self._names):
-            return set(message.name)
-        self._states.add(stamp, [self._joints[name] for name in self._names])
-        self._joints = {}
-        return set()
-
-    def _view(self, message: Any, stamp: int, path: Path) -> RecordedView | str:
-        """The view of a picture, whose file is written, or why there is none."""
-        pose = self._tree.pose(message.header.frame_id, stamp, self._within_ns)
-        if pose is None:
-            return f"no moving transform within {self._options.tolerance_s:g} s"
-        state = None
-        if self._world is not None:
-            row = self._states.nearest(stamp, self._within_ns)
-            if row is None:
-                return f"no joint state within {self._options.tolerance_s:g} s"
-            state = tuple(row.tolist())
-        if not self._infos:
-            return "no camera info"
-        before = [info for since, info in self._infos if since <= stamp]
-        camera_values = {"camera_info": before[-1] if before else self._infos[0][1], "pose": pose.tolist()}
-        try:
-            picture = depth_mm(message)
-            if not in_range(picture).any():
-                return "no reading"
-            read_pinhole(camera_values, picture.shape)
-            file = pack_view([encode_depth(picture)], [camera_values], None if state is None else list(state))
-            image = None
-            if self._world is not None and state is not None:
-                image = np.asarray(self._world.examine_picture(file).images[0])
-        except (ImageError, ScenarioError) as error:
-            return str(error)[:300]
-        path.write_bytes(file)
-        return RecordedView(stamp, state, image)
+def _chosen(what: str, option: str, requested: str | None, topics: Sequence[str]) -> str:
+    found = [topic for topic in topics if requested in (None, topic)]
+    if len(found) != 1:
+        raise DatasetError(
+            f"the recording has no topic, or several, of {what}",
+            expected=f"one, or the one that {option} names",
+            got=", ".join(topics)[:300] or "none",
+        )
+    return found[0]
 
 
 class Series:
     """Rows of numbers by stamp."""
 
-    def __init__(self, width: int) -> None:
-        self._stamps, self._rows, self._width = array("q"), array("d"), width
+    def __init__(self) -> None:
+        self._stamps: list[int] = []
+        self._rows: list[Sequence[float] | NDArray[np.float64]] = []
 
-    def add(self, stamp_ns: int, row: Iterable[float]) -> None:
+    def add(self, stamp_ns: int, row: Sequence[float] | NDArray[np.float64]) -> None:
         """One more."""
         self._stamps.append(stamp_ns)
-        self._rows.extend(row)
+        self._rows.append(row)
 
     @cached_property
     def sorted(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Stamps (n,) in order, and rows (n, width); nothing is added any more."""
-        stamps, rows = np.array(self._stamps, np.int64), np.array(self._rows)
+        stamps = np.array(self._stamps, np.int64)
         order = np.argsort(stamps, kind="stable")
-        return stamps[order], rows.reshape(len(stamps), self._width)[order]
+        return stamps[order], np.array(self._rows, np.float64)[order]
 
     def nearest(self, stamp_ns: int, within_ns: float) -> NDArray[np.float64] | None:
         """The row (width,) of the nearest stamp; None where that is farther away."""
@@ -379,48 +238,179 @@ class Series:
 
 
 @dataclass(slots=True)
-class _Edge:
-    """A frame in its parent's: transforms, and what is wrong with one of them."""
+class Recording:
+    """Topic of the pictures, cameras that differ from the one before, transforms and joint states."""
 
-    parent: str
-    wrong: str = ""
-    fixed: NDArray[np.float64] | None = None
-    moving: Series = field(default_factory=lambda: Series(7))
+    depth: str
+    tree: "TransformTree"
+    infos: list[tuple[int, dict[str, Any]]] = field(default_factory=list)
+    states: Series = field(default_factory=Series)
+
+    @classmethod
+    def read(cls, reader: AnyReader, options: RecordingOptions, world: SpatialWorld | None) -> "Recording":
+        """Read it, joint states where the robot is known."""
+        images = _topics(reader, IMAGE, COMPRESSED)
+        if options.depth is None:
+            # Those of colour are of the same type.
+            first = {topic: next(_messages(reader, topic), (topic, None))[1] for topic in images}
+            images = [topic for topic, message in first.items() if message and is_depth(message)]
+        depth = _chosen("depth images", "--depth", options.depth, images)
+        infos = _topics(reader, CAMERA_INFO)
+        beside = [depth.rsplit("/", levels)[0] + "/camera_info" for levels in (1, 2)]
+        near = [topic for topic in beside if topic in infos][:1] if options.camera_info is None else []
+        info = _chosen("camera infos", "--camera-info", options.camera_info, near or infos)
+        names: list[str] = []
+        joints = ""
+        if world is not None:
+            names = [options.joint_prefix + one for one in world.space.names]
+            known = _topics(reader, JOINT_STATE)
+            joints = _chosen("joint states", "--joint-states", options.joint_states, known)
+        found = cls(depth, TransformTree(options.base))
+        parts = JointParts(names, 1e9 * options.tolerance_s)
+        for topic, message in _messages(reader, info, joints, *_topics(reader, TRANSFORMS)):
+            if topic == info:
+                values = camera_info(message, rectified="/image_rect" in depth)
+                if not found.infos or found.infos[-1][1] != values:
+                    found.infos.append((stamp_of(message.header), values))
+            elif topic == joints:
+                if (state := parts.add(message)) is not None:
+                    found.states.add(stamp_of(message.header), state)
+            else:
+                for transform in message.transforms:
+                    found.tree.add(transform, static=topic.rsplit("/", 1)[-1] == "tf_static")
+        if world is not None and not len(found.states.sorted[0]):
+            raise DatasetError(
+                "the recording has no joint state of the robot",
+                expected=f"joints {', '.join(names)}",
+                got=f"joints {', '.join(sorted(parts.seen))}"[:300],
+                remedy="give what is in front of the robot's names by --joint-prefix, name the topic by "
+                "--joint-states, or import the arm with the recording's joint names",
+            )
+        return found
+
+    def camera(self, stamp_ns: int) -> dict[str, Any]:
+        """The camera at a time."""
+        return next((info for since, info in reversed(self.infos) if since <= stamp_ns), self.infos[0][1])
+
+
+class JointParts:
+    """Joins the joints of a robot that come in several messages of nearly the same stamp."""
+
+    def __init__(self, names: Sequence[str], within_ns: float) -> None:
+        self.seen: set[str] = set()
+        self._names, self._within_ns, self._since_ns = names, within_ns, 0
+        self._angles: dict[str, float] = {}
+
+    def add(self, message: Any) -> list[float] | None:
+        """All joints, once they have come, in the robot's order; None before."""
+        self.seen.update(message.name)
+        stamp = stamp_of(message.header)
+        if not self._angles or abs(stamp - self._since_ns) > self._within_ns:
+            self._angles, self._since_ns = {}, stamp
+        came = zip(message.name, message.position.tolist(), strict=False)
+        self._angles |= {name: at for name, at in came if name in self._names and np.isfinite(at)}
+        if len(self._angles) < len(self._names):
+            return None
+        found, self._angles = [self._angles[name] for name in self._names], {}
+        return found
+
+
+def _views(
+    reader: AnyReader,
+    recording: Recording,
+    options: RecordingOptions,
+    world: SpatialWorld | None,
+    folder: Path,
+    skipped: Counter[str],
+) -> Iterator[RecordedView]:
+    """The complete pictures, as far apart and as many as asked for; their view files go to a folder."""
+    count, last_ns, within_ns = 0, -np.inf, 1e9 * options.tolerance_s
+    with Progress("pictures", reader.topics[recording.depth].msgcount, _LOG.info, "picture") as progress:
+        for _, message in _messages(reader, recording.depth):
+            progress.advance()
+            stamp = stamp_of(message.header)
+            if stamp - last_ns < 1e9 * options.every_s:
+                continue
+            pose = recording.tree.pose(message.header.frame_id, stamp, within_ns)
+            state = None if world is None else recording.states.nearest(stamp, within_ns)
+            if pose is None or (world is not None and state is None):
+                what = "moving transform" if pose is None else "joint state"
+                skipped[f"no {what} within {options.tolerance_s:g} s"] += 1
+                continue
+            if not recording.infos:
+                skipped["no camera info"] += 1
+                continue
+            values = {"camera_info": recording.camera(stamp), "pose": pose.tolist()}
+            try:
+                picture = depth_mm(message)
+                if not in_range(picture).any():
+                    skipped["no reading"] += 1
+                    continue
+                read_pinhole(values, picture.shape)
+                file = pack_view([encode_depth(picture)], [values], None if state is None else state.tolist())
+                image = None if world is None else np.asarray(world.examine_picture(file).images[0])
+            except (ImageError, ScenarioError) as error:
+                skipped[str(error)[:300]] += 1
+                continue
+            (folder / f"{count:04d}-{stamp}.view").write_bytes(file)
+            yield RecordedView(stamp, None if state is None else tuple(state.tolist()), image)
+            count, last_ns = count + 1, stamp
+            if count == options.most:
+                return
+
+
+def _free(
+    views: Sequence[RecordedView], states: Series, space: JointSpace, options: RecordingOptions
+) -> list[NDArray[np.float64]]:
+    """For each view the joint states (n, d) rad that were nearest to it, each once."""
+    stamps, rows = states.sorted
+    pictures = np.array([view.stamp_ns for view in views], dtype=np.int64)
+    nearest = np.searchsorted((pictures[1:] + pictures[:-1]) // 2, stamps)
+    close = np.abs(stamps - pictures[nearest]) <= 1e9 * max(options.every_s, options.tolerance_s)
+    usable = close & space.contains(rows)
+    return [
+        np.unique(np.concatenate([[view.state], rows[usable & (nearest == number)]]).round(6), axis=0)
+        for number, view in enumerate(views)
+    ]
 
 
 class TransformTree:
-    """The tf tree."""
+    """The tf tree; transforms that are none, as of zero quaternions, are left out."""
 
     def __init__(self, base: str) -> None:
-        self._edges: dict[str, _Edge] = {}
         self._base = base.lstrip("/")
+        self._parents: dict[str, str] = {}
+        # By the child frame: rows of x, y, z, m, and a quaternion.
+        self._moving: dict[str, Series] = {}
+        self._static: dict[str, NDArray[np.float64]] = {}
 
     def add(self, transform: Any, *, static: bool) -> None:
-        """One more transform; what is wrong with it counts where the frame is used."""
+        """One more transform."""
         child, parent = transform.child_frame_id.lstrip("/"), transform.header.frame_id.lstrip("/")
-        edge = self._edges.setdefault(child, _Edge(parent))
         place, turn = transform.transform.translation, transform.transform.rotation
         row = np.array((place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w))
-        norm = np.linalg.norm(row[3:])
-        if edge.parent != parent or not (
-            abs(norm - 1.0) <= _QUATERNION_TOLERANCE and np.abs(row).max() < _FAR_M
-        ):
-            edge.wrong = f"parents {edge.parent!r} and {parent!r}, a norm of {norm:.3g}, {row}"
-        elif static:
-            edge.fixed = row
+        if not (abs(np.linalg.norm(row[3:]) - 1.0) <= 1e-2 and np.abs(row).max() < _FAR_M):
+            return
+        if self._parents.setdefault(child, parent) != parent:
+            raise DatasetError(
+                f"the frame {child!r} has two parents"[:200],
+                expected="a tree of frames",
+                got=f"{self._parents[child]!r} and {parent!r}"[:200],
+            )
+        if static:
+            self._static[child] = row
         else:
-            edge.moving.add(stamp_of(transform.header), row)
+            self._moving.setdefault(child, Series()).add(stamp_of(transform.header), row)
 
     def pose(self, frame: str, stamp_ns: int, within_ns: float) -> NDArray[np.float64] | None:
         """A frame in the base's, (4, 4); None where a moving transform has no such stamp."""
         ours, bases = self._chain(frame.lstrip("/")), self._chain(self._base)
         shared = next((one for one in ours if one in bases), None)
         if shared is None:
-            frames = sorted({*self._edges, *(one.parent for one in self._edges.values())})
             raise DatasetError(
                 f"no transforms lead from {frame!r} to the base {self._base!r}"[:200],
                 expected="both in one tf tree",
-                got=f"frames {', '.join(frames)}"[:300],
+                got=f"frames {', '.join(sorted({*self._parents, *self._parents.values()}))}"[:300],
                 remedy="name the robot's base by --base",
             )
         up = self._matrix(ours[: ours.index(shared)], stamp_ns, within_ns)
@@ -429,8 +419,8 @@ class TransformTree:
 
     def _chain(self, frame: str) -> list[str]:
         found = [frame]
-        while found[-1] in self._edges:
-            found.append(self._edges[found[-1]].parent)
+        while found[-1] in self._parents:
+            found.append(self._parents[found[-1]])
             if found[-1] in found[:-1]:
                 raise DatasetError("the tf tree has a loop", expected="a tree", got=" > ".join(found)[:200])
         return found
@@ -439,14 +429,9 @@ class TransformTree:
         """From the first frame's coordinates to those of the last one's parent."""
         found = np.eye(4)
         for frame in frames:
-            edge = self._edges[frame]
-            if edge.wrong:
-                raise DatasetError(
-                    f"a transform of the frame {frame!r} does not fit"[:200],
-                    expected=f"one parent, numbers below {_FAR_M:g} m and a quaternion with a norm of 1",
-                    got=edge.wrong[:200],
-                )
-            row = edge.fixed if edge.fixed is not None else edge.moving.nearest(stamp_ns, within_ns)
+            row = self._static.get(frame)
+            if row is None:
+                row = self._moving[frame].nearest(stamp_ns, within_ns)
             if row is None:
                 return None
             found = quaternion_pose(row[:3], row[3:]) @ found

@@ -1,1 +1,1 @@
-"""What every job needs: its folder, its run, its environment, patience with services."""
+"""Jobs: runs and folders, trials on the cluster, what workers train, and where a model comes from."""

@@ -281,21 +281,21 @@ def _earlier_job(config: JobConfig, start_from: str, environment: Environment, t
         registry = ModelRegistry(environment.tracking_uri)
         look_up = partial(registry.look_up, reference)
         run_id = retry(f"looking {start_from} up", look_up, environment.patience_s).run_id
-    # Path models are registered by their trials' runs.
+    # A path model is registered by its trial's run.
     run_id = tracking.run(run_id).parent_run_id or run_id
     folder = _require_folder(job_folder(environment, run_id))
     try:
         earlier = type(config).from_dict(json.loads((folder / CONFIGURATION).read_bytes()))
     except ValidationError as error:
         raise refused(error, ConfigError, f"start_from={start_from} is a job of another kind") from error
-    made = [*folder.glob("bundle/bundle.json"), *folder.glob("bundles/*/bundle.json")]
-    if not made:
+    made = folder / "bundle" / "bundle.json"
+    if not made.is_file():
         raise ConfigError(
             f"start_from={start_from} is a job that has not finished",
             expected=f"its bundle in {folder}",
             remedy="let it finish, or name another version",
         )
-    worlds = BundleSpec.from_json(made[0].read_bytes()).world.to_dict(), config.world.to_dict()
+    worlds = BundleSpec.from_json(made.read_bytes()).world.to_dict(), config.world.to_dict()
     setting = "data.robot" if config.data_folder is None else "data_folder"
     remedy = "set them as they were, or train without start_from"
     _require_equal(earlier.shapes, config.shapes, f"other shapes than start_from={start_from}", remedy)

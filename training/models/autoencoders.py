@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -12,6 +13,7 @@ from torch.nn import functional
 
 from cspace.world import Sensor
 from training.config import VaeConfig
+from training.models.checkpoint import trained
 from training.models.modules import TrialModule
 
 # Voxels of a picture along a side of a coarse one.
@@ -23,6 +25,8 @@ _SPACE_AXES = 4
 _HALF = 0.5 / 255.0
 # Code of the second channel up to which a voxel is behind a surface.
 _LAST_BEHIND = 253.5 / 255.0
+# Share of the steps over which the KL term grows; largest norm of the gradient.
+_KL_WARMUP, _GRADIENT_CLIP = 0.3, 200.0
 
 
 def coarse(pictures: Tensor) -> Tensor:
@@ -185,6 +189,19 @@ def encode(
     return np.concatenate(means), np.concatenate(deviations)
 
 
+def load_encoder(config: VaeConfig, sensor: Sensor, checkpoint: Path) -> Encoder:
+    """The encoder of a VAE trial's checkpoint, ready to be asked."""
+    sizes = (shown_size(sensor), config.latent_dim, config.width, config.patches)
+    return trained(lambda: Encoder(*sizes), checkpoint, "encoder")
+
+
+def load_scores(config: VaeConfig, sensor: Sensor, checkpoint: Path) -> NoveltyScores:
+    """The novelty scores by the decoder of a VAE trial's checkpoint."""
+    size = shown_size(sensor)
+    decoder = trained(lambda: Decoder(size, config.latent_dim, config.width), checkpoint, "decoder")
+    return NoveltyScores(decoder, size).eval()
+
+
 def kl_divergence(mu: Tensor, log_variance: Tensor) -> Tensor:
     """KL(N(mu, s^2) | N(0, 1)) = sum(mu^2 + s^2 - log s^2 - 1) / 2 over the latent, (b,) (eq. kl, mended)."""
     return 0.5 * (mu.square() + log_variance.exp() - log_variance - 1.0).sum(dim=-1)
@@ -220,9 +237,9 @@ class VaeModule(TrialModule):
         latent = mu + (log_variance / 2.0).exp() * self.normal(*mu.shape)
         reconstruction = reconstruction_loss(pictures, self.decoder(latent)).mean()
         kl = kl_divergence(mu, log_variance).mean()
-        warmup = min(1.0, (self.global_step + 1) / max(1.0, self.config.kl_warmup * self.config.steps))
-        loss = reconstruction + self.config.kl_weight * warmup * kl
-        self.descend(loss, self.config.gradient_clip)
+        warmup = min(1.0, (self.global_step + 1) / max(1.0, _KL_WARMUP * self.config.steps))
+        loss = reconstruction + warmup * kl
+        self.descend(loss, _GRADIENT_CLIP)
         self.latest = {
             "vae_loss": loss.detach(),
             "reconstruction_loss": reconstruction.detach(),

@@ -117,7 +117,8 @@ def save_scene_model(path: Path, model: SceneModel) -> None:
     """Write the weights of a scene model with its sizes as one file."""
     sizes = {"grid": model.config.model_dump(), "hidden": model.hidden, "voxel_m": model.voxel_m}
     with replacing(path, "the scene model") as beside:
-        save_file(_contiguous(model.state_dict()), beside, {"sizes": json.dumps(sizes)})
+        weights = {name: one.detach().cpu().contiguous().clone() for name, one in model.state_dict().items()}
+        save_file(weights, beside, {"sizes": json.dumps(sizes)})
 
 
 def load_scene_model(path: Path, world: World) -> SceneModel:
@@ -143,7 +144,3 @@ def load_scene_model(path: Path, world: World) -> SceneModel:
             remedy="train a head of its own with validity.scene_model=null",
         )
     return model.eval()
-
-
-def _contiguous(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
-    return {name: tensor.detach().cpu().contiguous().clone() for name, tensor in tensors.items()}

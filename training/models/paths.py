@@ -67,9 +67,6 @@ class PathCritic(nn.Module):
         return values
 
 
-MIN_POINTS = 2
-
-
 @dataclass(frozen=True, slots=True)
 class PathBatch:
     """Points of paths."""
@@ -106,16 +103,13 @@ class PathSamples(Held):
 
 def equal_paths(dataset: Dataset, points: int) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
     """All paths of a data set, resampled to (T, points, d) at equal distances, and their scenarios (T,)."""
-    if not {"paths", "path_offsets", "path_scenario"} <= set(dataset.arrays):
-        raise DatasetError("the data set holds no paths", expected="paths.npy", got=str(dataset.folder))
-    rows, offsets = dataset.arrays["paths"], dataset.arrays["path_offsets"]
+    offsets = dataset.arrays.get("path_offsets", np.zeros(1, np.int64))
     sizes = np.diff(offsets)
-    if len(sizes) == 0 or sizes.min() < MIN_POINTS:
+    if not len(sizes) or sizes.min() < 2:
         raise DatasetError(
-            "the data set's paths do not fit",
-            expected="paths of two points or more",
-            got=str(sizes.min(initial=0)),
+            "the data set holds no paths", expected="paths of two points or more", got=str(dataset.folder)
         )
+    rows = dataset.arrays["paths"]
     owner = np.asarray(dataset.arrays["path_scenario"])
     if (sizes == points).all():
         return np.asarray(rows).reshape(-1, points, dataset.dim), owner

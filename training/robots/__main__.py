@@ -17,7 +17,7 @@ from cspace.errors import ConfigError, CspaceError, ScenarioError
 from cspace.files import replacing
 from services.commands import finite, report_error
 from training.robots.chain import Limits
-from training.robots.importing import Request, import_robot
+from training.robots.importing import import_robot
 from training.robots.spheres import Allowances
 
 # An import takes minutes for a large arm.
@@ -47,7 +47,24 @@ def run(arguments: Sequence[str]) -> list[str]:
     """Import and write; what is to be said of the robot, in lines."""
     options = parser().parse_args(arguments)
     picture = options.out.with_suffix(".report.png")
-    imported = import_robot(_request(options), lambda name: print(f"covering {name}", flush=True))
+    if options.name is not None and re.fullmatch("[a-z0-9]([a-z0-9-]{0,38}[a-z0-9])?", options.name) is None:
+        fitting = "1 to 40 lower-case letters, digits and dashes, no dash at an end"
+        raise ConfigError("--name does not fit", expected=fitting, got=repr(options.name)[:200])
+    excess_m = (10.0 if options.excess_mm is None else options.excess_mm) / 1e3
+    imported = import_robot(
+        options.urdf,
+        name=options.name,
+        srdf=options.srdf,
+        tip=options.tip,
+        locked=dict(options.lock),
+        limits=dict(options.limit),
+        packages=dict(options.package),
+        without=options.without,
+        kept=options.keep,
+        allowances=Allowances(options.slack_mm / 1e3, excess_m, relaxed=options.excess_mm is None),
+        ready_rad=options.ready,
+        report=lambda name: print(f"covering {name}", flush=True),
+    )
     text = json.dumps(imported.arm.to_dict(), indent=1, allow_nan=False)
     # A list of numbers in one line each.
     text = re.sub(r"\[\s*([^\[\]{}]*?)\s*\]", lambda found: f"[{' '.join(found[1].split())}]", text)
@@ -66,8 +83,8 @@ def parser() -> argparse.ArgumentParser:
         epilog="Exit codes: 0 done, 1 the disk is bad, 2 the command or the description is wrong.",
     )
     commands = result.add_subparsers(required=True, metavar="COMMAND")
-    one = commands.add_parser("import", help="a serial arm from a URDF or xacro file")
-    one.add_argument("urdf", type=Path, help="the description; a name that ends with .xacro is expanded")
+    one = commands.add_parser("import", help="a serial arm from a URDF file")
+    one.add_argument("urdf", type=Path, help="the description")
     named = "of the robot and its models, as in NAME-sampler; default: the description's"
     one.add_argument("--name", help=named)
     one.add_argument("--srdf", type=Path, help="with the pairs that need no check; default: beside the URDF")
@@ -77,8 +94,7 @@ def parser() -> argparse.ArgumentParser:
     for name, value, kind, help_text in (
         ("--lock", "JOINT=VALUE", finite, held),
         ("--limit", "JOINT=LOW,HIGH", _limits, "instead of the description's, rad; JOINT=none for a circle"),
-        ("--package", "NAME=FOLDER", Path, "where a package of meshes or xacro files lies"),
-        ("--xacro", "NAME=VALUE", str, "an argument of xacro"),
+        ("--package", "NAME=FOLDER", Path, "where a package of meshes lies"),
     ):
         one.add_argument(
             name, action="append", default=[], type=partial(_pair, kind), metavar=value, help=help_text
@@ -111,27 +127,6 @@ def _limits(text: str) -> Limits:
 
 def _numbers(text: str) -> tuple[float, ...]:
     return tuple(map(finite, text.split(",")))
-
-
-def _request(options: argparse.Namespace) -> Request:
-    if options.name is not None and re.fullmatch("[a-z0-9]([a-z0-9-]{0,38}[a-z0-9])?", options.name) is None:
-        fitting = "1 to 40 lower-case letters, digits and dashes, no dash at an end"
-        raise ConfigError("--name does not fit", expected=fitting, got=repr(options.name)[:200])
-    excess_m = (10.0 if options.excess_mm is None else options.excess_mm) / 1e3
-    return Request(
-        urdf=options.urdf,
-        name=options.name,
-        srdf=options.srdf,
-        tip=options.tip,
-        locked=dict(options.lock),
-        limits=dict(options.limit),
-        packages=dict(options.package),
-        arguments=dict(options.xacro),
-        without=tuple(options.without),
-        kept=tuple((first, second) for first, second in options.keep),
-        allowances=Allowances(options.slack_mm / 1e3, excess_m, relaxed=options.excess_mm is None),
-        ready_rad=options.ready,
-    )
 
 
 if __name__ == "__main__":

@@ -172,23 +172,21 @@ def _limits(joint: Any) -> Limits:
     name, (low, high) = joint.name, _bounds(joint)
     if soft := _soft(joint):
         low, high = soft
-    if not (np.isfinite(high - low) and high - low >= MIN_RANGE_RAD):
-        raise ScenarioError(
-            f"the limits of joint {name} do not fit",
-            expected=f"<limit lower=... upper=...> with low < high by {MIN_RANGE_RAD} rad or more",
-            got="none" if np.isinf(high - low) else f"{low:g} to {high:g}",
-            remedy=f"give --limit {name}=LOW,HIGH in rad, --limit {name}=none for a circle, "
-            f"or --lock {name}=VALUE",
-        )
-    if high - low > MAX_RANGE_RAD:
-        raise ScenarioError(
-            f"the limits of joint {name} are no angles in rad",
-            expected=f"a range of at most {MAX_RANGE_RAD:.1f} rad, four turns",
-            got=f"{low:g} to {high:g}, which look like degrees",
-            remedy=f"give --limit {name}={np.deg2rad(low):.4f},{np.deg2rad(high):.4f}, "
-            "or correct the description",
-        )
-    return low, high
+    if MIN_RANGE_RAD <= high - low <= MAX_RANGE_RAD:
+        return low, high
+    got, proposed = f"{low:g} to {high:g}", "LOW,HIGH"
+    if np.isinf(high - low):
+        got = "none"
+    elif high - low > MAX_RANGE_RAD:
+        got += ", which look like degrees"
+        proposed = f"{np.deg2rad(low):.4f},{np.deg2rad(high):.4f}"
+    raise ScenarioError(
+        f"the limits of joint {name} do not fit",
+        expected=f"<limit lower=... upper=...> in rad, {MIN_RANGE_RAD} to {MAX_RANGE_RAD:.1f} apart",
+        got=got,
+        remedy=f"give --limit {name}={proposed} in rad, --limit {name}=none for a circle, "
+        f"or --lock {name}=VALUE",
+    )
 
 
 def _bounds(joint: Any) -> tuple[float, float]:

@@ -1,7 +1,7 @@
 """A serial arm from its description: chain, spheres for its links, pairs of links that can touch, report."""
 
-from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 
@@ -47,29 +47,6 @@ _PICTURE_POINTS = 600
 _TOLERANCE_M = 0.0005
 # Where spheres stick out by so many times what they may, a surface is open.
 _OPEN = 2.0
-
-
-@dataclass(frozen=True, slots=True)
-class Request:
-    """What is asked for, as the options of the command.
-
-    Where they are None, the name is the description's, the SRDF file is that beside it, the tip is the last
-    link before a gripper or the first branch, and the arm waits in the middle of its limits. Values of
-    ``locked`` are rad or m, ``limits`` rad, None for a circle.
-    """
-
-    urdf: Path
-    name: str | None = None
-    srdf: Path | None = None
-    tip: str | None = None
-    locked: Mapping[str, float] = field(default_factory=dict)
-    limits: Mapping[str, Limits] = field(default_factory=dict)
-    packages: Mapping[str, Path] = field(default_factory=dict)
-    arguments: Mapping[str, str] = field(default_factory=dict)
-    without: tuple[str, ...] = ()
-    kept: tuple[tuple[str, str], ...] = ()
-    allowances: Allowances = field(default_factory=Allowances)
-    ready_rad: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,34 +127,54 @@ class Imported:
         figure.savefig(path, format="png")
 
 
-def import_robot(request: Request, report: Callable[[str], None] = lambda _: None) -> Imported:
-    """The arm that a request describes; ``report`` takes each part's name before its spheres are sought."""
-    description = read_description(request.urdf, request.packages, request.arguments)
-    srdf = request.srdf or find_srdf(request.urdf)
+def import_robot(
+    urdf: Path,
+    *,
+    name: str | None = None,
+    srdf: Path | None = None,
+    tip: str | None = None,
+    locked: Mapping[str, float] | None = None,
+    limits: Mapping[str, Limits] | None = None,
+    packages: Mapping[str, Path] | None = None,
+    without: Sequence[str] = (),
+    kept: Sequence[Sequence[str]] = (),
+    allowances: Allowances | None = None,
+    ready_rad: tuple[float, ...] | None = None,
+    report: Callable[[str], None] = lambda _: None,
+) -> Imported:
+    """The arm that a URDF file describes.
+
+    Where they are None, the name is the description's, the SRDF file is that beside it, the tip is the last
+    link before a gripper or the first branch, and the arm waits in the middle of its limits. Values of
+    ``locked`` are rad or m, ``limits`` rad, None for a circle. ``report`` takes each part's name before its
+    spheres are sought.
+    """
+    description = read_description(urdf)
+    srdf, allowances = srdf or find_srdf(urdf), allowances or Allowances()
     disabled, notes = ({}, []) if srdf is None else read_srdf(srdf, description.links)
     notes = [*description.notes, *notes]
-    limits = _limits(description, request, srdf, notes)
-    gone = description.behind(request.without)
-    chain = read_chain(description, request.tip, request.locked, limits, gone)
-    mentioned = {name for pair in request.kept for name in pair} | set(request.without)
+    limits = _limits(description, srdf or urdf, limits or {}, notes)
+    gone = description.behind(without)
+    chain = read_chain(description, tip, locked or {}, limits, gone)
+    mentioned = {link for pair in kept for link in pair} | set(without)
     if unknown := sorted(mentioned - set(description.links)):
         known = f"some of {sorted(description.links)}"
         raise ScenarioError("links are unknown", expected=known, got=str(unknown))
     # First, for spheres take a while.
-    jointed = SerialArm(request.name or description.name, chain.joints, (), (), chain.tool, request.ready_rad)
-    solids = _solids(description, chain, request, gone, notes)
+    jointed = SerialArm(name or description.name, chain.joints, (), (), chain.tool, ready_rad)
+    solids = _solids(description, chain, urdf, packages or {}, gone, notes)
     parts, fits, surfaces = [], {}, {}
-    for name, own in solids.items():
-        report(name)
-        number, frame = chain.frames[name]
-        where, allowed = f"link {name}", request.allowances.of(own)
-        spheres, fits[name] = _spheres(own, where, allowed, notes)
-        if allowed.excess_m > request.allowances.excess_m:
+    for link, own in solids.items():
+        report(link)
+        number, frame = chain.frames[link]
+        where, allowed = f"link {link}", allowances.of(own)
+        spheres, fits[link] = _spheres(own, where, allowed, notes)
+        if allowed.excess_m > allowances.excess_m:
             notes.append(f"{where} is large: spheres stick out by up to {1e3 * allowed.excess_m:.0f} mm")
         rows = np.round(np.column_stack([moved(frame, spheres[:, :3]), spheres[:, 3]]), _DIGITS).tolist()
-        overlap_m = min(round(_OVERLAP * fits[name].excess_m, _DIGITS), MAX_OVERLAP_M)
-        parts.append(Part(name, number, tuple((x, y, z, radius) for x, y, z, radius in rows), overlap_m))
-        surfaces[name] = moved(frame, union_surface(own, _PICTURE_POINTS, np.random.default_rng(_SEED)))
+        overlap_m = min(round(_OVERLAP * fits[link].excess_m, _DIGITS), MAX_OVERLAP_M)
+        parts.append(Part(link, number, tuple((x, y, z, radius) for x, y, z, radius in rows), overlap_m))
+        surfaces[link] = moved(frame, union_surface(own, _PICTURE_POINTS, np.random.default_rng(_SEED)))
     if (count := sum(fit.spheres for fit in fits.values())) > MAX_SPHERES:
         raise ScenarioError(
             "the robot needs too many spheres",
@@ -186,8 +183,8 @@ def import_robot(request: Request, report: Callable[[str], None] = lambda _: Non
             remedy="raise --excess-mm, or leave out parts that the arm cannot reach with --without LINK",
         )
     bare = replace(jointed, parts=tuple(parts))
-    kept = {frozenset(pair) for pair in request.kept}
-    touching = _touching(bare, _neighbours(description, set(fits)), disabled, kept)
+    neighbours, kept_pairs = _neighbours(description, set(fits)), {frozenset(pair) for pair in kept}
+    touching = _touching(bare, neighbours, disabled, kept_pairs)
     arm = replace(bare, touching=tuple(one.pair for one in touching if one.kept))
     if (voxel_m := grid_of(arm).voxel_m) > VOXEL_M:
         notes.append(
@@ -197,27 +194,31 @@ def import_robot(request: Request, report: Callable[[str], None] = lambda _: Non
 
 
 def _limits(
-    description: Description, request: Request, srdf: Path | None, notes: list[str]
+    description: Description, beside: Path, given: Mapping[str, Limits], notes: list[str]
 ) -> dict[str, Limits]:
-    """Limits that replace the description's: MoveIt's, of which the notes tell, and those of the request."""
-    names = [joint.name for joint in description.joints.values()]
-    found: dict[str, Limits] = dict(read_joint_limits(srdf or request.urdf, names))
-    if by_file := sorted(set(found) - set(request.limits)):
-        notes.append(f"limits of joint_limits.yaml are taken: {', '.join(by_file)}")
-    return {**found, **request.limits}
+    """Limits that replace the description's: MoveIt's, of which the notes tell, and those that are given."""
+    by_file = read_joint_limits(beside, [joint.name for joint in description.joints.values()])
+    if taken := sorted(set(by_file) - set(given)):
+        notes.append(f"limits of joint_limits.yaml are taken: {', '.join(taken)}")
+    return {**by_file, **given}
 
 
 def _solids(
-    description: Description, chain: Chain, request: Request, gone: Collection[str], notes: list[str]
+    description: Description,
+    chain: Chain,
+    urdf: Path,
+    packages: Mapping[str, Path],
+    gone: Collection[str],
+    notes: list[str],
 ) -> dict[str, list[Solid]]:
     """The solids of each link that has some and is not left out; warnings go to the notes."""
-    folder, pictured = request.urdf.resolve().parent, []
+    folder, pictured = urdf.resolve().parent, []
     solids: dict[str, list[Solid]] = {}
     for name in chain.frames:
         if name in gone:
             continue
         link = description.links[name]
-        found, more = read_solids(link.collisions or link.visuals, f"link {name}", folder, request.packages)
+        found, more = read_solids(link.collisions or link.visuals, f"link {name}", folder, packages)
         notes += more
         if found:
             solids[name] = found
@@ -231,7 +232,7 @@ def _solids(
         raise ScenarioError(
             "no link has a shape, so the arm would never collide",
             expected="<collision> or <visual> with a size",
-            got="; ".join([f"none in {request.urdf.name}", *notes]),
+            got="; ".join([f"none in {urdf.name}", *notes]),
         )
     return solids
 

@@ -20,9 +20,9 @@ import igl
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
 
 from cspace.errors import ScenarioError
-from cspace.kernel_cache import njit
 from training.robots.description import found_file, read_file
 
 Floats = NDArray[np.float64]
@@ -46,6 +46,8 @@ _GRID_POINTS = 24_000
 # Points that become centres at a time, with so many others about each.
 _MORE_POINTS, _AROUND = 400, 6
 _PASSES = 40
+# Of points and spheres, whose distances are computed at a time.
+_PAIRS = 4_000_000
 
 
 class Solid:
@@ -245,8 +247,9 @@ class _Candidates:
 
     def covers(self, points: Floats, chosen: Indices | slice = slice(None)) -> Flags:
         """Which points lie in which spheres, (N, K)."""
-        grown = self._spheres[chosen] + [0.0, 0.0, 0.0, self._allowances.slack_m - _RESERVE_M]
-        return np.asarray(_covers(points, grown))
+        spheres, more_m = self._spheres[chosen], self._allowances.slack_m - _RESERVE_M
+        blocks = np.array_split(points, 1 + len(points) * len(spheres) // _PAIRS)
+        return np.concatenate([cdist(one, spheres[:, :3]) <= spheres[:, 3] + more_m for one in blocks])
 
     def add(self, points: Floats) -> None:
         """Take more points that have to be covered."""
@@ -306,27 +309,10 @@ def measure(solids: Sequence[Solid], spheres: Floats, rng: np.random.Generator) 
     return Fit(len(spheres), float(missed.max()), float(excess.max()))
 
 
-@njit(cache=True, nogil=True)
-def gaps_m(points, spheres):  # type: ignore[no-untyped-def]
+def gaps_m(points: Floats, spheres: Floats) -> Floats:
     """Signed distances of points (N, 3) to the union of spheres (K, 4), (N,) m."""
-    out = np.full(points.shape[0], np.inf)
-    for row in range(points.shape[0]):
-        x, y, z = points[row]
-        for one in range(spheres.shape[0]):
-            dx, dy, dz = x - spheres[one, 0], y - spheres[one, 1], z - spheres[one, 2]
-            out[row] = min(out[row], np.sqrt(dx * dx + dy * dy + dz * dz) - spheres[one, 3])
-    return out
-
-
-@njit(cache=True, nogil=True)
-def _covers(points, spheres):  # type: ignore[no-untyped-def]
-    out = np.empty((points.shape[0], spheres.shape[0]), dtype=np.bool_)
-    for row in range(points.shape[0]):
-        x, y, z = points[row]
-        for one in range(spheres.shape[0]):
-            dx, dy, dz = x - spheres[one, 0], y - spheres[one, 1], z - spheres[one, 2]
-            out[row, one] = dx * dx + dy * dy + dz * dz <= spheres[one, 3] ** 2
-    return out
+    blocks = np.array_split(points, 1 + len(points) * len(spheres) // _PAIRS)
+    return np.concatenate([(cdist(one, spheres[:, :3]) - spheres[:, 3]).min(axis=1) for one in blocks])
 
 
 def _grid(solids: Sequence[Solid], margin_m: float) -> Floats:

@@ -22,7 +22,7 @@ from services.registry.entities import ModelReference
 from services.registry.promotion import decisions
 from tests.fakes.registry import FakeRegistry, FakeTracking
 from tests.fakes.uniform_sampler import UniformSampler
-from training.paths.writing import make_path_bundle
+from training.path_sampler import make_path_bundle
 
 MODEL = "path-sampler"
 FEW = Budget(

@@ -17,11 +17,8 @@ from tests.scenarios import random_scenarios
 from tests.training.models.builders import run, save
 from training.clusters.calibration import KNOWN_PICTURES, known_pictures, known_quantiles
 from training.config import VaeConfig
-from training.models.autoencoders import VaeModule
+from training.models.autoencoders import VaeModule, load_encoder, load_scores
 from training.models.checkpoint import seeded_initialisation
-from training.trials.arrays import load_encoder, load_scores
-
-CONFIG = VaeConfig(latent_dim=16, width=8, steps=1)
 
 
 def checkpoint(folder, config, pictures):
@@ -50,14 +47,6 @@ def test_generated_scenarios_are_held_against_validation_scenarios_of_the_same_c
 def test_data_of_ones_own_are_held_against_their_own_pictures(tmp_path):
     dataset = opened(tmp_path, generator={"from": "elsewhere"})
     np.testing.assert_array_equal(known_pictures(dataset), dataset.images)
-
-
-def test_both_scores_have_rising_quantiles(tmp_path):
-    dataset = opened(tmp_path)
-    folder = checkpoint(tmp_path, CONFIG, np.array(dataset.images))
-    quantiles = known_quantiles(CONFIG, folder, load_scores(CONFIG, dataset.world.sensor, folder), dataset)
-    assert np.shape(quantiles) == (2, 101)
-    assert (np.diff(quantiles, axis=1) >= 0).all()
 
 
 @pytest.mark.slow

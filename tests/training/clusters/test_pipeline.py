@@ -198,21 +198,3 @@ def test_the_log_ends_with_a_block_that_tells_where_bundle_and_json_lie(result, 
     folder = data_folder / "jobs" / result["run_id"]
     assert json.loads((folder / "result.json").read_text()) == result
     assert Bundle.load(folder / "bundle").digest == result["digest"]
-
-
-def test_a_search_tries_settings_and_ends_weak_trials_early(server, data_folder, client):
-    options = ["--preset", "smoke_mixture", "--set", "local.steps=18", "--trials", "4", "--scenarios", "2"]
-    result = submit(server, data_folder, *options, script="search.py")
-    tried = result["tried"]
-    assert len(tried) == 4
-    assert len({json.dumps(one["settings"], sort_keys=True) for one in tried}) == 4
-    assert max(one["step"] for one in tried) == 18
-    assert [one["step"] for one in tried] == sorted((one["step"] for one in tried), reverse=True)
-    experiment = client.get_experiment_by_name(EXPERIMENT).experiment_id
-    children = client.search_runs([experiment], f"tags.mlflow.parentRunId = '{result['run_id']}'")
-    runs = [child for child in children if child.info.run_name.startswith("search")]
-    assert len(runs) == 4
-    assert all("validation_edr" in run.data.metrics and "hidden" in run.data.params for run in runs)
-    for run in runs:
-        steps = [entry.step for entry in client.get_metric_history(run.info.run_id, "validation_edr")]
-        assert run.info.status == ("FINISHED" if max(steps) == 18 else "KILLED")

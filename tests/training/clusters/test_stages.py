@@ -5,7 +5,7 @@ import pytest
 
 from cspace.dataset import write_dataset
 from cspace.errors import ConfigError
-from training.clusters.pipeline import cluster_data, require_encoder
+from training.clusters.pipeline import cluster_data
 from training.config import CLUSTERS_FILE, TrainConfig
 
 COUNT = 400
@@ -50,24 +50,3 @@ def test_a_job_that_goes_on_with_other_data_is_told(tmp_path):
     cluster_data(going_on, dataset(tmp_path / "data"))
     with pytest.raises(ConfigError, match="not those that the job began with"):
         cluster_data(going_on, dataset(tmp_path / "other", COUNT + 1))
-
-
-def test_an_encoder_that_is_not_there_or_of_other_sizes_is_refused_before_training(tmp_path):
-    from tests.training.models.builders import save
-    from training.models.autoencoders import VaeModule
-
-    data = dataset(tmp_path / "data")
-    with pytest.raises(ConfigError, match="no encoder"):
-        require_encoder(job(tmp_path, f"vae.checkpoint={tmp_path / 'nothing'}"), data)
-    given = job(tmp_path, "vae.latent_dim=4")
-    module = VaeModule(given.config.vae, dataset_pictures(data), 0)
-    made = save(tmp_path / "final.ckpt", module)
-    require_encoder(job(tmp_path, f"vae.checkpoint={made}", "vae.latent_dim=4"), data)
-    with pytest.raises(ConfigError, match=r"vae\.checkpoint does not fit"):
-        require_encoder(job(tmp_path, f"vae.checkpoint={made}", "vae.latent_dim=6"), data)
-
-
-def dataset_pictures(data):
-    import torch
-
-    return torch.tensor(np.moveaxis(np.asarray(data.images), -1, 1).copy())

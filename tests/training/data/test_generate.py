@@ -20,7 +20,7 @@ from training.data.config import DatasetConfig
 from training.data.configurations import ConfigurationRecipe
 from training.data.generate import generate, save_shard
 from training.data.merge import merge
-from training.trials.arrays import grid_samples
+from training.jobs.trainables import grid_samples
 
 SMALL = DatasetConfig(
     seed=3,

@@ -8,10 +8,9 @@ from cspace.errors import DatasetError
 from cspace.worlds.planar.arm import THREE_LINK
 from training.config import TrainConfig
 from training.data.__main__ import main
-from training.data.config import DatasetConfig, PathDatasetConfig
+from training.data.config import DatasetConfig
 from training.data.configurations import ConfigurationRecipe
 from training.data.merge import merge
-from training.data.paths import PathRecipe
 
 SMALL = DatasetConfig(scenario_count=4, free_per_scenario=6, collision_per_scenario=3, extra_image_count=2)
 
@@ -61,19 +60,6 @@ def test_the_manifest_tells_where_all_parts_come_from_and_can_be_merged_again(fi
     again = merge([merged, made(tmp_path / "third", seed=2)], tmp_path / "again")
     assert again.scenario_count == 12
     assert again.manifest.generator["merged"][0]["generator"] == dict(generator)
-
-
-def test_paths_stay_with_their_scenarios(tmp_path):
-    config = PathDatasetConfig(scenario_count=2, narrow_share=0, pairs_per_scenario=2, points_per_path=9)
-    one, two = (
-        PathRecipe(config.model_copy(update={"seed": seed, "scenario_count": count}))
-        for seed, count in ((0, 2), (0, 3))
-    )
-    parts = [recipe.write(tmp_path / str(index), recipe.make) for index, recipe in enumerate((one, two))]
-    merged = merge(parts, tmp_path / "merged")
-    # Two of the second set's three scenarios are the first set's, and so are their paths.
-    assert merged.arrays["path_scenario"].tolist() == [0, 0, 1, 1, 2, 2]
-    assert np.array_equal(merged.arrays["paths"], parts[1].arrays["paths"])
 
 
 @pytest.mark.parametrize(

@@ -66,20 +66,6 @@ def test_whole_numbers_and_full_turns_are_angles_too(tmp_path):
     np.testing.assert_allclose(dataset.free_of(0), [[7 - 2 * np.pi, 2 * np.pi - 7]], atol=1e-6)
 
 
-def test_an_array_in_another_memory_order_is_the_same_data(tmp_path):
-    angles = fill(tmp_path / "own")
-    digest = take(tmp_path / "own", tmp_path / "rows").digest
-    np.save(tmp_path / "own" / "b.npy", np.asfortranarray(angles["b"]))
-    assert take(tmp_path / "own", tmp_path / "columns").digest == digest
-
-
-def test_configurations_that_are_free_and_colliding_are_refused(tmp_path):
-    both = fill(tmp_path / "own")["a"][:1]
-    np.save(tmp_path / "own" / "a.collision.npy", both.astype(np.float32))
-    with pytest.raises(DatasetError, match=r"a\.collision\.npy holds .* a\.npy holds too.*got 1 in both"):
-        take(tmp_path / "own", tmp_path / "data")
-
-
 def array(name, value):
     return lambda folder: np.save(folder / name, value, allow_pickle=True)
 
@@ -163,15 +149,3 @@ def test_configurations_outside_the_limits_or_in_degrees_are_refused_and_not_wra
     np.save(tmp_path / "own" / "a.npy", [[9.0, -3.9]])
     kept = take(tmp_path / "own", tmp_path / "other", robot).free_of(0)
     np.testing.assert_allclose(kept, [[9.0 - 2.0 * np.pi, -3.9]], rtol=1e-6)
-
-
-def test_a_limit_in_single_precision_is_taken(tmp_path):
-    fill(tmp_path / "own", collision=False)
-    robot = PlanarArm(joint_limits_rad=((-2.8973, 2.8973), (-3.7525, 3.7525)))
-    rows = np.array([[2.8973, 3.7525], [-2.8973, -3.7525]], dtype=np.float32)
-    assert not robot.space.contains(rows).all()
-    for name in "abc":
-        np.save(tmp_path / "own" / f"{name}.npy", rows)
-    stored = take(tmp_path / "own", tmp_path / "data", robot).free_of(0)
-    assert robot.space.contains(stored).all()
-    np.testing.assert_allclose(stored, rows, atol=1e-6)

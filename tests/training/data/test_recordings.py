@@ -1,20 +1,15 @@
 """Recordings of ROS 2, written by rosbags: what becomes of pictures, cameras, joint states and transforms."""
 
-import re
 import resource
-import sqlite3
-import struct
-from contextlib import closing
 from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
-from backports import zstd
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from cspace.dataset import open_dataset
-from cspace.errors import CspaceError, DatasetError, StorageError
+from cspace.errors import DatasetError, StorageError
 from cspace.view_file import pack_view, unpack_view
 from cspace.worlds.spatial.arm import ready_rad
 from cspace.worlds.spatial.camera import encode_depth, read_pinhole
@@ -298,13 +293,13 @@ def test_another_camera_robot_or_compression_is_refused_by_its_names(tmp_path):
     for number, (bag, message, options) in enumerate(
         (
             (usual(), "lead from 'camera_depth_.*' to the base 'no'.*world.*--base", {"base": "no"}),
-            (usual().add(other, "image", image(0.0)), "several topics of depth images.*second", {}),
+            (usual().add(other, "image", image(0.0)), "no topic, or several, of depth images.*second", {}),
             (usual(), "--depth names.*image_rect_raw", {"depth": "/wrong"}),
-            (usual(pictures=False), "no topic of depth images", {}),
-            (usual(states=False), "no topic of joint states", {}),
-            (usual(static=(*STATIC, ("camera_link", BASE, UP))), "parents 'world' and 'camera_link'", {}),
+            (usual(pictures=False), "no topic, or several, of depth images.*got none", {}),
+            (usual(states=False), "no topic, or several, of joint states.*got none", {}),
+            (usual(static=(*STATIC, ("camera_link", BASE, UP))), "two parents.*'world' and", {}),
             (usual(static=(("a", FRAME, UP), (FRAME, "a", UP))), "loop", {}),
-            (usual(static=(*STATIC[:2], ("camera_link", FRAME, 0.5 * UP))), "no complete|norm of 1", {}),
+            (usual(static=(*STATIC[:2], ("camera_link", FRAME, 0.0 * UP))), "no transforms lead", {}),
         )
     ):  # fmt: skip
         place = tmp_path / str(number)
@@ -337,34 +332,6 @@ def test_files_that_are_none_or_lie_elsewhere_are_refused(tmp_path):
     refused(tmp_path, tmp_path / "cut.mcap", "cannot be read")
 
 
-ENDLESS = "WITH RECURSIVE r(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM r) SELECT"
-LONG = """CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id, timestamp, data AS (zeroblob(900000000)));
-INSERT INTO messages SELECT 1, id, 1 FROM topics WHERE name LIKE '%image%'"""
-
-
-def imported_by_the_command(tmp_path, capsys, source, *options):
-    """What the command says of a file of somebody else's, which it refuses."""
-    code = main(["import-recording", str(source), str(tmp_path / "out"), "--base", BASE, *options])
-    assert code == 1
-    assert not (tmp_path / "out").exists()
-    return capsys.readouterr().err
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("statements", "message"),
-    [
-        (f"CREATE VIEW schema AS {ENDLESS} max(x) AS schema_version FROM r", "got no end within 3 s"),
-        (LONG, "beyond 1024 MiB|too big|want of memory|cannot be read"),
-    ],
-)
-def test_tables_that_are_computed_without_end_are_refused(tmp_path, capsys, statements, message):
-    path = only_file(usual().write(tmp_path / "bag", StoragePlugin.SQLITE3), ".db3")
-    with closing(sqlite3.connect(path)) as database:
-        database.executescript(f"DROP TABLE {statements.split()[2].split('(')[0]}; {statements}")
-    assert re.search(message, imported_by_the_command(tmp_path, capsys, path, "--time-limit=3"))
-
-
 @pytest.mark.slow
 def test_a_recording_of_a_million_frames_ends_within_the_limit_of_memory(tmp_path, capsys):
     recorder = usual()
@@ -385,42 +352,3 @@ def test_options_of_an_import_are_checked(tmp_path, capsys):
     (tmp_path / "out").mkdir()
     with pytest.raises(StorageError, match="exists"):
         import_recording(bag, tmp_path / "out", options=OPTIONS)
-
-
-@pytest.mark.slow
-def test_a_chunk_that_grows_a_thousandfold_is_refused(tmp_path, capsys):
-    bag, noise = usual(), np.random.default_rng(0).integers(0, 2**16, (200, 300)).astype(np.uint16)
-    bag.add("/noise", "image", image(0.0, noise))
-    data = only_file(bag.write(tmp_path / "bag", mode=CompressionMode.STORAGE), ".mcap").read_bytes()
-    # In the head of the first chunk: the name of its compression and how long it is, behind its whole size.
-    at = data.index(b"\x04\0\0\0zstd")
-    (length,) = struct.unpack_from("<Q", data, at + 8)
-    bomb = zstd.compress(bytes(1 << 31))
-    rest = length - len(bomb) - 8
-    # A frame that decoders skip fills it up.
-    chunk = bomb + b"\x50\x2a\x4d\x18" + struct.pack("<I", rest) + bytes(rest)
-    (tmp_path / "bomb.mcap").write_bytes(data[: at + 16] + chunk + data[at + 16 + length :])
-    said = imported_by_the_command(tmp_path, capsys, tmp_path / "bomb.mcap")
-    assert re.search("1024 MiB|want of memory|cannot be read", said)
-
-
-@pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
-def test_damaged_recordings_are_read_or_refused_and_nothing_else(tmp_path, plugin):
-    rng = np.random.default_rng(5)
-    small = Recorder().add("/tf_static", "tf_static", transforms(0.0, *STATIC))
-    small.add("/d/image", "image", image(0.0)).add("/d/camera_info", "info", info(0.0))
-    path = only_file(
-        small.write(tmp_path / "bag", plugin), ".mcap" if plugin is StoragePlugin.MCAP else ".db3"
-    )
-    data, refusals = path.read_bytes(), 0
-    for number in range(20):
-        found = bytearray(data)
-        for _ in range(rng.choice([1, 2, 8])):
-            at = int(rng.integers(len(found)))
-            found[at : at + int(rng.choice([1, 1, 4]))] = rng.bytes(int(rng.choice([1, 1, 4])))
-        path.write_bytes(found if rng.random() < 0.8 else found[: int(rng.integers(len(found)))])
-        try:
-            import_recording(path, tmp_path / str(number), options=OPTIONS)
-        except (CspaceError, MemoryError):  # the command's worker turns the second into a typed error
-            refusals += 1
-    assert refusals > 0

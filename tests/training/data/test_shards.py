@@ -31,16 +31,6 @@ def joined(config, *, extra=False):
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
-def test_shards_cover_every_scenario_and_picture_once():
-    assert ConfigurationRecipe(SMALL).plan() == [
-        Shard(0, 2, extra=False),
-        Shard(2, 2, extra=False),
-        Shard(4, 1, extra=False),
-        Shard(0, 2, extra=True),
-        Shard(2, 1, extra=True),
-    ]
-
-
 @pytest.mark.parametrize("config", [SMALL, THREE, LIMITED], ids=["two", "three", "limited"])
 def test_configurations_are_what_they_are_said_to_be(config):
     arrays, robot = joined(config), config.world.body
@@ -101,17 +91,6 @@ def test_a_robot_that_hardly_ever_collides_is_an_error():
         plot_configurations(CollisionChecker(scenario), 5, np.random.default_rng(0), free=False)
 
 
-def test_a_shard_survives_its_file(tmp_path):
-    shard = Shard(4, 1, extra=False)
-    arrays = ConfigurationRecipe(SMALL).make(shard)
-    save_shard(tmp_path, shard, arrays)
-    loaded = load_shard(tmp_path, shard)
-    assert loaded.keys() == arrays.keys()
-    for name in arrays:
-        np.testing.assert_array_equal(loaded[name], arrays[name])
-    assert [path.name for path in tmp_path.iterdir()] == [shard.file_name]
-
-
 def test_a_shard_that_is_damaged_counts_as_missing(tmp_path):
     shard = Shard(0, 2, extra=True)
     path = save_shard(tmp_path, shard, ConfigurationRecipe(SMALL).make(shard))
@@ -144,7 +123,3 @@ def test_data_that_were_made_before_are_found_again_by_their_key(config, key):
     assert config.model_copy(update={"shard_size": 7}).key == key
     assert config.model_copy(update={"seed": 4}).key != key
     assert config.model_copy(update={"split": "test"}).key != key
-
-
-def test_data_of_other_robots_have_other_keys():
-    assert len({config.key for config in (SMALL, THREE, LIMITED, FOLDING)}) == 4

@@ -13,8 +13,8 @@ from tests.fakes.registry import FakeRun, FakeTracking
 from tests.training.models.builders import save, tiny_module
 from training.config import CLUSTERS_FILE, PathTrainConfig, TrainConfig
 from training.jobs.job import CONFIGURATION, TAG_START, Environment, Job, job_folder
+from training.jobs.launch import FINAL, TrialRequest
 from training.models.checkpoint import start_from
-from training.trials.launch import FINAL, TrialRequest
 
 EARLIER, CHILD = "a" * 32, "c" * 32
 SMOKE = TrainConfig.load("smoke")
@@ -93,15 +93,6 @@ def test_weights_that_are_gone_are_told_as_that(environment, tracking):
     assert set(tracking.runs) == {EARLIER, CHILD}
 
 
-def test_weights_that_go_while_a_job_is_stopped_are_told_before_a_trial_starts(environment, tracking):
-    job = start(environment, EARLIER, name="night")
-    shutil.rmtree(job_folder(environment, EARLIER))
-    again = start(environment, EARLIER, name="night")
-    assert again.run.run_id == job.run.run_id
-    with pytest.raises(ConfigError, match="weights that start_from means are gone"):
-        TrialRequest.of(again, "local", "local-0")
-
-
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
@@ -121,12 +112,6 @@ def test_scenarios_by_their_ids_cannot_be_gone_on_with():
         TrainConfig.load("smoke", [f"start_from={EARLIER}", "global.critic_condition=projection"])
 
 
-@pytest.mark.parametrize("text", ["cspace-sampler", "../.."])
-def test_what_is_no_reference_is_refused(text, environment, tracking):
-    with pytest.raises(ConfigError, match="start_from does not fit"):
-        start(environment, text)
-
-
 def test_what_a_job_unfinished_or_of_another_kind_did_not_leave_is_named(environment, tracking):
     with pytest.raises(ConfigError, match="another kind"):
         Job.start(PathTrainConfig.load("paths", [f"start_from={EARLIER}"]), environment, {})
@@ -134,14 +119,6 @@ def test_what_a_job_unfinished_or_of_another_kind_did_not_leave_is_named(environ
     (folder / "bundle" / "bundle.json").unlink()
     with pytest.raises(ConfigError, match="has not finished"):
         start(environment, EARLIER)
-
-
-def test_a_job_that_started_from_nothing_does_not_start_from_weights_later(environment, tracking):
-    job = Job.start(SMOKE, environment, {}, name="arm-1")
-    assert job.start_folder is None
-    assert not {"start_from", TAG_START} & set(tracking.runs[job.run.run_id].tags)
-    with pytest.raises(ConfigError, match="start_from=None"):
-        start(environment, EARLIER, name="arm-1")
 
 
 def test_a_module_takes_what_was_learned_and_keeps_what_follows_from_its_own_data(tmp_path):

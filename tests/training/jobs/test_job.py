@@ -4,18 +4,12 @@ import json
 import pytest
 
 from cspace.errors import ConfigError, JobError, StorageError
-from cspace.worlds import default_world
 from tests.fakes.registry import FakeTracking
 from training.config import TrainConfig
 from training.jobs.job import (
     LONGEST,
     Environment,
     Job,
-    job_folder,
-    job_label,
-    kept_bundle,
-    shown_tags,
-    world_tag,
 )
 
 SMOKE = TrainConfig.load("smoke", ["seed=4"])
@@ -42,14 +36,6 @@ def test_a_trial_keeps_its_run_however_often_it_is_asked_for_and_in_a_resumed_jo
     assert resumed.config == job.config
     assert resumed.child("global") == child
     assert resumed.run.run_id == job.run.run_id
-
-
-def test_a_job_goes_by_its_name_or_by_its_preset():
-    config = TrainConfig.load("paper", ["seed=3"])
-    assert job_label(config, "arm-1") == "arm-1, seed 3"
-    assert job_label(config, None) == "paper, seed 3"
-    assert shown_tags(config, None, "local") == {"stage": "local", "job": "", "preset": "paper"}
-    assert world_tag(default_world(), None) == {"world": "planar, two-link"}
 
 
 def test_settings_are_parameters_one_each_and_a_file_has_all_of_them(environment, tracking):
@@ -136,14 +122,3 @@ def test_a_folder_that_can_not_be_written_or_has_no_room_is_told_before_the_work
     with pytest.raises(StorageError, match="too full"):
         Job.start(SMOKE, environment, {})
     assert tracking.runs == {}
-
-
-def test_half_a_bundle_is_not_kept(tmp_path):
-    assert kept_bundle(tmp_path / "none") is None
-    (tmp_path / "half").mkdir()
-    (tmp_path / "half" / "bundle.json").write_text("{}")
-    assert kept_bundle(tmp_path / "half") is None
-
-
-def test_a_job_lies_within_the_data_folder(environment):
-    assert job_folder(environment, "../../run") == environment.data_folder / "jobs" / "run"

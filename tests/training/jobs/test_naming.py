@@ -4,7 +4,6 @@ import pytest
 
 from cspace.bundle.files import read_files
 from cspace.errors import ConfigError
-from cspace.worlds import default_world
 from cspace.worlds.planar.arm import PlanarArm
 from cspace.worlds.planar.world import PlanarWorld
 from tests.bundles import write_tiny_bundle
@@ -32,12 +31,6 @@ def registry(tmp_path, monkeypatch):
 
 def add(registry, name, bundle):
     registry.register(name, bundle, "run", read_files(bundle).digest, {})
-
-
-def test_an_example_and_a_robot_without_a_name_need_no_registry(registry):
-    registry.away = True
-    assert job.registered_name(StubJob(), default_world(), None, path=False) == "cspace-sampler"
-    assert job.registered_name(StubJob(), OWN, None, path=True).endswith("-path-sampler")
 
 
 def test_a_name_that_the_registry_has_for_another_robot_is_refused(registry, tmp_path):

@@ -1,7 +1,6 @@
 """What a job says at its end."""
 
 import json
-import sys
 
 from services.commands import RESULT_FILE, report_result
 from services.local.quickstart import last_result
@@ -27,12 +26,6 @@ def test_the_block_tells_version_and_where_bundle_and_json_lie(tmp_path, capsys)
     # The last line is for programs.
     assert log.splitlines()[-1].startswith("RESULT {")
     assert last_result(log.splitlines()).reference == "arm/3"
-
-
-def test_a_terminal_is_spared_the_line(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
-    output_of(tmp_path)
-    assert "RESULT" not in capsys.readouterr().out
 
 
 def test_a_job_without_a_folder_keeps_no_file_and_a_full_disk_costs_the_file_alone(

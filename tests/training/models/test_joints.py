@@ -3,8 +3,6 @@ import pytest
 import torch
 
 from cspace.space import JointSpace, circles
-from training.models.data import Cells
-from training.models.families.mixture import CellBase
 from training.models.families.wgan_gp import MeansGenerator, Sizes, TorusGenerator, UniformBase
 from training.models.joints import Joints, harmonics, on_torus, torus_features
 
@@ -41,12 +39,6 @@ def test_folding_keeps_what_is_inside_and_mirrors_the_rest_at_the_limits():
     assert SPACE.holds(SPACE.to_float32(MIXED.fold(angles(5000)).numpy())).all()
 
 
-def test_what_is_folded_has_a_gradient_everywhere():
-    values = angles().requires_grad_()
-    MIXED.fold(values).sum().backward()
-    assert (values.grad.abs() == 1.0).all()
-
-
 def test_what_is_uniform_on_the_torus_becomes_uniform_within_the_limits():
     drawn = UniformBase(SPACE).draw(torch.zeros(40_000, dtype=torch.int64), RNG)
     low, high = drawn.min(dim=0).values.numpy(), drawn.max(dim=0).values.numpy()
@@ -81,15 +73,6 @@ def test_features_tell_turns_of_a_limited_joint_apart_and_not_those_of_a_circle(
         assert torch.allclose(MIXED.features(at), MIXED.features(turned), atol=1e-5) == same
     assert MIXED.features(at).shape == (1, MIXED.features_size)
     assert MIXED.pair_features(at).shape == (1, MIXED.pair_features_size)
-
-
-def test_points_of_cells_that_are_spread_beyond_a_limit_are_folded_back():
-    points, none = np.array([[[3.99, 0.0, 0.99]]], dtype=np.float32), np.zeros(1, np.int64)
-    points = Cells(points, np.ones(1, dtype=np.float32), none, none)
-    drawn = CellBase(points, torch.ones(1, 1), SPACE).draw(torch.zeros(2000, dtype=torch.int64), RNG)
-    assert SPACE.holds(SPACE.to_float32(drawn.numpy())).all()
-    assert (drawn[:, 0] <= 4.0).all()
-    assert (drawn[:, 2] <= 1.0).all()
 
 
 @pytest.mark.parametrize("means", [False, True])

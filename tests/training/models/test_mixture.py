@@ -84,22 +84,6 @@ def test_every_row_is_answered_by_the_generator_in_charge_of_its_cell():
         torch.testing.assert_close(found[row], own[index][row])
 
 
-@pytest.mark.slow
-def test_a_sample_costs_the_network_of_its_own_cluster_alone():
-    _, mixture = experts()
-    with seeded_initialisation(1):
-        gate = Gate(4, 8, 2, 3)
-    sampler = GatedSampler(gate, CELLS, mixture, None)
-    # The first cell is the first generator's alone, and 0 draws it.
-    feeds = random_inputs(9, lookups=False) | {"cell": torch.zeros(9, 1)}
-    wanted = answer(generator_graph(sampler, 4, 48), feeds)
-    for part in mixture.networks[1].parameters():
-        torch.nn.init.constant_(part, float("nan"))
-    found = answer(generator_graph(sampler, 4, 48), feeds)
-    assert np.isfinite(found).all()
-    np.testing.assert_array_equal(found, wanted)
-
-
 @pytest.mark.parametrize("lookups", [False, pytest.param(True, marks=pytest.mark.slow)])
 @pytest.mark.slow
 def test_the_mixtures_graph_answers_as_the_network(lookups):

@@ -26,14 +26,6 @@ def test_a_linear_critic_of_slope_one_pays_no_penalty_and_of_slope_three_pays_fo
     assert slope_three.item() == pytest.approx(4.0, rel=1e-5)
 
 
-def test_only_the_two_sided_penalty_punishes_a_flat_critic():
-    points = torch.zeros(4, 2)
-    flat = [
-        wgan_gp.gradient_penalty(lambda x: 0.5 * x[:, 1], points, one_sided=s).item() for s in (True, False)
-    ]
-    assert flat == [pytest.approx(0.0), pytest.approx(0.25, rel=1e-5)]
-
-
 def test_the_penalty_reaches_the_critics_weights():
     slope = torch.tensor(3.0, requires_grad=True)
     wgan_gp.gradient_penalty(lambda x: slope * x[:, 0], torch.ones(4, 2), one_sided=True).backward()
@@ -67,11 +59,6 @@ def test_the_fake_term_shifts_with_a_constant_added_to_the_critic():
     values = torch.tensor([[0.0, 1.0, -2.0, 0.5]])
     shift = wgan_gp.fake_term(values + 7.0, 0.1) - wgan_gp.fake_term(values, 0.1)
     assert shift.item() == pytest.approx(7.0, rel=1e-6)
-
-
-def test_one_mean_has_no_maximum_to_smooth():
-    values = torch.tensor([[2.0], [4.0]])
-    assert torch.equal(wgan_gp.fake_term(values, 0.1), values[:, 0])
 
 
 def test_the_torus_generator_starts_near_the_uniform_sampler():
@@ -116,12 +103,6 @@ def test_the_same_seed_trains_to_the_same_weights_and_another_to_others():
     first, again, other = (weights(run(tiny_module(seed=seed), 4)) for seed in (3, 3, 4))
     assert torch.equal(first, again)
     assert not torch.equal(first, other)
-
-
-def test_training_leaves_the_global_generator_alone():
-    before = torch.random.get_rng_state()
-    run(tiny_module(), 2)
-    assert torch.equal(before, torch.random.get_rng_state())
 
 
 @pytest.mark.slow

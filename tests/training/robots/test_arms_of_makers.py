@@ -11,7 +11,7 @@ from cspace.errors import ScenarioError
 from cspace.worlds.spatial.arm import SerialArm
 from training.robots.chain import read_chain
 from training.robots.description import read_description
-from training.robots.importing import Request, import_robot
+from training.robots.importing import import_robot
 
 LIFT = {"torso_lift_joint": 0.0}
 # Each arm's file, its tip, the joints that are held, and how many move.
@@ -28,9 +28,9 @@ ARMS = {
     "talos_arm": ("talos_data/robots/talos_left_arm.urdf", "arm_left_7_link", {}, 6),
     "baxter_left": ("baxter_description/urdf/baxter.urdf", "left_gripper", {}, 7),
     "baxter_right": ("baxter_description/urdf/baxter.urdf", "right_gripper", {}, 7),
-    "so100": ("so_arm_description/urdf/so100.urdf", None, {}, 6),
+    "so100": ("so_arm_description/urdf/so100.urdf", "jaw", {}, 6),
     "so101": ("so_arm_description/urdf/so101.urdf", "gripper_frame_link", {}, 5),
-    "z1": ("z1_description/urdf/z1.urdf", None, {}, 7),
+    "z1": ("z1_description/urdf/z1.urdf", "gripperMover", {}, 7),
     "tiago": ("tiago_description/robots/tiago.urdf", "arm_7_link", {"torso_lift_joint": 0.1}, 7),
     "tiago_dual": ("tiago_description/robots/tiago_dual.urdf", "arm_left_7_link", LIFT, 7),
     "tiago_pro": ("tiago_pro_description/robots/tiago_pro.urdf", "arm_left_7_link", LIFT, 7),
@@ -68,7 +68,7 @@ def test_kinematics_are_pinocchios(name: str) -> None:
     pin = pytest.importorskip("pinocchio", reason="needs the extra spatial")
     file, tip, locked, joints = ARMS[name]
     path = published(file)
-    description = read_description(path, {}, {})
+    description = read_description(path)
     chain = read_chain(description, tip, locked, {})
     arm = SerialArm(description.name, chain.joints, (), (), chain.tool)
     assert arm.dim == joints
@@ -90,7 +90,7 @@ def test_an_arm_on_a_lift_is_refused_with_what_holds_the_lift() -> None:
     with pytest.raises(
         ScenarioError, match=r"torso_lift_joint .*got prismatic.*--lock torso_lift_joint=VALUE"
     ):
-        import_robot(Request(path, tip="arm_7_link"))
+        import_robot(path, tip="arm_7_link")
 
 
 @pytest.mark.slow
@@ -98,7 +98,7 @@ def test_an_arm_on_a_lift_is_refused_with_what_holds_the_lift() -> None:
 @pytest.mark.parametrize("name", ["panda", "so101", "ur10", "kinova", "baxter_left"])
 def test_spheres_cover_the_meshes(name: str) -> None:
     file, tip, locked, joints = ARMS[name]
-    found = import_robot(Request(published(file), tip=tip, locked=locked))
+    found = import_robot(published(file), tip=tip, locked=locked)
     assert found.arm.dim == joints
     large = " ".join(note for note in found.notes if "is large" in note)
     for part, fit in found.fits.items():

@@ -1,5 +1,4 @@
 import re
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,7 @@ from cspace.errors import ScenarioError
 from tests.training.robots.descriptions import BRANCH, TWO_LINKS, described, with_more
 from training.robots.__main__ import main
 from training.robots.description import found_file
-from training.robots.importing import Request, import_robot
+from training.robots.importing import import_robot
 
 SLIDING = TWO_LINKS.replace('"continuous"', '"prismatic"')
 LIMITS = 'lower="-2" upper="2"'
@@ -43,7 +42,7 @@ def shoulder(limits: str) -> str:
 )
 def test_descriptions_that_cannot_be_are_refused(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(ScenarioError, match=message):
-        import_robot(Request(described(tmp_path, text)))
+        import_robot(described(tmp_path, text))
 
 
 ROD = """
@@ -85,29 +84,29 @@ def test_what_a_message_advises_works(
     monkeypatch.chdir(tmp_path)
     Path("meshes").mkdir()
     trimesh.creation.box((0.1, 0.1, 0.1)).export("meshes/box.stl")
-    request = Request(described(tmp_path, text))
+    urdf = described(tmp_path, text)
     with pytest.raises(ScenarioError, match=message):
-        import_robot(request)
+        import_robot(urdf)
     if "packages" in remedy:
         remedy = {"packages": {"other": tmp_path / "meshes"}}
-    assert import_robot(replace(request, **remedy)).arm.dim >= 1
+    assert import_robot(urdf, **remedy).arm.dim >= 1
 
 
 def test_a_pointer_of_git_lfs_is_told_and_pulling_it_helps(tmp_path: Path) -> None:
     mesh = tmp_path / "box.stl"
     mesh.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 684\n")
-    request = Request(described(tmp_path, MESHED.replace("package://other/", "")))
+    urdf = described(tmp_path, MESHED.replace("package://other/", ""))
     with pytest.raises(ScenarioError, match=r"box\.stl is a pointer of Git LFS.*git lfs pull"):
-        import_robot(request)
+        import_robot(urdf)
     trimesh.creation.box((0.1, 0.1, 0.1)).export(mesh)
-    assert import_robot(request).arm.parts[0].name == "base"
+    assert import_robot(urdf).arm.parts[0].name == "base"
 
 
 def test_names_that_the_description_does_not_have_are_refused(tmp_path: Path) -> None:
     limits = {"limits": {"wrist": (0.0, 1.0)}}
     for options in ({"locked": {"wrist": 0.0}}, limits, {"tip": "hand"}, {"kept": (("a", "base"),)}):
         with pytest.raises(ScenarioError, match=r"unknown|not clear"):
-            import_robot(Request(described(tmp_path), **options))
+            import_robot(described(tmp_path), **options)
 
 
 @pytest.mark.parametrize(
@@ -182,26 +181,7 @@ def test_meshes_outside_the_robots_folder_are_refused(tmp_path: Path, name: str)
     (tmp_path / "secret.stl").touch()
     (folder / "link.stl").symlink_to(tmp_path / "secret.stl")
     name = name.format(top=tmp_path)
-    with pytest.raises(ScenarioError, match=r"outside the robot's folder.*secret\.stl.*--package NAME="):
+    with pytest.raises(ScenarioError, match=r"not found in the robot's folders.*--package (NAME|arm)="):
         found_file(name, folder, {})
     if not name.startswith("package"):
         assert found_file(name, folder, {"top": tmp_path}).samefile(tmp_path / "secret.stl")
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        "package://etc/hostname",
-        "package://../secret.stl",
-        "package://other/secret.stl",
-        "a\0b.stl",
-        "a" * 300 + ".stl",
-    ],
-)
-def test_names_that_are_no_mesh_s_are_not_found(tmp_path: Path, name: str) -> None:
-    for place in (tmp_path / "secret.stl", tmp_path / "other" / "secret.stl"):
-        place.parent.mkdir(exist_ok=True)
-        place.touch()
-    (tmp_path / "arm").mkdir()
-    with pytest.raises(ScenarioError, match="a mesh is not found"):
-        found_file(name, tmp_path / "arm", {})

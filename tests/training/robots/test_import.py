@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cspace.worlds.spatial.arm import MAX_OVERLAP_M, SerialArm
+from cspace.worlds.spatial.arm import SerialArm
 from tests.training.robots.descriptions import FINGER, TWO_LINKS, described, with_more
 from training.robots import spheres
 from training.robots.__main__ import main
 from training.robots.chain import read_chain
 from training.robots.description import read_description
-from training.robots.importing import Request, import_robot
-from training.robots.spheres import Allowances
+from training.robots.importing import import_robot
 
 CYLINDER, BOX = '<cylinder radius="0.05" length="0.3"/>', '<box size="0.04 0.06 0.1"/>'
 # Spheres are taken as they are, which is quick.
@@ -55,7 +54,7 @@ def test_a_description_becomes_a_robot_file(tmp_path: Path, capsys: pytest.Captu
 
 
 def test_spheres_cover_what_they_stand_for_and_stick_out_little(tmp_path: Path) -> None:
-    arm = import_robot(Request(described(tmp_path, ROUND_LOWER))).arm
+    arm = import_robot(described(tmp_path, ROUND_LOWER)).arm
     spheres = np.asarray(arm.parts[1].spheres_m)
     rng = np.random.default_rng(0)
     angles, heights = rng.uniform(0, 2 * pi, 5000), rng.uniform(0.1, 0.4, 5000)
@@ -75,16 +74,9 @@ def test_spheres_cover_what_they_stand_for_and_stick_out_little(tmp_path: Path) 
     ]
 
 
-def test_coarse_spheres_may_overlap_by_no_more_than_a_robot_file_takes(tmp_path: Path) -> None:
-    coarse = Allowances(excess_m=0.08, relaxed=False)
-    arm = import_robot(Request(described(tmp_path, ROUND_LOWER), allowances=coarse)).arm
-    assert max(part.overlap_m or 0.0 for part in arm.parts) <= MAX_OVERLAP_M
-    assert SerialArm.from_dict(arm.to_dict()) == arm
-
-
 def test_pairs_that_can_touch_are_those_that_spheres_show(tmp_path: Path) -> None:
     urdf = described(tmp_path, ROUND)
-    found = import_robot(Request(urdf))
+    found = import_robot(urdf)
     srdf = described(
         tmp_path,
         '<robot name="two"><disable_collisions link1="gripper" link2="base" reason="Never"/></robot>',
@@ -99,15 +91,15 @@ def test_pairs_that_can_touch_are_those_that_spheres_show(tmp_path: Path) -> Non
     assert reasons["base", "upper"] == "neighbours"
     assert reasons["base", "lower"] == "never overlap"
     # The SRDF beside the description is read without being named.
-    without = import_robot(Request(urdf))
+    without = import_robot(urdf)
     assert without.srdf == srdf
     assert without.arm.touching == (("upper", "gripper"),)
-    kept = import_robot(Request(urdf, srdf=srdf, kept=(("base", "gripper"),))).arm.touching
+    kept = import_robot(urdf, srdf=srdf, kept=(("base", "gripper"),)).arm.touching
     assert kept == found.arm.touching
 
 
 def test_held_joints_carry_what_hangs_on_them(tmp_path: Path) -> None:
-    description = read_description(described(tmp_path, with_more(FINGER)), {}, {})
+    description = read_description(described(tmp_path, with_more(FINGER)))
     chain = read_chain(description, "finger", {"slide": 0.02, "shoulder": 0.0}, {"elbow": (-1.0, 1.0)})
     assert [joint.name for joint in chain.joints] == ["elbow"]
     assert chain.joints[0].limits_rad == (-1.0, 1.0)
@@ -119,8 +111,8 @@ def test_held_joints_carry_what_hangs_on_them(tmp_path: Path) -> None:
 
 def test_the_same_description_gives_the_same_robot(tmp_path: Path) -> None:
     text = ROUND.replace('<sphere radius="0.03"/>', '<box size="0.02 0.02 0.05"/>')
-    request = Request(described(tmp_path, text))
-    first, second = (import_robot(request).arm for _ in range(2))
+    urdf = described(tmp_path, text)
+    first, second = (import_robot(urdf).arm for _ in range(2))
     assert first == second
     assert first.sphere_count > 4
 
@@ -147,18 +139,18 @@ def test_one_mesh_that_is_named_two_hundred_times_ends_within_the_limit_of_memor
 
 
 def test_without_a_tip_the_last_link_before_a_gripper_is_taken_and_named(tmp_path: Path) -> None:
-    chain = read_chain(read_description(described(tmp_path, with_more(FINGER)), {}, {}), None, {}, {})
+    chain = read_chain(read_description(described(tmp_path, with_more(FINGER))), None, {}, {})
     assert [joint.name for joint in chain.joints] == ["shoulder", "elbow"]
     assert [
         note for note in chain.notes if note.startswith("the tip is lower, the last link before the gripper")
     ]
     # The wrist's joint turns a gripper's link, and is the arm's.
     text = with_more(FINGER).replace('"lower"', '"jaw_lower"')
-    turned = read_chain(read_description(described(tmp_path, text), {}, {}), None, {}, {})
+    turned = read_chain(read_description(described(tmp_path, text)), None, {}, {})
     assert [joint.name for joint in turned.joints] == ["shoulder", "elbow"]
     fork = "".join(f'<link name="{one}"/>{TOOL_JOINT.format(one)}' for one in ("camera", "plate"))
     described(tmp_path, with_more(fork + "</robot>"))
-    chain = read_chain(read_description(tmp_path / "two.urdf", {}, {}), None, {}, {})
+    chain = read_chain(read_description(tmp_path / "two.urdf"), None, {}, {})
     assert any(
         note.startswith("the tip is gripper, the last link before the first branch") for note in chain.notes
     )

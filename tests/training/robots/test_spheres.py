@@ -6,15 +6,13 @@ import trimesh
 
 from cspace.errors import ScenarioError
 from tests.training.robots.descriptions import TWO_LINKS, described
-from training.robots.importing import Imported, Request, import_robot
+from training.robots.importing import Imported, import_robot
 from training.robots.spheres import (
     Allowances,
     Solid,
     cover,
     load_mesh,
     measure,
-    union_depth_m,
-    union_surface,
 )
 
 CORNER = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
@@ -37,19 +35,6 @@ def test_a_mesh_with_a_hole_or_turned_triangles_has_an_inside() -> None:
     turned.invert()
     for mesh in (open_, turned):
         assert (Solid(mesh).depth_m(POINTS) > 0.0).tolist() == [True, True, False, False]
-
-
-def test_points_of_the_surface_lie_on_it_and_on_its_corners() -> None:
-    box = Solid(BOX.copy())
-    points = box.surface(1000, np.random.default_rng(0))
-    assert np.abs(box.depth_m(points)).max() < 1e-9
-    assert {tuple(one) for one in BOX.vertices.tolist()} <= {tuple(one) for one in points.tolist()}
-
-
-def test_a_union_is_as_deep_as_its_deepest_part() -> None:
-    pair = [Solid(trimesh.creation.box(extents=[0.2, 0.2, 0.2])), Solid(BALL.copy().apply_scale(0.3))]
-    np.testing.assert_allclose(union_depth_m(pair, POINTS[:1]), [0.1], atol=1e-12)
-    assert len(union_surface(pair, 100, np.random.default_rng(0))) > 200
 
 
 def test_a_fit_tells_what_is_missed_and_what_sticks_out() -> None:
@@ -116,23 +101,11 @@ def test_corners_of_no_triangle_are_no_points_of_the_surface(tmp_path: Path) -> 
     assert np.abs(solid.depth_m(solid.surface(50, np.random.default_rng(0)))).max() < 1e-9
 
 
-def test_polygons_and_nodes_that_are_used_twice_are_read(tmp_path: Path) -> None:
-    text = _two_boxes("dae")
-    counts = f"<vcount>{'3 ' * 12}</vcount><p>"
-    text = text.replace("<p>", counts).replace("triangles", "polylist").replace('id="node0"', 'id="n0"')
-    twice = '<node><translate>1 0 0</translate><instance_node url="#n0"/></node></visual_scene>'
-    file = tmp_path / "twice.dae"
-    file.write_text(text.replace("</visual_scene>", twice), encoding="utf-8")
-    mesh = load_mesh(file, np.ones(3), "link a")
-    assert mesh.area == pytest.approx(1.5 * 0.0416)
-    assert mesh.bounds[1, 0] == pytest.approx(1.04)
-
-
 def _imported(folder: Path, mesh: str) -> Imported:
     text = TWO_LINKS.replace('<sphere radius="0.12"/>', f'<mesh filename="{mesh}"/>')
     for shape in ('<cylinder radius="0.05" length="0.3"/>', '<box size="0.04 0.06 0.1"/>'):
         text = text.replace(shape, '<sphere radius="0.05"/>')
-    return import_robot(Request(described(folder, text)))
+    return import_robot(described(folder, text))
 
 
 def _two_boxes(end: str) -> str:
@@ -167,9 +140,3 @@ def test_a_collada_mesh_is_read_in_its_unit_with_all_its_nodes(tmp_path: Path) -
     file.write_text(text.replace("<asset>", '<asset><unit name="inch" meter="0.0254"/>'), encoding="utf-8")
     mesh = load_mesh(file, np.ones(3), "link a")
     np.testing.assert_allclose(mesh.bounds[1], np.array([0.34, 0.03, 0.02]) * 0.0254, rtol=1e-5)
-
-
-@pytest.mark.slow
-def test_a_fine_mesh_is_covered_in_seconds(tmp_path: Path) -> None:
-    trimesh.creation.icosphere(subdivisions=6, radius=0.03).export(tmp_path / "fine.stl")
-    assert _imported(tmp_path, "fine.stl").fits["base"].missed_m < 0.002

@@ -89,7 +89,7 @@ class JointModule(WganGpModule):
         loss = super().generator_step_loss(_encoded(batch, mu, log_variance))
         kl = kl_divergence(mu, log_variance).mean()
         self.latest["kl"] = kl.detach()
-        loss = loss + self.vae.kl_weight * kl
+        loss = loss + kl
         if self.config.reconstruction_weight > 0.0:
             reconstruction = self._reconstruction()
             self.latest["reconstruction_loss"] = reconstruction.detach()

@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -40,11 +39,11 @@ class GateConfig(TrialSettings):
 
     cells: int = Field(32, ge=1, description="that clusters are made of")
     points: int = Field(1024, ge=1, description="stored in each cell, from which the generators start")
-    steps: int = Field(600, ge=1)
-    batch_size: int = Field(128, ge=1)
-    hidden: int = Field(128, ge=1)
-    layers: int = Field(2, ge=1)
-    learning_rate: float = Field(4e-3, gt=0)
+    steps: int = Field(600, ge=1, description="optimiser steps")
+    batch_size: int = Field(128, ge=1, description="scenarios a step")
+    hidden: int = Field(128, ge=1, description="units of a layer")
+    layers: int = Field(2, ge=1, description="hidden layers")
+    learning_rate: float = Field(4e-3, gt=0, description="highest of the one-cycle schedule")
 
 
 class MixtureConfig(WganConfig):
@@ -250,16 +249,12 @@ class Mixture(WganGp):
             mu, sigma = torch.tensor(arrays.mu), torch.tensor(arrays.sigma)
             return Trial(GateModule(self.config.gate, mu, sigma, self._shares(), seed), self.config.gate)
         cluster = int(name.removeprefix("local-"))
-        module = self.local_module(self.config.local, cluster, seed, self.load_gate(done[GATE]))
+        # It starts in the cells of its cluster, as the gate draws them.
+        probabilities = gate_probabilities(self.load_gate(done[GATE]), arrays.mu) + _LEAST_PROBABILITY
+        weights = torch.tensor((probabilities * (self.cells.clusters == cluster)).astype(np.float32))
+        base = CellBase(self.cells, weights, arrays.world.space)
+        module = WganGpModule(self.config.local, *self.given(cluster, seed, base))
         return Trial(module, self.config.local, arrays.part(cluster))
-
-    def local_module(self, config: GanConfig, cluster: int | None, seed: int, gate: Gate) -> WganGpModule:
-        """A WGAN-GP that starts in the cells of one cluster, or of all, as the gate draws them."""
-        clusters = self.cells.clusters
-        inside = clusters >= 0 if cluster is None else clusters == cluster
-        weights = (gate_probabilities(gate, self.arrays.mu) + _LEAST_PROBABILITY) * inside
-        base = CellBase(self.cells, torch.tensor(weights.astype(np.float32)), self.arrays.world.space)
-        return WganGpModule(config, *self.given(cluster, seed, base))
 
     @property
     def cells(self) -> Cells:
@@ -273,18 +268,14 @@ class Mixture(WganGp):
         sizes = (self.config.vae.latent_dim, gate.hidden, gate.layers, gate.cells)
         return trained(lambda: Gate(*sizes), checkpoint, GATE)
 
-    def gated(self, gate: Gate, generators: Sequence[Any], config: GanConfig) -> GatedSampler:
-        """The whole sampler: one generator for all cells, or one for each cluster of them."""
-        clusters = torch.tensor(self.cells.clusters)
-        experts = Experts(generators, clusters if len(generators) > 1 else torch.zeros_like(clusters))
-        lookups = make_lookups(config.generator_lookups, self.arrays.world)
-        return GatedSampler(gate, self.cells, experts, lookups).eval()
-
     def sampler(self, done: Checkpoints) -> Sampler:
         """All clusters' generators behind the gate."""
+        config = self.config.local
         names = local_names(self.config.clusters.count)
-        generators = [self.load(self.config.local, done[name], "generator") for name in names]
-        return self.gated(self.load_gate(done[GATE]), generators, self.config.local)
+        generators = [self.load(config, done[name], "generator") for name in names]
+        experts = Experts(generators, torch.tensor(self.cells.clusters))
+        lookups = make_lookups(config.generator_lookups, self.arrays.world)
+        return GatedSampler(self.load_gate(done[GATE]), self.cells, experts, lookups).eval()
 
     def _shares(self) -> Tensor:
         """Share of every scenario's configurations in each cell, (S, k) float32."""

@@ -12,7 +12,7 @@ from inference_api.settings import PRETRAINED_FOLDER
 from services.evaluator.benchmark.job import COLUMNS
 from services.evaluator.benchmark.report import Results
 from services.evaluator.benchmark.variants import Protocol, Setting, table
-from training.paths.writing import make_path_bundle
+from training.path_sampler import make_path_bundle
 
 
 @pytest.fixture(scope="session")

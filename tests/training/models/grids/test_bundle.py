@@ -65,9 +65,3 @@ def test_a_head_that_reads_the_map_comes_with_it(graphs, tmp_path):
     with pytest.raises(BundleIntegrityError, match=r"validity\.onnx has other inputs or outputs"):
         write_bundle(tmp_path / "bundle", SPEC, without)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_map_that_nobody_reads_is_refused(graphs, tmp_path):
-    alone = {name: graph for name, graph in graphs.items() if name != "validity"}
-    with pytest.raises(BundleIntegrityError, match=r"map\.onnx without the condition map"):
-        write_bundle(tmp_path / "bundle", SPEC, alone)

@@ -16,9 +16,9 @@ from services.commands import Estimate
 from services.registry.errors import retry, set_timeouts
 from services.registry.tracking import RunLog, Tracking
 from training.config import ResourceConfig, TrialSettings
+from training.jobs.launch import LAST, TrialRequest
 from training.models.checkpoint import fit_module, start_from
 from training.models.modules import TrialModule
-from training.trials.launch import LAST, TrialRequest
 
 # Readers of a log want a line now and then, however fast the steps are.
 LINE_EVERY_S = 5.0

@@ -1,33 +1,59 @@
-"""What is made of checkpoints, and what validity heads learn from."""
+"""What the workers of the main job train: from pictures, and what a model family trains from latents."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from cspace.dataset import Dataset, open_dataset
-from cspace.world import Sensor
 from cspace.worlds import simulator_of
-from training.config import GridConfig, HeadConfig, VaeConfig, ValidityConfig
-from training.models.autoencoders import Decoder, Encoder, NoveltyScores, shown_size
-from training.models.checkpoint import load_scene_model, trained
+from training.config import GridConfig, HeadConfig, TrainConfig, TrialSettings, ValidityConfig
+from training.jobs.fit import fit_tracked
+from training.jobs.launch import TrialRequest
+from training.models.autoencoders import VaeModule
+from training.models.checkpoint import load_scene_model, seeded_initialisation
+from training.models.data import TrainingArrays
+from training.models.families import Family
 from training.models.grid_training import ArmSamples, GridHeadModule, GridSamples
 from training.models.modules import TrialModule
 from training.models.validity import OccupancySamples, ValidityModule
 
-
-def load_encoder(config: VaeConfig, sensor: Sensor, checkpoint: Path) -> Encoder:
-    """The encoder of a VAE trial's checkpoint, ready to be asked."""
-    sizes = (shown_size(sensor), config.latent_dim, config.width, config.patches)
-    return trained(lambda: Encoder(*sizes), checkpoint, "encoder")
+VAE, VALIDITY = "vae", "validity"
 
 
-def load_scores(config: VaeConfig, sensor: Sensor, checkpoint: Path) -> NoveltyScores:
-    """The novelty scores by the decoder of a VAE trial's checkpoint."""
-    size = shown_size(sensor)
-    decoder = trained(lambda: Decoder(size, config.latent_dim, config.width), checkpoint, "decoder")
-    return NoveltyScores(decoder, size).eval()
+def picture_trial(
+    trial: TrialRequest,
+    train: TrainConfig,
+    images: NDArray[np.uint8],
+    data_folder: Path,
+) -> None:
+    """Train what learns from pictures, channels first, and needs no latents: the VAE, or the head."""
+    pictures = torch.tensor(images)
+    module: TrialModule
+    settings: TrialSettings
+    with seeded_initialisation(trial.seed):
+        if trial.name == VALIDITY:
+            module = head_module(data_folder, train.validity, pictures, trial.seed, train.data.outcomes)
+            settings = train.validity
+        else:
+            module, settings = VaeModule(train.vae, pictures, trial.seed), train.vae
+    fit_tracked(trial, module, settings, train.resources, pictures=len(images))
+
+
+def family_trial(
+    trial: TrialRequest,
+    kind: type[Family[Any]],
+    train: TrainConfig,
+    arrays: TrainingArrays,
+    done: Mapping[str, Path],
+) -> None:
+    """Train one trial of a model family; ``done`` holds the checkpoints of the stages before."""
+    with seeded_initialisation(trial.seed):
+        made = kind(train, arrays).trial(trial.name, trial.seed, done)
+    fit_tracked(trial, made.module, made.settings, train.resources, **made.parameters)
 
 
 def has_occupancy(dataset: Dataset, config: ValidityConfig) -> bool:

@@ -4,8 +4,8 @@ from types import SimpleNamespace
 import torch
 
 from training.config import TrainConfig
+from training.jobs.launch import TrialRequest
 from training.models.checkpoint import seeded_initialisation
-from training.trials.launch import TrialRequest
 
 STAGES = {
     "pictures": ("vae", "validity"),

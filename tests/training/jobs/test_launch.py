@@ -8,10 +8,10 @@ from types import SimpleNamespace
 import pytest
 
 from cspace.errors import JobError
-from tests.training.trials.ray_nodes import ray_nodes
+from tests.training.jobs.ray_nodes import ray_nodes
 from training.config import ResourceConfig
 from training.jobs.job import Environment
-from training.trials.launch import FINAL, run_trials
+from training.jobs.launch import FINAL, run_trials
 
 NAMES = ("one", "two", "three")
 # Each death costs a new worker's start.
@@ -31,7 +31,7 @@ def trainable():
     def train(trial, train, notes, plans):
         del train
         from tests.training.models.builders import save, tiny_module
-        from training.trials.launch import LAST
+        from training.jobs.launch import LAST
 
         with Path(notes, trial.name).open("a") as file:
             file.write("attempt\n")

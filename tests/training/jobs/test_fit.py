@@ -7,9 +7,9 @@ from cspace.errors import RegistryUnavailableError
 from tests.fakes.run_log import RecordingRun
 from tests.training.models.builders import tiny_module
 from training.config import ResourceConfig
+from training.jobs.fit import fit
 from training.models.checkpoint import read_checkpoint
 from training.models.families.wgan_gp import WganGpModule
-from training.trials.fit import fit
 
 
 class Killed(RecordingRun):

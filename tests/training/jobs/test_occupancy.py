@@ -12,8 +12,8 @@ from cspace.worlds.planar.world import PlanarWorld
 from tests.training.models.builders import run, save
 from training.clusters.bundling import head_graphs
 from training.config import GridConfig, HeadConfig, ValidityConfig
+from training.jobs.trainables import has_occupancy, head_module, occupancy_samples
 from training.models.checkpoint import load_scene_model
-from training.trials.arrays import has_occupancy, head_module, occupancy_samples
 
 HEAD = ValidityConfig(free_share=0.5)
 FREE = [np.full((3, 2), 0.5, dtype=np.float32), np.full((2, 2), 1.0, dtype=np.float32)]

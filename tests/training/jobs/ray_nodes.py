@@ -21,7 +21,7 @@ def ray_nodes(nodes: Sequence[Mapping[str, Any]]) -> Iterator[list[str]]:
     from ray._private import services, utils
     from ray.cluster_utils import Cluster
 
-    from training.trials.launch import QUIET
+    from training.jobs.launch import QUIET
 
     with pytest.MonkeyPatch.context() as patch:
         for name, value in {"RAY_USAGE_STATS_ENABLED": "0", "RAY_AUTH_MODE": "disabled", **QUIET}.items():
@@ -33,6 +33,8 @@ def ray_nodes(nodes: Sequence[Mapping[str, Any]]) -> Iterator[list[str]]:
         # Nor does a driver of another test look for a cluster here.
         patch.setattr(utils, "write_ray_address", lambda address, temp_dir=None: None)
         patch.setattr(common, "reset_ray_address", lambda temp_dir=None: None)
+        # A test before may have left a Ray of its own.
+        ray.shutdown()
         cluster = Cluster()
         try:
             ids = [

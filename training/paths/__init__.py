@@ -1,1 +1,0 @@
-"""From a data set to a bundle of path samples, trained or searched."""

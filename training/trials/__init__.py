@@ -1,1 +1,0 @@
-"""The trials, a Ray task each: VAE, gate, WGAN-GPs and path models; and searches, by Ray Tune."""
