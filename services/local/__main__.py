@@ -139,9 +139,9 @@ def make_parser() -> argparse.ArgumentParser:
     demo.add_argument("--no-browser", action="store_true", help="print the address alone")
     main_job = add("quickstart", _quickstart, "the main job: up, train, evaluate, promote, serve, plan")
     main_job.add_argument("--world", choices=sorted(TOURS), default="planar", help="default: %(default)s")
-    arm = add("arm", _arm, "your own arm, from its URDF file to a served model")
+    arm = add("arm", _arm, "your own arm, from its URDF or xacro file to a served model")
     arm.add_argument("--untrained", action="store_true", help="serve it by the scene model, without training")
-    arm.add_argument("urdf", type=Path, help="the description")
+    arm.add_argument("urdf", type=Path, help="the description; a name that ends with .xacro is expanded")
     arm.add_argument(
         "import_options",
         nargs=argparse.REMAINDER,

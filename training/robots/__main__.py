@@ -59,6 +59,7 @@ def run(arguments: Sequence[str]) -> list[str]:
         locked=dict(options.lock),
         limits=dict(options.limit),
         packages=dict(options.package),
+        arguments=dict(options.xacro),
         without=options.without,
         kept=options.keep,
         allowances=Allowances(options.slack_mm / 1e3, excess_m, relaxed=options.excess_mm is None),
@@ -83,8 +84,8 @@ def parser() -> argparse.ArgumentParser:
         epilog="Exit codes: 0 done, 1 the disk is bad, 2 the command or the description is wrong.",
     )
     commands = result.add_subparsers(required=True, metavar="COMMAND")
-    one = commands.add_parser("import", help="a serial arm from a URDF file")
-    one.add_argument("urdf", type=Path, help="the description")
+    one = commands.add_parser("import", help="a serial arm from a URDF or xacro file")
+    one.add_argument("urdf", type=Path, help="the description; a name that ends with .xacro is expanded")
     named = "of the robot and its models, as in NAME-sampler; default: the description's"
     one.add_argument("--name", help=named)
     one.add_argument("--srdf", type=Path, help="with the pairs that need no check; default: beside the URDF")
@@ -94,7 +95,8 @@ def parser() -> argparse.ArgumentParser:
     for name, value, kind, help_text in (
         ("--lock", "JOINT=VALUE", finite, held),
         ("--limit", "JOINT=LOW,HIGH", _limits, "instead of the description's, rad; JOINT=none for a circle"),
-        ("--package", "NAME=FOLDER", Path, "where a package of meshes lies"),
+        ("--package", "NAME=FOLDER", Path, "where a package of meshes or xacro files lies"),
+        ("--xacro", "NAME=VALUE", str, "an argument of xacro"),
     ):
         one.add_argument(
             name, action="append", default=[], type=partial(_pair, kind), metavar=value, help=help_text

@@ -1,7 +1,15 @@
-"""Descriptions of robots: URDF by yourdfpy, disabled pairs of SRDF, packages of files."""
+"""Descriptions of robots: URDF by yourdfpy, xacro by xacro, disabled pairs of SRDF, packages of files.
 
+A xacro file holds Python expressions. They are evaluated only if all their parts are on a list
+(:func:`check`), and files are read only from the packages of the description. The expansion runs in a process
+that the kernel bounds (:mod:`cspace.bounded`).
+"""
+
+import ast
+import os
 import re
-from collections.abc import Collection, Mapping, Sequence
+import resource
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -13,10 +21,12 @@ from lxml import etree
 from pydantic import BaseModel, ValidationError
 from yourdfpy import URDF
 
+from cspace import bounded
 from cspace.errors import ScenarioError
 from cspace.files import read_yaml_file
 from cspace.strict_json import refused
 
+XACRO = bounded.Limits(cpu_s=10, wall_s=30.0)
 _UNUSED = ("inertial", "material", "dynamics", "calibration")
 # Elements that are read, and those that say nothing of limits, pairs or shapes.
 _KNOWN = {
@@ -28,6 +38,14 @@ _KNOWN = {
 }  # fmt: skip
 _FILE = "file://"
 _POINTER = b"version https://git-lfs.github.com/spec/"
+# Numbers, strings, collections, arithmetic, comparisons, calls and members. No functions, no comprehensions.
+_ALLOWED = (
+    ast.Expression, ast.Constant, ast.Name, ast.Load, ast.List, ast.Tuple, ast.Dict, ast.Set, ast.BinOp,
+    ast.UnaryOp, ast.BoolOp, ast.Compare, ast.IfExp, ast.Subscript, ast.Slice, ast.Call, ast.keyword,
+    ast.Attribute, ast.operator, ast.unaryop, ast.boolop, ast.cmpop,
+)  # fmt: skip
+# Members that reach others by their text, or types.
+_FORBIDDEN = {"format", "format_map", "mro"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,14 +66,16 @@ class Description:
         return found
 
 
-def read_description(path: Path) -> Description:
-    """The description in a URDF file."""
-    robot = _read_xml(read_file(path), path)
+def read_description(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, str]) -> Description:
+    """The description in a URDF file, or in a ``.xacro`` file, which is expanded with the arguments."""
+    robot = _read_xml(
+        _expanded(path, packages, arguments) if path.suffix == ".xacro" else read_file(path), path
+    )
     if any("xacro" in (etree.QName(element).namespace or "") for element in robot.iter("{*}*")):
         raise ScenarioError(
             f"{path.name} holds xacro, expand it first",
             expected="URDF",
-            remedy=f"run xacro {path.name} > robot.urdf, and import that",
+            remedy="give the file a name that ends with .xacro, and the import expands it",
         )
     notes = _unused(robot.xpath("*|link/*|joint/*"), path)
     etree.strip_elements(robot, *_UNUSED, with_tail=False)
@@ -163,7 +183,7 @@ def read_file(path: Path) -> bytes:
             f"{path} cannot be read",
             expected="a file",
             got=error.strerror,
-            remedy="give the path of a URDF or SRDF file",
+            remedy="give the path of a URDF, xacro or SRDF file",
         ) from error
     if data.startswith(_POINTER):
         raise ScenarioError(
@@ -184,6 +204,21 @@ def _read_xml(data: bytes, path: Path) -> Any:
     if got != "<robot>":
         raise ScenarioError(f"{path.name} is no description", expected="XML with the root <robot>", got=got)
     return found
+
+
+def _expanded(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, str]) -> bytes:
+    folders = {name: str(folder.resolve()) for name, folder in packages.items()}
+    text: str = bounded.call(
+        expand,
+        str(path.resolve()),
+        folders,
+        dict(arguments),
+        limits=XACRO,
+        what=path.name,
+        error=ScenarioError,
+        remedy="import what xacro makes of a larger file elsewhere",
+    )
+    return text.encode()
 
 
 def package_of(folder: Path) -> Path:
@@ -245,3 +280,71 @@ def _is_file(path: Path) -> bool:
     except (OSError, ValueError):
         # A name that no file system takes.
         return False
+
+
+def check(expression: str) -> None:
+    """Refuse an expression of xacro that could do more than compute.
+
+    Raises:
+        ValueError: it has a part that is not on the list, or a member that begins with an underscore.
+    """
+    for node in ast.walk(ast.parse(expression.strip(), mode="eval")):
+        name = node.attr if isinstance(node, ast.Attribute) else ""
+        name = name or (node.id if isinstance(node, ast.Name) and node.id.startswith("__") else "")
+        if not isinstance(node, _ALLOWED) or name.startswith("_") or name in _FORBIDDEN:
+            part = name or type(node).__name__
+            raise ValueError(f"{part} is not allowed in an expression: {expression[:100]}")
+
+
+def expand(file: str, packages: Mapping[str, str], arguments: Mapping[str, str]) -> str:
+    """The text of a xacro file with its macros expanded; to be called in a bounded process."""
+    import xacro  # noqa: PLC0415 - in the worker alone
+
+    os.environ.clear()
+    resource.setrlimit(resource.RLIMIT_NPROC, (0, 0))
+    _restrict(xacro, Path(file).resolve().parent, {name: Path(one) for name, one in packages.items()})
+    try:
+        return str(xacro.process_file(file, mappings=dict(arguments)).toxml())
+    except MemoryError:
+        raise
+    except Exception as problem:  # whatever a stranger's file makes xacro raise
+        raise ScenarioError(
+            f"xacro cannot expand {Path(file).name}",
+            expected="macros and expressions as xacro documents them, and files of its packages alone",
+            got=" ".join(f"{type(problem).__name__}: {problem}".split())[:400],
+            remedy="give arguments by --xacro NAME=VALUE and folders of packages by --package NAME=FOLDER",
+        ) from problem
+
+
+def _restrict(xacro: Any, folder: Path, packages: Mapping[str, Path]) -> None:
+    """Have xacro check expressions, find packages as they are given, and open files of these alone."""
+    from xacro import substitution_args  # noqa: PLC0415
+
+    allowed = [package_of(folder).resolve(), *(one.resolve() for one in packages.values())]
+
+    def find(name: str) -> str:
+        for root in package_roots(name, folder, packages):
+            allowed.append(root.resolve())
+            return str(root)
+        raise ValueError(f"package {name} is not found")
+
+    def open_own(path: str) -> Any:
+        real = Path(path).resolve()
+        if not real.is_file() or not any(real.is_relative_to(root) for root in allowed):
+            raise FileNotFoundError(2, "no file of the description's packages", str(path))
+        return real.open(encoding="utf-8")
+
+    def checked(evaluate: Callable[..., Any]) -> Callable[..., Any]:
+        def evaluated(expression: str, *others: Any) -> Any:
+            check(expression)
+            return evaluate(expression, *others)
+
+        return evaluated
+
+    xacro.open, xacro.safe_eval = open_own, checked(xacro.safe_eval)
+    for name in ("type", "vars"):
+        del xacro._global_symbols["python"][name]  # noqa: SLF001
+    substitution_args._eval = checked(substitution_args._eval)  # noqa: SLF001
+    # As xacro's documentation of use without ROS does.
+    substitution_args._eval_find = find  # noqa: SLF001
+    substitution_args._eval_dict["find"] = find  # noqa: SLF001

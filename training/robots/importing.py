@@ -136,6 +136,7 @@ def import_robot(
     locked: Mapping[str, float] | None = None,
     limits: Mapping[str, Limits] | None = None,
     packages: Mapping[str, Path] | None = None,
+    arguments: Mapping[str, str] | None = None,
     without: Sequence[str] = (),
     kept: Sequence[Sequence[str]] = (),
     allowances: Allowances | None = None,
@@ -146,10 +147,10 @@ def import_robot(
 
     Where they are None, the name is the description's, the SRDF file is that beside it, the tip is the last
     link before a gripper or the first branch, and the arm waits in the middle of its limits. Values of
-    ``locked`` are rad or m, ``limits`` rad, None for a circle. ``report`` takes each part's name before its
+    ``locked`` are rad or m, ``limits`` rad, None for a circle. ``arguments`` are xacro's. ``report`` takes each part's name before its
     spheres are sought.
     """
-    description = read_description(urdf)
+    description = read_description(urdf, packages or {}, arguments or {})
     srdf, allowances = srdf or find_srdf(urdf), allowances or Allowances()
     disabled, notes = ({}, []) if srdf is None else read_srdf(srdf, description.links)
     notes = [*description.notes, *notes]

@@ -43,6 +43,7 @@ OBJ = b"v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0 0 0.1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2
 URDF = TWO_LINKS.replace('<box size="0.04 0.06 0.1"/>', '<mesh filename="tip.obj" scale="1 1 1"/>')
 URDF = URDF.replace('<cylinder radius="0.05" length="0.3"/>', '<sphere radius="0.05"/>').partition("?>")[2]
 SRDF = '<robot name="two"><disable_collisions link1="base" link2="lower" reason="Never"/></robot>'
+XACRO = URDF.replace(">", ' xmlns:xacro="http://www.ros.org/wiki/xacro">', 1).replace("0.12", "${0.24 / 2}")
 CORNER = trimesh.load_mesh(trimesh.util.wrap_as_stream(OBJ), file_type="obj")
 MESHES = {"obj": OBJ} | {end: CORNER.export(file_type=end) for end in ("stl", "ply", "dae")}
 NUMBERS = (
@@ -85,6 +86,13 @@ DOCTYPES = (
     '<!DOCTYPE robot [<!ENTITY % p SYSTEM "{out}/secret.obj">%p;]>',
     f'<!DOCTYPE robot [<!ENTITY x0 "aaaaaaaaaa">{LAUGHS}<!ENTITY x "&x9;">]>',
 )
+SNIPPETS = (
+    '<a b="${9**9**9}"/>', '<a b="${[0] * 10**9}"/>', '<a b="${().__class__}"/>', '<a b="$(env HOME)"/>',
+    "<a b=\"${open('{out}/secret.obj').read()}\"/>", "<a b=\"${xacro.load_yaml('{out}/secret.obj')}\"/>",
+    '<a b="$(eval 9**9**9)"/>', '<a b="$(find out)"/>', '<xacro:include filename="{out}/secret.obj"/>',
+    '<xacro:include filename="pipe.obj"/>', '<xacro:macro name="m"><xacro:m/></xacro:macro><xacro:m/>',
+    '<xacro:property name="p" value="${p}"/><a b="${p}"/>', '<xacro:if value="${x}"><a/></xacro:if>',
+)  # fmt: skip
 ENDLESS = "(WITH RECURSIVE r(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM r) SELECT x FROM r)"
 STATEMENTS = (
     "UPDATE topics SET name = NULL",
@@ -154,6 +162,11 @@ def changed_xml(rng: Rng, text: str | bytes, out: str) -> bytes:
 
 def urdf(rng: Rng, folder: Path, out: str) -> Read:
     return _robot(folder / "two.urdf", changed_xml(rng, URDF, out))
+
+
+def xacro(rng: Rng, folder: Path, out: str) -> Read:
+    more = rng.choice((rng.choice(SNIPPETS), "")).replace("{out}", out)
+    return _robot(folder / "two.xacro", changed_xml(rng, XACRO.replace("<joint", more + "<joint", 1), out))
 
 
 def srdf(rng: Rng, folder: Path, out: str) -> Read:
@@ -238,7 +251,7 @@ def _changed_head(rng: Rng, data: bytes) -> bytes:
     return b"cspace-view 1 " + json.dumps(values).encode() + b"\n" + rest
 
 
-KINDS = {one.__name__: one for one in (urdf, srdf, mesh, recording, view)}
+KINDS = {one.__name__: one for one in (urdf, xacro, srdf, mesh, recording, view)}
 
 
 def try_mutants(kind: str, first: int, count: int) -> dict[str, Any]:

@@ -8,9 +8,10 @@ from tests.training.data.mutants import KINDS, MOST_S, run
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_changed_file_is_read_or_refused_within_its_limits(kind: str) -> None:
-    found = run(kind, 0, 60)
+    count = 10 if kind == "xacro" else 60
+    found = run(kind, 0, count)
     assert found["faults"] == []
     assert found["slowest"][0] < MOST_S
-    assert sum(found["outcomes"].values()) == 60
+    assert sum(found["outcomes"].values()) == count
     assert found["outcomes"]["read"] >= 2
     assert found["outcomes"]["refused"] >= 2

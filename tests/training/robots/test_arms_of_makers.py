@@ -68,7 +68,7 @@ def test_kinematics_are_pinocchios(name: str) -> None:
     pin = pytest.importorskip("pinocchio", reason="needs the extra spatial")
     file, tip, locked, joints = ARMS[name]
     path = published(file)
-    description = read_description(path)
+    description = read_description(path, {}, {})
     chain = read_chain(description, tip, locked, {})
     arm = SerialArm(description.name, chain.joints, (), (), chain.tool)
     assert arm.dim == joints

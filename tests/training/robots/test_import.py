@@ -99,7 +99,7 @@ def test_pairs_that_can_touch_are_those_that_spheres_show(tmp_path: Path) -> Non
 
 
 def test_held_joints_carry_what_hangs_on_them(tmp_path: Path) -> None:
-    description = read_description(described(tmp_path, with_more(FINGER)))
+    description = read_description(described(tmp_path, with_more(FINGER)), {}, {})
     chain = read_chain(description, "finger", {"slide": 0.02, "shoulder": 0.0}, {"elbow": (-1.0, 1.0)})
     assert [joint.name for joint in chain.joints] == ["elbow"]
     assert chain.joints[0].limits_rad == (-1.0, 1.0)
@@ -139,18 +139,18 @@ def test_one_mesh_that_is_named_two_hundred_times_ends_within_the_limit_of_memor
 
 
 def test_without_a_tip_the_last_link_before_a_gripper_is_taken_and_named(tmp_path: Path) -> None:
-    chain = read_chain(read_description(described(tmp_path, with_more(FINGER))), None, {}, {})
+    chain = read_chain(read_description(described(tmp_path, with_more(FINGER)), {}, {}), None, {}, {})
     assert [joint.name for joint in chain.joints] == ["shoulder", "elbow"]
     assert [
         note for note in chain.notes if note.startswith("the tip is lower, the last link before the gripper")
     ]
     # The wrist's joint turns a gripper's link, and is the arm's.
     text = with_more(FINGER).replace('"lower"', '"jaw_lower"')
-    turned = read_chain(read_description(described(tmp_path, text)), None, {}, {})
+    turned = read_chain(read_description(described(tmp_path, text), {}, {}), None, {}, {})
     assert [joint.name for joint in turned.joints] == ["shoulder", "elbow"]
     fork = "".join(f'<link name="{one}"/>{TOOL_JOINT.format(one)}' for one in ("camera", "plate"))
     described(tmp_path, with_more(fork + "</robot>"))
-    chain = read_chain(read_description(tmp_path / "two.urdf"), None, {}, {})
+    chain = read_chain(read_description(tmp_path / "two.urdf", {}, {}), None, {}, {})
     assert any(
         note.startswith("the tip is gripper, the last link before the first branch") for note in chain.notes
     )

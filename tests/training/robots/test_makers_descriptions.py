@@ -1,5 +1,6 @@
 """Descriptions as makers write them: the right robot, or an error with names, line and what to do."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -182,8 +183,117 @@ def test_a_large_arm_gets_voxels_that_its_world_can_hold(tmp_path: Path) -> None
 XACRO = '<robot name="made" xmlns:xacro="http://www.ros.org/wiki/xacro">'
 
 
-def test_xacro_is_refused_with_the_command_that_expands_it(tmp_path: Path) -> None:
+def test_xacro_in_a_urdf_file_is_refused_with_its_line(tmp_path: Path) -> None:
     text = chain().replace('<robot name="three">', XACRO)
     text = text.replace("</robot>", '<xacro:gripper parent="l3"/></robot>')
-    with pytest.raises(ScenarioError, match=r"run xacro two\.urdf > robot\.urdf"):
+    with pytest.raises(ScenarioError, match=r"expand it first.*\.xacro"):
         imported(tmp_path, text)
+
+
+def test_xacro_files_are_expanded_with_arguments_and_packages(tmp_path: Path) -> None:
+    package = tmp_path / "parts"
+    package.mkdir()
+    (package / "ball.xacro").write_text(
+        XACRO + '<xacro:macro name="ball" params="name"><link name="${name}"><collision><geometry>'
+        '<sphere radius="${0.1 / 2}"/></geometry></collision></link></xacro:macro></robot>',
+        encoding="utf-8",
+    )
+    text = (
+        XACRO + '<xacro:arg name="most" default="1"/><xacro:include filename="$(find parts)/ball.xacro"/>'
+        '<xacro:ball name="a"/><xacro:ball name="b"/><joint name="j" type="revolute"><parent link="a"/>'
+        '<child link="b"/><origin xyz="0 0 1"/><limit lower="-1" upper="$(arg most)"/></joint></robot>'
+    )
+    path = described(tmp_path, text, "made.urdf.xacro")
+    with pytest.raises(ScenarioError, match=r"package parts is not found.*--package NAME=FOLDER"):
+        import_robot(path)
+    found = import_robot(path, packages={"parts": package}, arguments={"most": "0.5"})
+    assert found.arm.joints[0].limits_rad == (-1.0, 0.5)
+    assert found.arm.parts[1].spheres_m == ((0.0, 0.0, 0.0, 0.05),)
+
+
+# In the style of five makers: properties from YAML with their tags, members, dictionaries, blocks, defaults,
+# conditions, lengths, methods of strings, powers, angles in degrees.
+MAKERS = """
+<xacro:arg name="gripper" default="false"/>
+<xacro:property name="config" value="${xacro.load_yaml('$(find maker_arm)/limits.yaml')}"/>
+<xacro:property name="sizes" value="${dict(radius=0.1 / 2, names=['a', 'b', 'c'])}"/>
+<xacro:property name="limits" value="${config['joint_limits']}" lazy_eval="false"/>
+<xacro:macro name="ball-link" params="name prefix:='' sizes:=^ *inside **more">
+  <xacro:unless value="${name in sizes['names']}">${xacro.warning('unknown ' + name)}</xacro:unless>
+  <link name="${prefix + '_' if prefix else ''}${name}">
+    <collision>
+      <xacro:insert_block name="inside"/><geometry><sphere radius="${sizes['radius']}"/></geometry>
+    </collision>
+    <xacro:insert_block name="more"/>
+  </link>
+</xacro:macro>
+<xacro:macro name="turning" params="name parent child xyz:='0 0 1' at=0.5">
+  <xacro:property name="own" value="${limits[name]}"/>
+  <joint name="${name}" type="revolute"><parent link="${parent}"/><child link="${child}"/>
+    <origin xyz="${xyz.split(' ')[0]} 0 ${2 ** 2 * at / 4}" rpy="0 ${radians(90) - pi / 2} ${sin(0)}"/>
+    <axis xyz="${' '.join(['0', '1', '0'])}"/>
+    <limit lower="${own.lower}" upper="${min(own.upper, 2.0)}"/></joint>
+</xacro:macro>
+<xacro:ball-link name="a"><origin xyz="0 0 0.1"/><more/></xacro:ball-link>
+<xacro:ball-link name="b"><origin xyz="0 0 0"/><more/></xacro:ball-link>
+<xacro:turning name="j1" parent="a" child="b"/>
+<xacro:if value="${'$(arg gripper)' == 'true' and len(sizes['names']) == 3 and not 0 > 1}">
+  <xacro:ball-link name="c" prefix="left"><origin/><more/></xacro:ball-link>
+  <xacro:turning name="j2" parent="b" child="left_c" xyz="0.2 0 0" at="$(eval 1 / 2)"/>
+</xacro:if>
+"""
+
+
+def test_what_makers_write_in_xacro_is_expanded(tmp_path: Path) -> None:
+    package = tmp_path / "maker_arm"
+    package.mkdir()
+    (package / "package.xml").touch()
+    limits = (
+        "joint_limits:\n  j1: {lower: !degrees -90, upper: 1.5}\n  j2: {lower: !radians -pi/4, upper: 9.0}\n"
+    )
+    (package / "limits.yaml").write_text(limits, encoding="utf-8")
+    path = described(package, f"{XACRO}{MAKERS}</robot>", "arm.urdf.xacro")
+    arm = import_robot(path, arguments={"gripper": "true"}).arm
+    assert [part.name for part in arm.parts] == ["a", "b", "left_c"]
+    np.testing.assert_allclose(
+        [joint.limits_rad for joint in arm.joints], [(-np.pi / 2, 1.5), (-np.pi / 4, 2.0)]
+    )
+    np.testing.assert_allclose(arm.joints[1].origin.xyz_m, [0.2, 0.0, 0.5])
+    assert arm.parts[0].spheres_m == ((0.0, 0.0, 0.1, 0.05),)
+
+
+GLOBALS = "[c for c in ().__class__.__base__.__subclasses__()][0].__init__.__globals__"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('<xacro:include filename="{outside}/secret.xacro"/>', "no file of .*secret.xacro"),
+        ('<xacro:include filename="link.xacro"/>', "no file of .*link.xacro"),
+        ("<link name=\"${{xacro.load_yaml('{outside}/secret.yaml')['a']}}\"/>", "no file of .*secret.yaml"),
+        ('<link name="$(env HOME)"/>', "HOME"),
+        ("<link name=\"${{''.__class__}}\"/>", "__class__ is not allowed"),
+        (f'<link name="${{{{(lambda: {GLOBALS})()}}}}"/>', "Lambda is not allowed"),
+        (f'<link name="${{{{{GLOBALS}}}}}"/>', "is not allowed"),
+        ('<link name="$(eval lambda: 1)"/>', "Lambda is not allowed"),
+        ("<link name=\"$(eval ''.__class__)\"/>", "not allowed|double underscore"),
+        ('<link name="${{python.vars(python.type(1))}}"/>', "has no attribute|type|vars"),
+        ("<link name=\"${{'a'.format(1)}}\"/>", "format is not allowed"),
+        ('<link name="${{str.mro()}}"/>', "mro is not allowed"),
+        ('<xacro:macro name="m"><xacro:m/></xacro:macro><xacro:m/>', "recursion"),
+        ('<xacro:include filename="pipe.xacro"/>', "no file of .*pipe.xacro"),
+        ('<link name="${{9**9**9}}"/>', "no end within 10 s of a core"),
+    ],
+)
+@pytest.mark.slow
+def test_xacro_reads_nothing_outside_its_packages_and_ends(tmp_path: Path, text: str, message: str) -> None:
+    outside, folder = tmp_path / "outside", tmp_path / "arm"
+    outside.mkdir()
+    folder.mkdir()
+    (outside / "secret.xacro").write_text(XACRO + '<link name="secret"/></robot>', encoding="utf-8")
+    (outside / "secret.yaml").write_text("a: secret", encoding="utf-8")
+    (folder / "link.xacro").symlink_to(outside / "secret.xacro")
+    os.mkfifo(folder / "pipe.xacro")
+    path = described(folder, XACRO + text.format(outside=outside) + "</robot>", "made.xacro")
+    with pytest.raises(ScenarioError, match=rf"made\.xacro.*({message})"):
+        import_robot(path)
