@@ -17,6 +17,7 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from io import BufferedReader
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -44,6 +45,7 @@ _THREADS = {
 }
 _FIELDS = ("what", "expected", "got", "remedy")
 _STARTED = b"started\n"
+_PRINTED_BYTES = 2**20
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +71,7 @@ def call(
     error: type[CspaceError],
     remedy: str | None = None,
 ) -> Any:
-    """The function's result; what it prints is printed here."""
+    """The function's result; the first MiB of what it prints goes to the standard error stream."""
     environment = {name: os.environ[name] for name in _ENVIRONMENT if name in os.environ} | _THREADS
     environment["PYTHONPATH"] = os.pathsep.join(place for place in sys.path if place)
     name = f"{_module_of(function)}:{function.__qualname__}"
@@ -80,10 +82,19 @@ def call(
             os.fdopen(reading, "rb") as results,
             os.fdopen(writing, "wb") as theirs,
             subprocess.Popen(
-                command, stdin=subprocess.PIPE, env=environment, pass_fds=[writing], process_group=0
+                command,
+                stdin=subprocess.PIPE,
+                # A pipe: the limit of a file's size would hold for a log as well.
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                env=environment,
+                pass_fds=[writing],
+                process_group=0,
             ) as worker,
         ):
             theirs.close()
+            printing = threading.Thread(target=_print, args=(worker.stdout,), daemon=True)
+            printing.start()
             # It ends when its standard input does: with this process, however that ends.
             timer = threading.Timer(START_S + limits.wall_s, worker.kill)
             timer.start()
@@ -94,6 +105,7 @@ def call(
                     worker.stdin.flush()
                 answer = results.read()
                 worker.wait()
+                printing.join(1.0)
             finally:
                 timer.cancel()
                 worker.kill()
@@ -104,6 +116,16 @@ def call(
             f"{what} cannot be read: its process ended before it began", got=f"status {worker.returncode}"
         )
     return _result(answer[len(_STARTED) :], worker.returncode, limits, what, error, remedy)
+
+
+def _print(source: BufferedReader) -> None:
+    left = _PRINTED_BYTES
+    # Closed, where something that it started holds it longer.
+    with suppress(ValueError, OSError):
+        while chunk := source.read1():
+            sys.stderr.write(chunk[:left].decode(errors="replace"))
+            sys.stderr.flush()
+            left -= len(chunk[:left])
 
 
 def _result(
