@@ -19,7 +19,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass
 from io import BufferedReader
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TextIO
 
 from cspace import errors
 from cspace.errors import CspaceError, ServiceError
@@ -71,7 +71,7 @@ def call(
     error: type[CspaceError],
     remedy: str | None = None,
 ) -> Any:
-    """The function's result; the first MiB of what it prints goes to the standard error stream."""
+    """The function's result; the first MiB of each stream that it prints is printed here."""
     environment = {name: os.environ[name] for name in _ENVIRONMENT if name in os.environ} | _THREADS
     environment["PYTHONPATH"] = os.pathsep.join(place for place in sys.path if place)
     name = f"{_module_of(function)}:{function.__qualname__}"
@@ -84,17 +84,19 @@ def call(
             subprocess.Popen(
                 command,
                 stdin=subprocess.PIPE,
-                # A pipe: the limit of a file's size would hold for a log as well.
+                # Pipes: the limit of a file's size would hold for a log as well.
                 stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
+                stderr=subprocess.PIPE,
                 env=environment,
                 pass_fds=[writing],
                 process_group=0,
             ) as worker,
         ):
             theirs.close()
-            printing = threading.Thread(target=_print, args=(worker.stdout,), daemon=True)
-            printing.start()
+            streams = ((worker.stdout, sys.stdout), (worker.stderr, sys.stderr))
+            printing = [threading.Thread(target=_print, args=one, daemon=True) for one in streams]
+            for one in printing:
+                one.start()
             # It ends when its standard input does: with this process, however that ends.
             timer = threading.Timer(START_S + limits.wall_s, worker.kill)
             timer.start()
@@ -105,7 +107,8 @@ def call(
                     worker.stdin.flush()
                 answer = results.read()
                 worker.wait()
-                printing.join(1.0)
+                for one in printing:
+                    one.join(1.0)
             finally:
                 timer.cancel()
                 worker.kill()
@@ -118,13 +121,13 @@ def call(
     return _result(answer[len(_STARTED) :], worker.returncode, limits, what, error, remedy)
 
 
-def _print(source: BufferedReader) -> None:
+def _print(source: BufferedReader, stream: TextIO) -> None:
     left = _PRINTED_BYTES
     # Closed, where something that it started holds it longer.
     with suppress(ValueError, OSError):
         while chunk := source.read1():
-            sys.stderr.write(chunk[:left].decode(errors="replace"))
-            sys.stderr.flush()
+            stream.write(chunk[:left].decode(errors="replace"))
+            stream.flush()
             left -= len(chunk[:left])
 
 
