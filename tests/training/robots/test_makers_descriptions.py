@@ -190,6 +190,13 @@ def test_xacro_in_a_urdf_file_is_refused_with_its_line(tmp_path: Path) -> None:
         imported(tmp_path, text)
 
 
+def test_attributes_with_an_undeclared_prefix_are_left_out(tmp_path: Path) -> None:
+    found = imported(tmp_path, chain().replace("<limit ", '<limit drake:acceleration="3" '))
+    assert len(found.arm.joints) == len(imported(tmp_path, chain()).arm.joints)
+    with pytest.raises(ScenarioError, match=r"no description.*drake:joint"):
+        imported(tmp_path, chain().replace("</robot>", '<drake:joint name="j9"/></robot>'))
+
+
 def test_xacro_files_are_expanded_with_arguments_and_packages(tmp_path: Path) -> None:
     package = tmp_path / "parts"
     package.mkdir()
