@@ -21,7 +21,7 @@ FAST := not slow and not e2e and not compose and not browser and not gpu
 ALL := not compose and not gpu
 
 .DEFAULT_GOAL := help
-.PHONY: interpreter location help venv demo quickstart arm test test-all check pins audit format docs docs-links up down status env clean-state
+.PHONY: interpreter location help venv demo quickstart arm test test-all check pins hashes audit format docs docs-links up down status env clean-state
 
 help: ## print this
 	@echo "make TARGET, with"
@@ -76,15 +76,31 @@ check: $(INSTALLED) ## format, lint, types, import rules, images, compose file, 
 pins: $(INSTALLED) ## constraints.txt resolves for every supported Python and pins all that is installed; wants the internet
 	@for version in 3.11 3.12 3.13; do \
 	  $(BIN)/uv pip compile --quiet --no-header --no-annotate --only-binary :all: --all-extras -c constraints.txt \
-	    --python-version "$$version" --python-platform x86_64-manylinux_2_28 pyproject.toml docker/mlflow.txt \
+	    --python-version "$$version" --python-platform x86_64-manylinux_2_28 pyproject.toml docker/mlflow.in \
 	    > $(VENV)/pins.txt || exit 1; \
 	  ! grep -vxF -e clients/python -f constraints.txt $(VENV)/pins.txt || { \
 	    echo "Python $$version: these are not pinned in constraints.txt" >&2; exit 1; }; \
 	  echo "Python $$version: $$(wc -l < $(VENV)/pins.txt) packages, all pinned"; \
 	done
 
+# Of the images: every package with its hashes. torch and the CUDA libraries are apart, for torch may have another index.
+LOCK := $(BIN)/uv pip compile --quiet --no-annotate --only-binary :all: --generate-hashes -c constraints.txt \
+  --custom-compile-command 'make hashes' --python-version 3.11 --python-platform x86_64-manylinux_2_28
+CUDA = $(shell sed -nE 's/^((torch|triton|(nvidia|cuda)-[^=]*)==.*)/\1/p' constraints.txt)
+
+hashes: $(INSTALLED) ## docker/*.txt: what the images install, with hashes, of constraints.txt; wants the internet
+	$(LOCK) pyproject.toml --extra api --extra plan --extra signing --extra tracing --no-emit-package cspace-client \
+	  -o docker/api.txt
+	$(LOCK) docker/mlflow.in -o docker/mlflow.txt
+	printf '%s\n' $(CUDA) | $(LOCK) --no-deps - -o docker/torch.txt
+	$(LOCK) pyproject.toml --extra train --no-emit-package cspace-client \
+	  $(foreach pin,$(CUDA),--no-emit-package $(firstword $(subst ==, ,$(pin)))) -o docker/ray.txt
+
+# --strict: a package that the index of vulnerabilities does not know is an error.
 audit: $(INSTALLED) ## known vulnerabilities of what constraints.txt pins, by pip-audit; wants the internet
-	$(BIN)/uv tool run pip-audit --requirement constraints.txt --no-deps --disable-pip
+	@$(BIN)/uv tool run pip-audit --requirement constraints.txt --no-deps --disable-pip --strict || { \
+	  echo "Not audited, or something was found: see above. pip-audit asks PyPI's JSON API, which a mirror may lack." >&2; \
+	  exit 1; }
 
 format: $(INSTALLED) ## mend format and lint where a tool can
 	$(BIN)/ruff format .

@@ -14,9 +14,11 @@ import resource
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +45,7 @@ _SETTINGS = {
     "MPLBACKEND": "agg",
 }
 _STARTED = b"started\n"
+_PRINTED_BYTES = 2**20
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG
 
 
@@ -69,25 +72,35 @@ def call(
     error: type[CspaceError],
     remedy: str | None = None,
 ) -> Any:
-    """The function's result, of arguments that JSON can hold; what it prints goes to standard error."""
+    """The function's result, of arguments that JSON can hold; the first MiB that it prints is printed here."""
     environment = {name: os.environ[name] for name in _ENVIRONMENT if name in os.environ} | _SETTINGS
     environment["PYTHONPATH"] = os.pathsep.join(place for place in sys.path if place)
     main = sys.modules["__main__"].__spec__
     module = main.name if function.__module__ == "__main__" and main else function.__module__
     job = json.dumps([module, function.__qualname__, arguments, asdict(limits)]).encode()
-    try:
-        worker = subprocess.run(
-            [sys.executable, "-P", "-m", "cspace.bounded"],
-            input=job,
-            stdout=subprocess.PIPE,
-            env=environment,
-            timeout=START_S + limits.wall_s,
-            process_group=0,
-            check=False,
-        )
-        status, answer = worker.returncode, worker.stdout
-    except subprocess.TimeoutExpired as problem:
-        status, answer = -signal.SIGALRM, problem.stdout or b""
+    command = [sys.executable, "-P", "-m", "cspace.bounded"]
+    # Pipes: the limit of a file's size would hold for a log as well.
+    with subprocess.Popen(
+        command,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env=environment,
+        process_group=0,
+    ) as worker:
+        assert worker.stdin and worker.stdout and worker.stderr  # noqa: S101, PT018 - for the type checker
+        printing = threading.Thread(target=_print, args=(worker.stderr,), daemon=True)
+        printing.start()
+        timer = threading.Timer(START_S + limits.wall_s, worker.kill)
+        timer.start()
+        try:
+            with suppress(BrokenPipeError), worker.stdin:
+                worker.stdin.write(job)
+            answer, status = worker.stdout.read(), worker.wait()
+            printing.join(1.0)
+        finally:
+            timer.cancel()
+            worker.kill()
     if not answer.startswith(_STARTED):
         raise ServiceError(f"{what} cannot be read: its process did not start", got=f"status {status}")
     found = json.loads(answer.removeprefix(_STARTED) or b"{}")
@@ -102,6 +115,16 @@ def call(
         status, found.get("limit", f"its process ended with status {status}, most likely for want of memory")
     )
     raise error(f"{what} needs more than it may have", expected=str(limits), got=got, remedy=remedy)
+
+
+def _print(source: BufferedReader) -> None:
+    left = _PRINTED_BYTES
+    # Closed, where something that the worker started holds it longer.
+    with suppress(ValueError, OSError):
+        while chunk := source.read1():
+            sys.stderr.write(chunk[:left].decode(errors="replace"))
+            sys.stderr.flush()
+            left -= len(chunk[:left])
 
 
 def _limit_resources(limits: Limits) -> None:

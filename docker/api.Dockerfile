@@ -1,15 +1,8 @@
 # The inference API: onnxruntime, FastAPI and the compiled search of plans, no training framework. Build context: the repository.
-FROM python:3.11-slim-bookworm AS requirements
-WORKDIR /src
-COPY pyproject.toml docker/requirements.py ./
-COPY clients/python/pyproject.toml clients/python/
-RUN python requirements.py api plan signing tracing > /requirements.txt
-
-FROM python:3.11-slim-bookworm
-COPY --from=requirements /requirements.txt /tmp/requirements.txt
-COPY constraints.txt /tmp/constraints.txt
-RUN pip install --no-cache-dir --only-binary :all: -c /tmp/constraints.txt pip \
- && pip install --no-cache-dir --only-binary :all: -c /tmp/constraints.txt -r /tmp/requirements.txt
+ARG PYTHON_IMAGE=python:3.11-slim-bookworm@sha256:a36c24f9cbdf4fd0f52d67f0823eeac19c2028c637cecc392d97f980d4fec56b
+FROM ${PYTHON_IMAGE}
+COPY docker/api.txt /tmp/
+RUN pip install --no-cache-dir --only-binary :all: --no-deps --require-hashes -r /tmp/api.txt
 
 RUN useradd --uid 1000 --create-home cspace \
  && install -d -o cspace -g cspace /var/lib/cspace/models /var/lib/outcomes /opt/cspace/kernels

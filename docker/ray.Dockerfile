@@ -1,21 +1,18 @@
 # Every Ray node and the one-shot jobs: the training stack and the project's sources. Build context: the repository.
-FROM python:3.11-slim-bookworm AS requirements
-WORKDIR /src
-COPY pyproject.toml docker/requirements.py ./
-COPY clients/python/pyproject.toml clients/python/
-RUN python requirements.py train > /requirements.txt
-
-FROM python:3.11-slim-bookworm
+ARG PYTHON_IMAGE=python:3.11-slim-bookworm@sha256:a36c24f9cbdf4fd0f52d67f0823eeac19c2028c637cecc392d97f980d4fec56b
+FROM ${PYTHON_IMAGE}
 # On Linux, torch's default package brings several GB of CUDA libraries; PyTorch's index for processors avoids them.
-# Nothing but torch is taken from there: an index that supplies every package could replace any of them.
+# Nothing but torch is taken from there: an index that supplies every package could replace any of them. Its builds have
+# other hashes than those of docker/torch.txt.
 ARG TORCH_INDEX_URL=""
-# The requirements come from a stage of their own: the heavy layer is rebuilt when they change, not when code does.
-COPY --from=requirements /requirements.txt /tmp/requirements.txt
-COPY constraints.txt /tmp/constraints.txt
-RUN pip install --no-cache-dir --only-binary :all: -c /tmp/constraints.txt pip \
- && pip install --no-cache-dir --only-binary :all: -c /tmp/constraints.txt --no-deps \
-      ${TORCH_INDEX_URL:+--index-url "$TORCH_INDEX_URL"} torch \
- && pip install --no-cache-dir --only-binary :all: -c /tmp/constraints.txt -r /tmp/requirements.txt
+COPY docker/torch.txt docker/ray.txt /tmp/
+RUN if [ -n "$TORCH_INDEX_URL" ]; then \
+      pip install --no-cache-dir --only-binary :all: --no-deps --index-url "$TORCH_INDEX_URL" \
+        "$(sed -n 's/^\(torch==[^ ]*\).*/\1/p' /tmp/torch.txt)"; \
+    else \
+      pip install --no-cache-dir --only-binary :all: --no-deps --require-hashes -r /tmp/torch.txt; \
+    fi \
+ && pip install --no-cache-dir --only-binary :all: --no-deps --require-hashes -r /tmp/ray.txt
 
 RUN useradd --uid 1000 --create-home cspace \
  && install -d -o cspace -g cspace /var/lib/cspace /var/lib/outcomes

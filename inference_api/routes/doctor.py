@@ -53,7 +53,7 @@ def doctor(
         novelty = pictures.prepare(bundle, view, place.check_cancelled).picture.novelty
     except ImageError:
         # Nothing in reach, which is among the verdicts.
-        novelty = None
+        novelty = None if bundle.spec.novelty_quantiles is None else 1.0
     found, ended = found.with_novelty(novelty), time.perf_counter()
     metrics.answered(Answered("diagnosis", served))
     return json_response(

@@ -222,28 +222,49 @@ def test_the_example_settings_are_the_file_s_settings_with_its_defaults(root: Pa
     assert documented == used
 
 
+DIGEST = r"@sha256:[0-9a-f]{64}"
+
+
 @pytest.mark.parametrize("dockerfile", DOCKERFILES, ids=lambda path: path.name)
-def test_dockerfiles_build_on_a_pinned_base_and_end_without_root(dockerfile: Path) -> None:
+def test_dockerfiles_build_on_a_base_by_digest_and_end_without_root(dockerfile: Path) -> None:
     text = dockerfile.read_text(encoding="utf-8")
     assert "# syntax" not in text
-    base = "debian:bookworm-slim" if dockerfile.stem == "nginx" else "python:3.11-slim-bookworm"
-    assert set(re.findall(r"^FROM (\S+)", text, re.MULTILINE)) == {base}
+    ((name, base),) = re.findall(r"^ARG (\w+_IMAGE)=(\S+)$", text, re.MULTILINE)
+    expected = "debian:bookworm-slim" if dockerfile.stem == "nginx" else "python:3.11-slim-bookworm"
+    assert re.fullmatch(expected + DIGEST, base)
+    assert re.findall(r"^FROM (\S+)", text, re.MULTILINE) == [f"${{{name}}}"]
     assert re.findall(r"^USER (\S+)", text, re.MULTILINE)[-1] == "1000"
 
 
+def test_images_of_others_are_named_by_digest(services: Mapping[str, Any]) -> None:
+    foreign = {one["image"] for one in services.values() if not one["image"].startswith(OWN_IMAGE)}
+    assert len(foreign) == 1
+    assert all(re.fullmatch(r"\$\{\w+:-[\w:.]+" + DIGEST + r"\}", image) for image in foreign)
+
+
 @pytest.mark.parametrize("dockerfile", DOCKERFILES, ids=lambda path: path.name)
-def test_images_take_pinned_wheels_and_torch_alone_from_another_index(dockerfile: Path) -> None:
+def test_images_take_wheels_with_hashes_and_torch_alone_from_another_index(dockerfile: Path) -> None:
     text = dockerfile.read_text(encoding="utf-8").replace("\\\n", "")
-    installs = [line.strip() for line in re.split(r"\n| && ", text) if "pip install" in line]
-    assert all("--only-binary :all: -c /tmp/constraints.txt" in line for line in installs)
-    assert "EXTRA_INDEX" not in text
-    for line in installs:
-        assert "--index-url" not in line or ("--no-deps" in line and line.split()[-1] == "torch")
+    installs = [line for line in re.split(r"\n| && |;", text) if "pip install" in line]
+    assert all("--only-binary :all: --no-deps" in line for line in installs)
+    without = [line for line in installs if "--require-hashes -r /tmp/" not in line]
+    assert len(without) == (dockerfile.stem == "ray")
+    assert all("--index-url" in line and "torch==" in line for line in without)
+
+
+@pytest.mark.parametrize("name", ["api", "mlflow", "ray", "torch"])
+def test_what_the_images_install_has_the_pinned_versions(root: Path, name: str) -> None:
+    pins = set((root / "constraints.txt").read_text(encoding="utf-8").splitlines())
+    text = (root / "docker" / f"{name}.txt").read_text(encoding="utf-8")
+    found = set(re.findall(r"^(\S+==\S+) \\$", text, re.MULTILINE))
+    assert found
+    assert found <= pins
 
 
 def test_the_api_image_holds_no_training(root: Path) -> None:
     text = (root / "docker" / "api.Dockerfile").read_text(encoding="utf-8")
-    assert re.findall(r"requirements\.py (\w+)", text) == ["api"]
+    assert re.findall(r"-r /tmp/(\S+)", text) == ["api.txt"]
+    assert not re.search(r"^(torch|ray|mlflow)==", (root / "docker/api.txt").read_text("utf-8"), re.MULTILINE)
     assert "COPY training" not in text
 
 

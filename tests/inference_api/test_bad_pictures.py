@@ -169,8 +169,8 @@ def test_a_right_view_has_no_verdicts_and_a_misplaced_camera_a_better_pose(api: 
 def test_a_view_that_other_routes_refuse_is_diagnosed(api: ApiClient) -> None:
     turned = replace(CAMERA, pose=pose_of(CAMERA.matrix @ np.diag([1.0, -1.0, -1.0, 1.0])))
     answer = diagnosed(api, turned).json()
-    assert {"nothing-in-reach", "opengl-frame"} <= {one["code"] for one in answer["verdicts"]}
-    assert answer["scenario"]["novelty"] is None
+    assert {"nothing-in-reach", "opengl-frame", "novel"} <= {one["code"] for one in answer["verdicts"]}
+    assert answer["scenario"]["novelty"] == 1.0
     np.testing.assert_allclose(answer["poses"][0]["pose"], CAMERA.matrix, atol=1e-9)
 
 

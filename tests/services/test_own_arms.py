@@ -136,6 +136,18 @@ def test_an_arm_without_training_is_registered_served_and_planned_with(
     assert any("model=bench-arm-5-sampler" in line for line in lines)
 
 
+def test_an_arm_for_which_no_scene_has_a_problem_is_served_all_the_same(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said, lines = stub_python(tmp_path, monkeypatch, 0, 2), []
+    monkeypatch.setattr("services.local.quickstart.wait_served", lambda *_, **__: None)
+    monkeypatch.setattr("cspace.worlds.spatial.problems.MAX_DRAWS", 0)
+    serve_untrained(Settings(home=tmp_path / "home"), file, lines.append)
+    assert "services.planner" not in said.read_text()
+    assert any("no plan to show: no problem" in line for line in lines)
+    assert any("model=bench-arm-5-sampler" in line for line in lines)
+
+
 @pytest.mark.parametrize(("making", "planning", "says"), [(1, 0, "was not made"), (0, 2, "planning failed")])
 def test_a_step_that_fails_ends_it(
     file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, making: int, planning: int, says: str

@@ -44,6 +44,7 @@ _ALLOWED = (
     ast.UnaryOp, ast.BoolOp, ast.Compare, ast.IfExp, ast.Subscript, ast.Slice, ast.Call, ast.keyword,
     ast.Attribute, ast.operator, ast.unaryop, ast.boolop, ast.cmpop,
 )  # fmt: skip
+_UNDECLARED = etree.ErrorTypes.NS_ERR_UNDEFINED_NAMESPACE
 # Members that reach others by their text, or types.
 _FORBIDDEN = {"format", "format_map", "mro"}
 
@@ -193,16 +194,27 @@ def read_file(path: Path) -> bytes:
 
 
 def _read_xml(data: bytes, path: Path) -> Any:
-    """The root element <robot>. No entity is resolved, so no other file is read."""
-    parser = etree.XMLParser(resolve_entities=False, no_network=True, remove_comments=True, remove_pis=True)
+    """The root element <robot>. No entity is resolved, so no other file is read.
+
+    Attributes with a prefix that is not declared, as some simulators' in URDF, are left out.
+    """
+    parser = etree.XMLParser(
+        resolve_entities=False, no_network=True, remove_comments=True, remove_pis=True, recover=True
+    )
     try:
         found = etree.fromstring(data, parser)
-        has_entities = found.getroottree().docinfo.doctype
-        got = "a document type" if has_entities else f"<{etree.QName(found).localname}>"
+        wrong = [one.message for one in parser.error_log if one.type != _UNDECLARED]
+        if not wrong:
+            wrong += [one.tag for one in found.iter("*") if ":" in one.tag.rpartition("}")[2]]
+            wrong += ["a document type"] if found.getroottree().docinfo.doctype else []
+        got = wrong[0][:200] if wrong else f"<{etree.QName(found).localname}>"
     except (etree.XMLSyntaxError, ValueError) as error:
         got = str(error)[:200]
     if got != "<robot>":
         raise ScenarioError(f"{path.name} is no description", expected="XML with the root <robot>", got=got)
+    for element in found.iter("*"):
+        for name in [one for one in element.attrib if ":" in one.rpartition("}")[2]]:
+            del element.attrib[name]
     return found
 
 
@@ -323,7 +335,7 @@ def _restrict(xacro: Any, folder: Path, packages: Mapping[str, Path]) -> None:
     allowed = [package_of(folder).resolve(), *(one.resolve() for one in packages.values())]
 
     def find(name: str) -> str:
-        for root in package_roots(name, folder, packages):
+        for root in _package_roots(name, folder, packages):
             allowed.append(root.resolve())
             return str(root)
         raise ValueError(f"package {name} is not found")

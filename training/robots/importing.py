@@ -147,8 +147,8 @@ def import_robot(
 
     Where they are None, the name is the description's, the SRDF file is that beside it, the tip is the last
     link before a gripper or the first branch, and the arm waits in the middle of its limits. Values of
-    ``locked`` are rad or m, ``limits`` rad, None for a circle. ``arguments`` are xacro's. ``report`` takes each part's name before its
-    spheres are sought.
+    ``locked`` are rad or m, ``limits`` rad, None for a circle. ``arguments`` are xacro's. ``report`` takes
+    each part's name before its spheres are sought.
     """
     description = read_description(urdf, packages or {}, arguments or {})
     srdf, allowances = srdf or find_srdf(urdf), allowances or Allowances()

@@ -190,6 +190,13 @@ def test_xacro_in_a_urdf_file_is_refused_with_its_line(tmp_path: Path) -> None:
         imported(tmp_path, text)
 
 
+def test_attributes_with_an_undeclared_prefix_are_left_out(tmp_path: Path) -> None:
+    found = imported(tmp_path, chain().replace("<limit ", '<limit drake:acceleration="3" '))
+    assert len(found.arm.joints) == len(imported(tmp_path, chain()).arm.joints)
+    with pytest.raises(ScenarioError, match=r"no description.*drake:joint"):
+        imported(tmp_path, chain().replace("</robot>", '<drake:joint name="j9"/></robot>'))
+
+
 def test_xacro_files_are_expanded_with_arguments_and_packages(tmp_path: Path) -> None:
     package = tmp_path / "parts"
     package.mkdir()
@@ -212,12 +219,14 @@ def test_xacro_files_are_expanded_with_arguments_and_packages(tmp_path: Path) ->
 
 
 # In the style of five makers: properties from YAML with their tags, members, dictionaries, blocks, defaults,
-# conditions, lengths, methods of strings, powers, angles in degrees.
+# conditions, lengths, methods and parts of strings, powers, angles in degrees, an expression within another.
 MAKERS = """
 <xacro:arg name="gripper" default="false"/>
 <xacro:property name="config" value="${xacro.load_yaml('$(find maker_arm)/limits.yaml')}"/>
 <xacro:property name="sizes" value="${dict(radius=0.1 / 2, names=['a', 'b', 'c'])}"/>
 <xacro:property name="limits" value="${config['joint_limits']}" lazy_eval="false"/>
+<xacro:property name="file" value="$(find maker_arm)/${'XA-limits'[3:]}.yaml"/>
+<xacro:property name="again" value="${load_yaml(file)['joint_limits']}"/>
 <xacro:macro name="ball-link" params="name prefix:='' sizes:=^ *inside **more">
   <xacro:unless value="${name in sizes['names']}">${xacro.warning('unknown ' + name)}</xacro:unless>
   <link name="${prefix + '_' if prefix else ''}${name}">
@@ -232,14 +241,15 @@ MAKERS = """
   <joint name="${name}" type="revolute"><parent link="${parent}"/><child link="${child}"/>
     <origin xyz="${xyz.split(' ')[0]} 0 ${2 ** 2 * at / 4}" rpy="0 ${radians(90) - pi / 2} ${sin(0)}"/>
     <axis xyz="${' '.join(['0', '1', '0'])}"/>
-    <limit lower="${own.lower}" upper="${min(own.upper, 2.0)}"/></joint>
+    <limit lower="${own.lower}" upper="${min(again[name]['upper'], 2.0)}"/></joint>
 </xacro:macro>
 <xacro:ball-link name="a"><origin xyz="0 0 0.1"/><more/></xacro:ball-link>
 <xacro:ball-link name="b"><origin xyz="0 0 0"/><more/></xacro:ball-link>
 <xacro:turning name="j1" parent="a" child="b"/>
 <xacro:if value="${'$(arg gripper)' == 'true' and len(sizes['names']) == 3 and not 0 > 1}">
   <xacro:ball-link name="c" prefix="left"><origin/><more/></xacro:ball-link>
-  <xacro:turning name="j2" parent="b" child="left_c" xyz="0.2 0 0" at="$(eval 1 / 2)"/>
+  <xacro:turning name="j2" parent="b" child="left_c" xyz="0.2 0 0"
+    at="$(eval 1 / 2 if ${'j2' in again} else 0)"/>
 </xacro:if>
 """
 
@@ -260,6 +270,14 @@ def test_what_makers_write_in_xacro_is_expanded(tmp_path: Path) -> None:
     )
     np.testing.assert_allclose(arm.joints[1].origin.xyz_m, [0.2, 0.0, 0.5])
     assert arm.parts[0].spheres_m == ((0.0, 0.0, 0.1, 0.05),)
+
+
+def test_what_xacro_prints_is_shown_up_to_a_bound(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = chain().replace('<robot name="three">', XACRO + "${xacro.warning('be aware ' * 2**18)}")
+    import_robot(Request(described(tmp_path, text, "made.xacro")))
+    shown = capsys.readouterr().err
+    assert "be aware" in shown
+    assert len(shown) <= 2**20
 
 
 GLOBALS = "[c for c in ().__class__.__base__.__subclasses__()][0].__init__.__globals__"
