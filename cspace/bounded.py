@@ -72,7 +72,7 @@ def call(
     error: type[CspaceError],
     remedy: str | None = None,
 ) -> Any:
-    """The function's result, of arguments that JSON can hold; the first MiB that it prints is printed here."""
+    """The function's result, of arguments that JSON can hold; what it prints is printed here, up to a MiB."""
     environment = {name: os.environ[name] for name in _ENVIRONMENT if name in os.environ} | _SETTINGS
     environment["PYTHONPATH"] = os.pathsep.join(place for place in sys.path if place)
     main = sys.modules["__main__"].__spec__

@@ -19,11 +19,13 @@ from cspace.bundle.files import (
     SPEC_FILE,
     SUMS_FILE,
     BundleFiles,
+    GoldenCase,
     check_graph,
+    endpoints,
     read_files,
+    scene,
     sums_of,
 )
-from cspace.bundle.golden import GoldenCase, endpoints, scene
 from cspace.bundle.runtime import PLACES_CHUNK_ROWS, Graph, chunked, container_bytes, open_graphs
 from cspace.bundle.sampling import Belief, Encoding, GeneratorSampler, Head, PathSampler, Picture, SampleSet
 from cspace.bundle.spec import (

@@ -23,8 +23,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from cspace.bundle import Bundle, load_verified
-from cspace.bundle.files import GOLDEN_FILE
-from cspace.bundle.golden import GoldenCase
+from cspace.bundle.files import GOLDEN_FILE, GoldenCase
 from cspace.bundle.load import graphs_of, write_bundle
 from cspace.errors import ConfigError, CspaceError, EvaluationError, InputError, ModelNotFoundError
 from cspace.planning.calibration import fit_calibration

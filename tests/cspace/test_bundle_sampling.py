@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cspace.bundle import Bundle, write_bundle
-from cspace.bundle.golden import scene
+from cspace.bundle.files import scene
 from cspace.bundle.sampling import ProposalCounts
 from cspace.errors import InputError
 from cspace.query import SampleQuery
@@ -65,7 +65,7 @@ def test_a_seed_means_the_same_in_another_process_which_leaves_nothing_in_the_us
     bundle: Bundle, tmp_path: Path
 ) -> None:
     code = (
-        "import sys; from pathlib import Path; import cspace.bundle; from cspace.bundle.golden import scene;"
+        "import sys; from pathlib import Path; import cspace.bundle; from cspace.bundle.files import scene;"
         "assert 'onnxruntime' not in sys.modules; bundle = cspace.bundle.Bundle.load(Path(sys.argv[1]));"
         "sys.stdout.buffer.write(bundle.sample(scene((48, 48, 3)), 333, 12).samples.tobytes())"
     )

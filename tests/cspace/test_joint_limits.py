@@ -105,16 +105,8 @@ def test_what_rounding_moved_beyond_a_limit_is_taken_as_the_limit(rows):
 
 
 @pytest.mark.parametrize(
-    ("row", "limits", "value"),
-    [
-        ([2.8975, 0.0], "shoulder from -2.9671 to 2.8973 rad", "shoulder at 2.8975 rad"),
-        ([0.0, 90.0], "wrist from -18.849556 to 18.849556 rad, three turns", "wrist at 90 rad"),
-        ([np.nan, 0.0], "shoulder from", "shoulder at nan rad"),
-    ],
+    ("row", "joint"), [([2.8975, 0.0], "shoulder"), ([0.0, 90.0], "wrist"), ([np.nan, 0.0], "shoulder")]
 )
-def test_what_lies_outside_is_refused_by_its_joints_name(row, limits, value):
-    with pytest.raises(DatasetError, match="rows lie outside") as refused:
+def test_what_lies_outside_is_refused_by_its_joints_name(row, joint):
+    with pytest.raises(DatasetError, match=f"row 1: {joint}"):
         LIMITED.admitted([[0.0, 0.0], row], "rows lie outside", DatasetError)
-    assert limits in refused.value.expected
-    assert refused.value.got == f"1 of 2 rows outside, the first is row 1: {value}"
-    assert ("not in degrees" in refused.value.remedy) == (max(row) > 7.0 or min(row) < -7.0)

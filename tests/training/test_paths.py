@@ -5,7 +5,7 @@ import pytest
 from mlflow import MlflowClient
 
 from cspace.bundle import Bundle
-from cspace.bundle.golden import scene
+from cspace.bundle.files import scene
 from cspace.errors import ConfigError
 from inference_api.settings import PRETRAINED_FOLDER
 from services.names import ALIAS_CHALLENGER, EXPERIMENT, PATH_MODEL_NAME

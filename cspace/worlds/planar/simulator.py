@@ -34,7 +34,6 @@ from cspace.worlds.planar.problems import (
     apart,
     draw_problem,
     narrow_pairs,
-    require_resolution,
     resolves_narrow,
 )
 from cspace.worlds.planar.scenes import MAX_DISCS, DiscScenes, GivenScenes, Scenes
@@ -186,12 +185,6 @@ class PlanarSimulator(Simulator):
             np.concatenate(rows), np.repeat(np.arange(2, dtype=np.uint8), [len(r) for r in rows])
         )
 
-    def require(self, family: str) -> None:
-        """Also refuses narrow passages that are finer than the grid."""
-        if family == Family.NARROW:
-            require_resolution(self.world.body)
-        super().require(family)
-
     def narrow_pairs(self, scene: Scene, configurations: NDArray[np.float64]) -> NDArray[np.int64]:
         """See :func:`cspace.worlds.planar.problems.narrow_pairs`."""
         return narrow_pairs(cast("Scenario", scene), configurations)
@@ -280,11 +273,6 @@ class _Robot(PlanarArm):
     kind: Literal["planar_arm"] = "planar_arm"
 
 
-@validated(ScenarioError)
-class _Disc(Disc):
-    shape: Literal["disc"] = "disc"
-
-
 class Values(BaseModel):
     """What a file says; start, goal and name are empty where it does not name them."""
 
@@ -295,7 +283,7 @@ class Values(BaseModel):
     robot: _Robot
     camera: Camera = Camera()
     scenes: DiscScenes = DiscScenes()
-    obstacles: Annotated[tuple[_Disc, ...], Field(max_length=MAX_DISCS)] = ()
+    obstacles: Annotated[tuple[Disc, ...], Field(max_length=MAX_DISCS)] = ()
     start: _Configuration = ()
     goal: _Configuration = ()
 
@@ -311,8 +299,7 @@ def read_world(values: Values) -> PlanarWorld:
 
 def read_scene(world: PlanarWorld, values: Values) -> Scenario:
     """The obstacles about a world's robot."""
-    discs = tuple(Disc(one.x_m, one.y_m, one.radius_m) for one in values.obstacles)
-    return Scenario(world.body, discs, world.sensor)
+    return Scenario(world.body, values.obstacles, world.sensor)
 
 
 def given(scenes: list[Scenario]) -> GivenScenes:

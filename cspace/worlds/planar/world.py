@@ -3,7 +3,7 @@
 import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,14 +11,7 @@ from numpy.typing import NDArray
 from cspace.errors import ConfigError, DatasetError, ImageError, ScenarioError
 from cspace.strict_json import read_object, validated
 from cspace.view_file import View, check_counts
-from cspace.world import (
-    Arrays,
-    CheckCancelled,
-    Contact,
-    Examined,
-    LinkSamplePoints,
-    World,
-)
+from cspace.world import Arrays, CheckCancelled, Contact, Examined, LinkSamplePoints, World
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, JointLimits, PlanarArm, link_sample_points
 from cspace.worlds.planar.camera import Camera, Length, Place, decode_png
 from cspace.worlds.planar.scenes import MAX_GIVEN, DiscScenes, GivenScenes, KnownDiscs, Scenes
@@ -118,16 +111,14 @@ class _Parts:
     scenes: Any
 
 
-DISC_RADIUS_M = 1.0
-
-
 @validated(ScenarioError)
 class Disc:
     """A round obstacle, in m."""
 
     x_m: Place
     y_m: Place
-    radius_m: Length = DISC_RADIUS_M
+    radius_m: Length = 1.0
+    shape: Literal["disc"] = "disc"
 
 
 @dataclass(frozen=True, slots=True)

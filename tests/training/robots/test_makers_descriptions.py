@@ -274,7 +274,7 @@ def test_what_makers_write_in_xacro_is_expanded(tmp_path: Path) -> None:
 
 def test_what_xacro_prints_is_shown_up_to_a_bound(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = chain().replace('<robot name="three">', XACRO + "${xacro.warning('be aware ' * 2**18)}")
-    import_robot(Request(described(tmp_path, text, "made.xacro")))
+    import_robot(described(tmp_path, text, "made.xacro"))
     shown = capsys.readouterr().err
     assert "be aware" in shown
     assert len(shown) <= 2**20

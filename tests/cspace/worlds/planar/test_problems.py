@@ -6,9 +6,11 @@ from scipy import ndimage
 
 from cspace.errors import ScenarioError
 from cspace.simulator import Split
+from cspace.worlds import simulator_of
 from cspace.worlds.planar.arm import THREE_LINK
 from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.problems import FINE_CELLS, NARROW_RAD, Family, FreeGrid, draw_problem
+from cspace.worlds.planar.world import PlanarWorld
 
 CELLS = 512
 STEP_RAD = 2 * np.pi / CELLS
@@ -126,5 +128,5 @@ def test_three_links_have_uniform_and_no_narrow_problems():
     problem = draw_problem(Family.UNIFORM, Split.TEST, 7, 0, THREE_LINK)
     assert problem.start.shape == problem.goal.shape == (3,)
     assert CollisionChecker(problem.scenario).valid_batch([problem.start, problem.goal]).all()
-    with pytest.raises(ScenarioError, match="finer than the grid"):
-        draw_problem(Family.NARROW, Split.TEST, 7, 0, THREE_LINK)
+    with pytest.raises(ScenarioError, match="no such family"):
+        simulator_of(PlanarWorld(THREE_LINK)).problem(Family.NARROW, Split.TEST, 7)

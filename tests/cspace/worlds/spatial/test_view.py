@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cspace.errors import ImageError
-from cspace.view_file import pack_view
+from cspace.view_file import pack_view, unpack_view
 from cspace.worlds.spatial.camera import DepthCamera, encode_depth, looking
 from cspace.worlds.spatial.view import DepthView, read_view, write_view
 from tests.cspace.worlds.spatial.test_robots import PANDA, READY
@@ -68,7 +68,7 @@ def test_a_state_that_the_arm_cannot_have_is_refused(state):
 def test_pictures_and_cameras_are_as_many_as_each_other_and_at_most_four():
     for pictures, cameras in ((0, 0), (1, 2), (2, 1), (5, 5)):
         with pytest.raises(ImageError, match=f"{pictures} pictures, {cameras} cameras"):
-            pack_view([b"PNG"] * pictures, [camera_values()] * cameras, None)
+            unpack_view(pack_view([b"PNG"] * pictures, [camera_values()] * cameras, None))
     with pytest.raises(ImageError, match="too long"):
         pack_view([b"PNG"], [["x" * 20_000]], None)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cspace.bundle import Bundle, write_bundle
-from cspace.bundle.golden import scene
+from cspace.bundle.files import scene
 from cspace.errors import BundleIntegrityError, InputError
 from tests.space_bundle import SPEC, WORLD, space_graphs
 
