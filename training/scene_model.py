@@ -63,8 +63,9 @@ from services.registry import connect, tracking_uri
 from services.registry.entities import ID, ModelReference, ModelVersion
 from services.registry.models import ModelRegistry
 from services.registry.tracking import Tracking
-from training.config import GridConfig, ValidityConfig
+from training.config import ValidityConfig
 from training.models.checkpoint import fit_module, save_scene_model, seeded_initialisation
+from training.models.field import SIZES
 from training.models.grid_head import GridHead, counts_of
 from training.models.grid_training import ArmSamples, GridHeadModule, GridSamples
 from training.random_arms import random_arm
@@ -77,7 +78,6 @@ SHARD, CONFIGURATIONS, VIEWS = 25, 384, 2
 # Arms of the shipped world, random ones, and those that are measured alone.
 TRAINED, RANDOM_ARMS, RANDOM_SCENES, HELD_OUT = "panda", 10, 300, ("panda", "ur5", "random1000")
 HELD_OUT_SCENES = 200
-SIZES = GridConfig(finest=12, width=32, middle=64, deep=96)
 _SAVE_EVERY = 2000
 
 

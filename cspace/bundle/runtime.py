@@ -15,15 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.bundle.files import (
-    BELIEF_FILE,
     ENCODER_FILE,
+    FIELD_FILE,
     GENERATOR_FILE,
     MAP_FILE,
     NOVELTY_FILE,
     VALIDITY_FILE,
     BundleFiles,
 )
-from cspace.bundle.spec import MAP, PICTURE, WAYS, BundleSpec
+from cspace.bundle.spec import MAP, OCCUPANCY, PICTURE, WAYS, BundleSpec
 from cspace.errors import BundleError, BundleIntegrityError
 from cspace.world import CheckCancelled
 
@@ -80,7 +80,7 @@ def said(error: BaseException) -> str:
 # Bound the memory and the time of one call; fixed sizes, so that they can not move a result. What one call
 # of a path sampler draws comes in the order of the path, so it is drawn in larger parts; a place costs far
 # less than a configuration.
-CHUNK_ROWS, PATH_CHUNK_ROWS, PLACES_CHUNK_ROWS = 512, 4096, 4096
+CHUNK_ROWS, PATH_CHUNK_ROWS = 512, 4096
 
 
 def chunked(
@@ -204,7 +204,7 @@ class GraphSet:
     validity: Graph | None
     novelty: Graph | None
     map: Graph | None
-    belief: Graph | None
+    field: Graph | None
 
 
 def open_graphs(spec: BundleSpec, files: BundleFiles) -> GraphSet:
@@ -228,12 +228,12 @@ def open_graphs(spec: BundleSpec, files: BundleFiles) -> GraphSet:
     generator = opened(GENERATOR_FILE, {"latent", *noise, *spec.conditions}, {"samples"})
     _check_whole(GENERATOR_FILE, generator, "a model kind that has one", described=spec.model_kind != WAYS)
     validity = opened(VALIDITY_FILE, {"image", "configurations"}, {"confidence"}, optional)
-    belief = opened(BELIEF_FILE, {PICTURE, MAP, "places"}, {"occupied"})
-    looked_at = spec.looks_at_map or belief is not None or (validity is not None and MAP in validity.inputs)
+    field = opened(FIELD_FILE, {PICTURE}, {OCCUPANCY})
+    looked_at = spec.looks_at_map or (validity is not None and MAP in validity.inputs)
     _check_whole(MAP_FILE, seen, "the condition map", described=looked_at)
     scores = opened(NOVELTY_FILE, {"image", "mu"}, {"scores"})
     _check_whole(NOVELTY_FILE, scores, "novelty_quantiles", described=spec.novelty_quantiles is not None)
-    return GraphSet(encoder, generator, validity, scores, seen, belief)
+    return GraphSet(encoder, generator, validity, scores, seen, field)
 
 
 def _check_whole(name: str, graph: Graph | None, beside: str, *, described: bool) -> None:

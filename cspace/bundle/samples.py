@@ -1,6 +1,7 @@
 """What goes through a bundle: a picture for many requests, a request that fits, and the samples of one."""
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
@@ -36,6 +37,8 @@ class Picture:
     map: NDArray[np.float32] | None = None  # what the bundle's map graph makes of it, where it has one
     known: Known | None = None
     pictures: int = 1
+    # How likely each voxel holds something, float16 (X, Y, Z), computed once; None where no graph tells
+    occupancy: Callable[[], NDArray[np.float16]] | None = None
 
     @cached_property
     def pixels(self) -> NDArray[np.float32]:
@@ -46,7 +49,8 @@ class Picture:
     def size_bytes(self) -> int:
         """Of what it holds, nearly, before the first use of its pixels."""
         known = 0 if self.known is None else self.known.size_bytes
-        return self.image.nbytes + (0 if self.map is None else self.map.nbytes) + known
+        held = 0 if self.occupancy is None else self.image.nbytes
+        return self.image.nbytes + held + (0 if self.map is None else self.map.nbytes) + known
 
 
 @dataclass(frozen=True, slots=True, eq=False)
