@@ -5,6 +5,7 @@ import sys
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from cspace.planning.cost import Predict, ScoredPath, given_free, score
 from cspace.planning.paths import spaced
 from cspace.planning.refine import Effort, PathRefiner, route_search
 from cspace.planning.rrt_connect import Growth, grow_connect
-from cspace.planning.search import find_paths, with_deadline
+from cspace.planning.search import SearchLimits, find_paths, with_deadline
 from cspace.query import Plan, PlanQuery
 from cspace.simulator import Checker
 from cspace.space import LIMIT_TOLERANCE_RAD, JointSpace
@@ -25,6 +26,7 @@ from cspace.worlds import (
     load_known,
     seen_checkers,
     tool_constraints,
+    unseen_space,
 )
 
 
@@ -68,6 +70,8 @@ def main() -> int:
 STEP_RAD = 0.15
 # Between states of a path that are checked against known bodies, beside which no margin is left.
 _KNOWN_STEP_RAD = 0.01
+# Paths that are looked for in a careful world, and the effort, most of which is in vain where there are none.
+CAREFUL_PATHS, CAREFUL = 2, SearchLimits(states=1024, first=1024)
 # Configurations that bring the tool to a goal, which paths are searched to.
 MAX_GOALS = 4
 # Confidence below which a configuration is expected to touch something.
@@ -86,6 +90,7 @@ class Seen:
         predict: what the model says of configurations in it.
         plan_calibration: (a, b), see :mod:`cspace.planning.cost`.
         known: of it beside the picture.
+        occupancy: float16 (X, Y, Z), how likely each voxel holds something, where a model tells.
     """
 
     world: World
@@ -93,6 +98,19 @@ class Seen:
     predict: Predict
     plan_calibration: tuple[float, float] = (0.0, 1.0)
     known: Known | None = None
+    occupancy: NDArray[np.float16] | None = None
+
+    def beside(self, unseen: Any) -> Predict:
+        """``predict`` times the chance that nothing is touched in the unseen space of a model's occupancy."""
+
+        def both(rows: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+            confidence, share = self.predict(rows)
+            clear = 1.0 - unseen.touched(rows)
+            if self.known is not None:
+                clear[self.known.certain(rows, lambda: None)] = 1.0
+            return confidence * clear, share
+
+        return both
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -231,24 +249,41 @@ def search_paths(
     load_kernels(checkers[0], ends[0], STEP_RAD)
     began = time.monotonic()
     until_s = time.thread_time() + time_limit_s
-    goals, predict = ends[1:], seen.predict
+    goals, predict, unseen = ends[1:], seen.predict, None
+    if seen.occupancy is not None:
+        unseen = unseen_space(seen.world, seen.picture, seen.occupancy, ends, seen.known)
+        predict = seen.beside(unseen)
     if constraints is not None:
         checkers, goals, reason = _constrained(seen.world, checkers, ends, constraints)
         if reason is not None:
             took_ms = 1e3 * (time.monotonic() - began)
             return Searched([], late=False, search_ms=took_ms, score_ms=0.0, reason=reason)
         # The model takes circles in [-pi, pi).
-        own = seen.world.space
-        predict = (
-            seen.predict if constraints.limits is None else lambda rows: seen.predict(own.to_float32(rows))
-        )
+        own, predicted = seen.world.space, predict
+        if constraints.limits is not None:
+            predict = lambda rows: predicted(own.to_float32(rows))  # noqa: E731
     found = find_paths(checkers, ends[0], goals, count, seed, until_s, check_cancelled=check_cancelled)
+    paths = found.paths
+    if unseen is not None and constraints is not None and paths:
+        # The ways that a careful robot would take, if there are any.
+        careful, _, _ = _constrained(seen.world, [unseen.careful_checker()], ends, constraints)
+        more = find_paths(
+            careful,
+            ends[0],
+            goals,
+            CAREFUL_PATHS,
+            seed,
+            until_s,
+            limits=CAREFUL,
+            check_cancelled=check_cancelled,
+        )
+        paths = [*more.paths, *paths]
     searched = time.monotonic()
     space = checkers[0].space
     # The robot stands at its start.
     is_free = constraints is not None and constraints.goal_free
     predict = given_free(predict, space, ends if is_free else ends[:1])
-    scored = score(found.paths, space, STEP_RAD, predict, seen.plan_calibration)
+    scored = score(paths, space, STEP_RAD, predict, seen.plan_calibration)
     ranked = _ranked(scored, space, seen.known)
     if found.checker is not None:
         check_cancelled = with_deadline(until_s, check_cancelled)

@@ -30,7 +30,7 @@ from cspace.worlds.spatial.obstacles import Obstacles
 from cspace.worlds.spatial.scenes import draw_layout, scenes_of, seen, waiting
 from cspace.worlds.spatial.world import SpatialWorld
 from training.models.field import FieldModule, field_figures, new_field
-from training.scene_model import SIZES, TRAINED, disturbed, named_arm, scene_world
+from training.scene_model import TRAINED, disturbed, named_arm, scene_world
 
 SCENE_MODEL = Path(__file__).with_name("pretrained") / "scene_model.safetensors"
 BATCH, SAVE_EVERY = 2, 250
@@ -102,7 +102,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser().parse_args(arguments)
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
     world = varied(scene_world(named_arm(TRAINED)))
-    net = new_field(SIZES, world, load_file(SCENE_MODEL))
+    net = new_field(world, load_file(SCENE_MODEL))
     folder: Path = options.folder
     folder.mkdir(parents=True, exist_ok=True)
     last = folder / "last.ckpt"

@@ -34,8 +34,9 @@ from cspace.worlds.spatial.scenes import draw_layout, scenes_of, seen, waiting
 from cspace.worlds.spatial.view import DepthView
 from cspace.worlds.spatial.world import SpatialWorld, usual
 from services.commands import Progress, report_error
-from training.config import GridConfig, ValidityConfig
+from training.config import ValidityConfig
 from training.models.checkpoint import fit_module, save_scene_model, seeded_initialisation
+from training.models.field import SIZES
 from training.models.grid_head import GridHead, counts_of
 from training.models.grid_training import ArmSamples, GridHeadModule, GridSamples
 
@@ -47,7 +48,6 @@ SHARD, CONFIGURATIONS, VIEWS = 25, 384, 2
 # Arms of the shipped world, random ones, and those that are measured alone.
 TRAINED, RANDOM_ARMS, RANDOM_SCENES, HELD_OUT = "panda", 10, 300, ("panda", "ur5", "random1000")
 HELD_OUT_SCENES = 200
-SIZES = GridConfig(finest=12, width=32, middle=64, deep=96)
 _SAVE_EVERY = 2000
 WEIGHTS = "scene_model.safetensors"
 _AXES = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}

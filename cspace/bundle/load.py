@@ -5,6 +5,7 @@ import time
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any, Unpack, cast
 
@@ -26,10 +27,11 @@ from cspace.bundle.files import (
     scene,
     sums_of,
 )
-from cspace.bundle.runtime import PLACES_CHUNK_ROWS, Graph, chunked, container_bytes, open_graphs
+from cspace.bundle.runtime import Graph, container_bytes, open_graphs
 from cspace.bundle.sampling import Belief, Encoding, GeneratorSampler, Head, PathSampler, Picture, SampleSet
 from cspace.bundle.spec import (
     MAP,
+    OCCUPANCY,
     PICTURE,
     WAYS,
     BundleSpec,
@@ -137,7 +139,7 @@ class Bundle:
         read = picture if isinstance(picture, Examined) else Examined(image[None])
         size = (1, self.spec.latent_dim)
         found = self._graphs.encoder.run({PICTURE: pixels}, {"mu": size, "sigma": size})
-        graph = self._graphs.map
+        graph, field = self._graphs.map, self._graphs.field
         return Picture(
             self.digest,
             image,
@@ -147,7 +149,16 @@ class Bundle:
             None if graph is None else graph.run({PICTURE: pixels}, {MAP: graph.fixed_shape(MAP)})[MAP],
             read.known,
             read.pictures,
+            None if field is None else cache(lambda: self._occupancy(field, image)),
         )
+
+    def _occupancy(self, field: Graph, image: NDArray[np.uint8]) -> NDArray[np.float16]:
+        # Made again, for the pixels have four times the image's bytes.
+        pixels = self._network_image(image)
+        found = field.run({PICTURE: pixels}, {OCCUPANCY: image.shape[:-1]})[OCCUPANCY]
+        if np.any((found < 0.0) | (found > 1.0)):
+            raise BundleError("field.onnx gives no probabilities", expected="values from 0 to 1")
+        return found.astype(np.float16)
 
     def _novelty_of(
         self, image: NDArray[np.uint8], pixels: NDArray[np.float32], mu: NDArray[np.float32]
@@ -219,10 +230,12 @@ class Bundle:
         calibration: tuple[float, float] | None = None,
     ) -> Plan:
         """The path from start to goal of lowest cost; ``calibration`` (a, b) is in place of the bundle's."""
-        seen = self._head().seen(self.spec, self._prepared(image), check_cancelled)
+        picture, ends = self._prepared(image), fitted_problem(self.spec, query)
+        seen = self._head().seen(self.spec, picture, check_cancelled)
         if calibration is not None:
             seen = replace(seen, plan_calibration=calibration)
-        ends = fitted_problem(self.spec, query)
+        if picture.occupancy is not None:
+            seen = replace(seen, occupancy=picture.occupancy())
         return plan(seen, ends, fitted_plan(self.spec, query), check_cancelled)
 
     def golden_answer(self, image: NDArray[np.uint8], query: SampleQuery) -> SampleSet:
@@ -255,35 +268,23 @@ class Bundle:
         """
         return self._head().predict(self._prepared(image), configurations, check_cancelled)
 
-    def belief(
-        self, image: NDArray[np.uint8] | Picture, check_cancelled: CheckCancelled | None = None
-    ) -> Belief:
+    def belief(self, image: NDArray[np.uint8] | Picture) -> Belief:
         """What the model takes the whole scene of an image (X, Y, Z, 2) to be, seen or not."""
-        graph, grid = self.require_belief()
-        picture, cell_m, counts = self._prepared(image), 2.0 * grid.voxel_m, [n // 2 for n in grid.counts]
-        axes = [low + cell_m * (np.arange(n) + 0.5) for low, n in zip(grid.low_m, counts, strict=True)]
-        places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.float32)
-        fixed: dict[str, Any] = {PICTURE: picture.pixels, MAP: picture.map}
+        self.require_belief()
+        picture, grid = self._prepared(image), cast("Any", self.spec.world.sensor).grid
+        found = cast("Any", picture.occupancy)().astype(np.float32)
+        x, y, z = (count // 2 for count in grid.counts)
+        cells = found.reshape(x, 2, y, 2, z, 2).max(axis=(1, 3, 5))
+        return Belief(grid.low_m, 2.0 * grid.voxel_m, cells)
 
-        def run(rows: slice) -> NDArray[np.float32]:
-            part = places[rows]
-            return graph.run(fixed | {"places": part}, {"occupied": (len(part),)})["occupied"]
-
-        found = chunked(run, len(places), check_cancelled, PLACES_CHUNK_ROWS)
-        if np.any((found < 0.0) | (found > 1.0)):
-            raise BundleError("belief.onnx gives no probabilities", expected="values from 0 to 1")
-        return Belief(grid.low_m, cell_m, found.reshape(counts))
-
-    def require_belief(self) -> tuple[Graph, Any]:
-        """What :meth:`belief` asks, and the grid of the pictures."""
-        graph, grid = self._graphs.belief, getattr(self.spec.world.sensor, "grid", None)
-        if graph is None or grid is None:
+    def require_belief(self) -> None:
+        """Raises InputError where the model has no field."""
+        if self._graphs.field is None:
             raise InputError(
                 "the model cannot tell what it takes the scene to be",
-                expected="a model of an arm that sees with depth cameras, with belief.onnx",
+                expected="a model of an arm that sees with depth cameras, with field.onnx",
                 remedy="make the model again with this version of training",
             )
-        return graph, grid
 
     def _head(self) -> Head:
         if self._validity is None:

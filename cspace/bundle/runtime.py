@@ -15,15 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.bundle.files import (
-    BELIEF_FILE,
     ENCODER_FILE,
+    FIELD_FILE,
     GENERATOR_FILE,
     MAP_FILE,
     NOVELTY_FILE,
     VALIDITY_FILE,
     BundleFiles,
 )
-from cspace.bundle.spec import MAP, PICTURE, WAYS, BundleSpec
+from cspace.bundle.spec import MAP, OCCUPANCY, PICTURE, WAYS, BundleSpec
 from cspace.errors import BundleError, BundleIntegrityError
 from cspace.world import CheckCancelled
 
@@ -80,7 +80,7 @@ def message_of(error: BaseException) -> str:
 # Bound the memory and the time of one call; fixed sizes, so that they can not move a result. What one call
 # of a path sampler draws comes in the order of the path, so it is drawn in larger parts; a place costs far
 # less than a configuration.
-CHUNK_ROWS, PATH_CHUNK_ROWS, PLACES_CHUNK_ROWS = 512, 4096, 4096
+CHUNK_ROWS, PATH_CHUNK_ROWS = 512, 4096
 
 
 def chunked(
@@ -204,7 +204,7 @@ class GraphSet:
     validity: Graph | None
     novelty: Graph | None
     map: Graph | None
-    belief: Graph | None
+    field: Graph | None
 
 
 def open_graphs(spec: BundleSpec, files: BundleFiles) -> GraphSet:
@@ -225,9 +225,9 @@ def open_graphs(spec: BundleSpec, files: BundleFiles) -> GraphSet:
     validity = opened(
         VALIDITY_FILE, {PICTURE, "configurations"}, "confidence", set() if seen is None else {MAP}
     )
-    belief = opened(BELIEF_FILE, {PICTURE, MAP, "places"}, "occupied")
+    field = opened(FIELD_FILE, {PICTURE}, OCCUPANCY)
     novelty = opened(NOVELTY_FILE, {PICTURE, "mu"}, "scores")
-    map_is_used = spec.looks_at_map or belief is not None or (validity is not None and MAP in validity.inputs)
+    map_is_used = spec.looks_at_map or (validity is not None and MAP in validity.inputs)
     for name, graph, is_used, beside in (
         (GENERATOR_FILE, generator, spec.model_kind != WAYS, "a model kind that has one"),
         (MAP_FILE, seen, map_is_used, "the condition map"),
@@ -237,4 +237,4 @@ def open_graphs(spec: BundleSpec, files: BundleFiles) -> GraphSet:
             raise BundleIntegrityError(f"the bundle has {name} without {beside}, or the other way round")
     if validity is None and spec.model_kind == WAYS:
         raise BundleIntegrityError("a bundle of paths has no validity head", expected=VALIDITY_FILE)
-    return GraphSet(encoder, generator, validity, novelty, seen, belief)
+    return GraphSet(encoder, generator, validity, novelty, seen, field)

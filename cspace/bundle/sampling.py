@@ -60,6 +60,8 @@ class Picture:
     map: NDArray[np.float32] | None = None  # what the bundle's map graph makes of it, where it has one
     known: Known | None = None
     pictures: int = 1
+    # How likely each voxel holds something, float16 (X, Y, Z), computed once; None where no graph tells
+    occupancy: Callable[[], NDArray[np.float16]] | None = None
 
     @cached_property
     def pixels(self) -> NDArray[np.float32]:
@@ -70,7 +72,8 @@ class Picture:
     def size_bytes(self) -> int:
         """Of what it holds, nearly, before the first use of its pixels."""
         known = 0 if self.known is None else self.known.size_bytes
-        return self.image.nbytes + (0 if self.map is None else self.map.nbytes) + known
+        held = 0 if self.occupancy is None else self.image.nbytes
+        return self.image.nbytes + held + (0 if self.map is None else self.map.nbytes) + known
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +82,7 @@ class Belief:
 
     low_m: tuple[float, float, float]
     cell_m: float
-    # (X, Y, Z), the probability that a ball of the cell's width in its middle touches something
+    # (X, Y, Z), the largest probability that one of a cell's eight voxels holds something
     occupied: NDArray[np.float32]
 
 

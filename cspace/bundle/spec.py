@@ -22,7 +22,7 @@ SCHEMA_VERSION = 6
 ModelKind = Literal["generator", "mixture", "ways"]
 WAYS: Literal["ways"] = "ways"
 ENDPOINTS = ("start", "goal")
-PICTURE, MAP = "image", "map"
+PICTURE, MAP, OCCUPANCY = "image", "map", "occupancy"
 # Default minimum confidence of calibrated plans; at it 97 % of the validation problems stay solved.
 PLAN_CONFIDENCE = 0.2
 _RESERVED = frozenset({"latent", PICTURE, MAP, *ENDPOINTS})

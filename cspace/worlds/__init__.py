@@ -127,6 +127,17 @@ def seen_checkers(
     return cast("Sequence[Checker]", found)
 
 
+def unseen_space(
+    world: World,
+    picture: Image,
+    occupancy: NDArray[np.floating],
+    ends: NDArray[np.float64],
+    known: Known | None = None,
+) -> Any:
+    """The ``UnseenSpace`` of a model's occupancy, in which the robot has room at ``ends`` (k, d) rad."""
+    return _part(world.kind, "occupancy").UnseenSpace(world, picture, occupancy, ends, known)
+
+
 def load_known(world: World) -> None:
     """Have the compiled code of what is known beside pictures in this process, where a world's can be."""
     if world.kind in _PARTLY_SEEN:

@@ -49,7 +49,7 @@ def belief(
     bundle.require_belief()
     prepared = pictures.prepare(bundle, view_of(request), place.check_cancelled)
     asked = time.perf_counter()
-    found = bundle.belief(prepared.picture, place.check_cancelled)
+    found = bundle.belief(prepared.picture)
     ended = time.perf_counter()
     metrics.answered(Answered("belief", served))
     warnings = warnings_of(prepared.findings_with(spec.world, colliding=0.0))

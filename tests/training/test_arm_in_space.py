@@ -131,7 +131,7 @@ def test_what_became_of_plans_trains_the_scene_model_further(server, tmp_path, m
     result = submit(server, tmp_path / "jobs", "--preset", "panda_outcomes", *settings)
     assert "validity" in result["trials"]
     bundle = bundle_of(server, result["model"], result["version"], tmp_path / "bundle")
-    assert bundle._graphs.belief is not None
+    assert bundle._graphs.field is not None
     (generated,) = (tmp_path / "jobs").glob("datasets/*/*.json")
     assert "outcomes" not in open_dataset(generated.parent).manifest.generator
     inputs = MlflowClient(server).get_run(result["run_id"]).inputs.dataset_inputs

@@ -11,12 +11,12 @@ from cspace.bundle.runtime import Graph
 from training import field
 from training.field import FieldScenes, varied
 from training.models.field import FieldNet, field_graph, new_field
-from training.scene_model import SIZES, named_arm, scene_world
+from training.scene_model import named_arm, scene_world
 
 
 @pytest.fixture(scope="module")
 def net() -> FieldNet:
-    return new_field(SIZES, varied(scene_world(named_arm("panda"))), load_file(field.SCENE_MODEL))
+    return new_field(varied(scene_world(named_arm("panda"))), load_file(field.SCENE_MODEL))
 
 
 def test_a_number_is_one_view_wherever_a_job_begins() -> None:

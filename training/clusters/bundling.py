@@ -23,7 +23,6 @@ from training.config import HeadConfig, TrainConfig
 from training.jobs.job import TAG_START
 from training.jobs.provenance import provenance
 from training.models.autoencoders import load_encoder, load_scores, network_size
-from training.models.belief import belief_graph
 from training.models.checkpoint import load_scene_model, load_weights, trained
 from training.models.data import TrainingArrays
 from training.models.export import (
@@ -32,6 +31,7 @@ from training.models.export import (
     novelty_graph,
 )
 from training.models.families import family
+from training.models.field import shipped_field
 from training.models.grid_head import GridHead, counts_of
 from training.models.grid_training import grid_validity_graph, map_graph
 from training.models.validity import make_head, validity_graph
@@ -109,7 +109,7 @@ def head_graphs(config: HeadConfig, world: World, checkpoint: Path) -> dict[str,
     return {
         "map": map_graph(head),
         "validity": grid_validity_graph(head, world.dim),
-        "belief": belief_graph(head.model, world),
+        "field": shipped_field(world),
     }
 
 

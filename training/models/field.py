@@ -4,12 +4,15 @@ The loss is dense: it covers all voxels that no camera saw to be free, and the o
 """
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, cast
 
 import lightning
 import numpy as np
 import torch
 from lightning.pytorch.utilities.types import OptimizerLRSchedulerConfig
 from numpy.typing import NDArray
+from safetensors.torch import load_file
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -18,6 +21,10 @@ from cspace.worlds.spatial.sensor import FREE, MOST_BEHIND, NO_READING
 from training.config import GridConfig
 from training.models.export import exported, pictures
 from training.models.grid_head import CHANNELS, GridEncoder
+
+# Of the scene model, whose encoder the field's begins as.
+SIZES = GridConfig(finest=12, width=32, middle=64, deep=96)
+FIELD_FILE = Path(__file__).parents[1] / "pretrained" / "field.safetensors"
 
 # Log odds before anything is learned; weights of voxels that were seen free, and that no pixel is about.
 _RARE, _SEEN_WEIGHT, _UNSURE_WEIGHT = -3.0, 0.1, 0.3
@@ -69,12 +76,20 @@ def _unfolded(cells: Tensor) -> Tensor:
     return parts.reshape(p, 2 * x, 2 * y, 2 * z)
 
 
-def new_field(config: GridConfig, world: World, weights: Mapping[str, Tensor]) -> FieldNet:
+def new_field(world: World, weights: Mapping[str, Tensor]) -> FieldNet:
     """A field whose encoder begins as that of a scene model's weights."""
-    encoder = GridEncoder(world.grid_arm(config.groups), config)
+    encoder = GridEncoder(world.grid_arm(SIZES.groups), SIZES)
     own = {name: value for name, value in weights.items() if name.startswith("encoder.")}
     encoder.load_state_dict({name.removeprefix("encoder."): value for name, value in own.items()})
     return FieldNet(encoder)
+
+
+def shipped_field(world: World) -> bytes:
+    """ONNX bytes of the shipped field for the grid of a world's pictures, see :func:`field_graph`."""
+    net = FieldNet(GridEncoder(world.grid_arm(SIZES.groups), SIZES))
+    net.load_state_dict(load_file(FIELD_FILE))
+    grid = cast("Any", world.sensor).grid
+    return field_graph(net.eval(), grid.counts, grid.low_m)
 
 
 class _FieldGraph(nn.Module):
