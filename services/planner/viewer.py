@@ -130,7 +130,9 @@ def _admitting(refusal: Callable[[Request], tuple[HTTPStatus, str] | None]) -> I
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Parse, serve, print the address that holds the token."""
-    parser = argparse.ArgumentParser("python -m services.planner.viewer", description=__doc__)
+    parser = argparse.ArgumentParser(
+        "python -m services.planner.viewer", description=(__doc__ or "").partition("\n")[0]
+    )
     parser.add_argument("--api", default=usual_api(), help="address of the API (default: %(default)s)")
     parser.add_argument("--model", default="pretrained-panda", help="that answers (default: %(default)s)")
     parser.add_argument("--host", default="127.0.0.1", help="default: %(default)s")
