@@ -15,7 +15,7 @@ from cspace.errors import DamagedFileError, DatasetError, StorageError
 from cspace.files import make_output_folder, map_npy, read_bounded, replacing
 from cspace.space import JointSpace
 from cspace.strict_json import adapter_of, json_text, read_json, read_object, validated
-from cspace.world import World
+from cspace.world import Arrays, World
 from cspace.worlds import WorldField
 
 # Of each configuration, free or in collision: how far it is from contact, and how it was drawn.
@@ -80,8 +80,6 @@ def file_digest(path: Path) -> str:
 
 # Room that stays free on the disk after a data set has been written.
 RESERVE_BYTES = 256 * 2**20
-
-Arrays = Mapping[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)

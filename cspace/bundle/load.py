@@ -203,12 +203,13 @@ class Bundle:
         picture = self._prepared(image)
         encoded = time.perf_counter()
 
+        stop = check_cancelled or (lambda: None)
         found = self._sampler.sample(
-            picture, request, report_confidence=report_confidence, check_cancelled=check_cancelled
+            picture, request, report_confidence=report_confidence, check_cancelled=stop
         )
         if picture.known is not None:
             # Where all are wanted, those that nothing has replaced are still among them.
-            found = found.only(picture.known.free(found.samples, check_cancelled or (lambda: None)))
+            found = found.only(picture.known.free(found.samples, stop))
         columns = found.scores.shape[1]
         return SampleSet(
             found.samples,

@@ -29,7 +29,6 @@ from cspace.errors import BundleError
 from cspace.plan import Seen, search_paths
 from cspace.planning.paths import AlongPaths
 from cspace.query import DEFAULT_PATHS, SampleQuery
-from cspace.space import JointSpace
 from cspace.world import CheckCancelled, Known, Sensor
 
 CONFIDENCE, UNSEEN = "confidence", "unseen"
@@ -323,7 +322,7 @@ class GeneratorSampler:
         request: SampleQuery,
         *,
         report_confidence: bool,
-        check_cancelled: CheckCancelled | None,
+        check_cancelled: CheckCancelled,
     ) -> Sampled:
         """Samples for a picture; ``report_confidence`` scores those that are not filtered, too."""
         spec, head, space = self._spec, self._head, self._spec.world.space
@@ -335,7 +334,12 @@ class GeneratorSampler:
 
         wanted = shares(request.n, len(request.epsilon_sigma))
         if head is None or not request.min_confidence:
-            keeps = _keeps(space, picture, check_cancelled or (lambda: None))
+            known = picture.known
+
+            def keeps(rows: NDArray[np.float32]) -> NDArray[np.bool_]:
+                inside = space.keeps_pose(rows)
+                return inside if known is None else inside & known.free(rows, check_cancelled)
+
             samples = space.to_float32(_inside(generate, wanted, keeps, check_cancelled))
             scored = head is not None and report_confidence
             return Sampled(
@@ -434,16 +438,6 @@ def _scores(
     return head.scores(picture, samples, check_cancelled)
 
 
-def _keeps(
-    space: JointSpace, picture: Picture, stop: CheckCancelled
-) -> Callable[[NDArray[np.float32]], NDArray[np.bool_]]:
-    """Which rows (n, d) are within the limits and touch nothing that is known."""
-    known = picture.known
-    if known is None:
-        return space.keeps_pose
-    return lambda rows: space.keeps_pose(rows) & known.free(rows, stop)
-
-
 # On the best path most configurations are likely enough to be free, about it fewer.
 _PASS = 0.75
 
@@ -465,7 +459,7 @@ class PathSampler:
         request: SampleQuery,
         *,
         report_confidence: bool,
-        check_cancelled: CheckCancelled | None,
+        check_cancelled: CheckCancelled,
     ) -> Sampled:
         """As :meth:`GeneratorSampler.sample`; no time ends the search, its effort does."""
         spec, head, space = self._spec, self._head, self._spec.world.space

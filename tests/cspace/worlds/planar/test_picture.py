@@ -69,6 +69,32 @@ def test_a_picture_is_averaged_over_the_area_of_each_pixel(mode):
         assert np.abs(decode_png(png(picture), pixels) - exact).max() <= 0.5 + 1e-3
 
 
+MEMORY = """
+import sys
+import numpy as np
+from cspace.files import encode_png
+from cspace.worlds.planar.camera import decode_png
+
+def kib(key):
+    with open("/proc/self/status") as status:
+        return next(int(line.split()[1]) for line in status if line.startswith(key))
+
+decode_png(encode_png(np.zeros((200, 200, 3), np.uint8)))
+data = open(sys.argv[1], "rb").read()
+before = kib("VmRSS")
+decode_png(data)
+print(kib("VmHWM") - before)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_the_largest_picture_takes_less_than_40_mb(tmp_path):
+    path = tmp_path / "large.png"
+    path.write_bytes(png(Image.effect_noise((2048, 2048), 50.0).convert("RGBA")))
+    done = subprocess.run([sys.executable, "-c", MEMORY, str(path)], capture_output=True, check=True)
+    assert int(done.stdout) * 1024 < 40_000_000
+
+
 @pytest.mark.parametrize("side", [1, 15, 2049])
 def test_other_sizes_are_refused(side):
     with pytest.raises(ImageError, match=rf"16 to 2048.*got {side} x {side}"):
