@@ -18,7 +18,7 @@ RUN useradd --uid 1000 --create-home cspace \
  && install -d -o cspace -g cspace /var/lib/cspace /var/lib/outcomes
 COPY clients/python/src/cspace_client /app/cspace_client
 COPY cspace /app/cspace
-# The shipped models, which the evaluation compares with.
+# The shipped models, which users name `pretrained` and `pretrained-panda`.
 COPY inference_api/pretrained /app/inference_api/pretrained
 COPY inference_api/pretrained_panda /app/inference_api/pretrained_panda
 COPY services /app/services
