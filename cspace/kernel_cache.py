@@ -14,8 +14,8 @@ _caching: Any = numba.core.caching
 # Numba looks at a kernel's own file alone, and so would keep what it calls in other files as it was.
 _FILES = (path.read_bytes() for path in sorted(Path(__file__).parent.rglob("*.py")))
 _SOURCES = hashlib.sha256(b"".join(data for data in _FILES if b"njit" in data)).hexdigest()
-# A full disk leaves files that end too early.
-_UNREADABLE = (OSError, EOFError, pickle.UnpicklingError)
+# A full disk leaves files that end too early, other versions name classes that have moved.
+_UNREADABLE = (OSError, EOFError, ImportError, AttributeError, pickle.UnpicklingError)
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -58,6 +58,9 @@ class _Cache(_caching.FunctionCache):  # type: ignore[misc]
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         with suppress(*_UNREADABLE):
             return super().load_overload(sig, target_context)
+        # Else it would be read again before the next is saved.
+        with suppress(*_UNREADABLE):
+            self.flush()
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:

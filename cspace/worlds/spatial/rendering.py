@@ -18,8 +18,8 @@ _TINY = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DepthView:
-    """What a camera sees."""
+class Rendering:
+    """An exact depth picture."""
 
     depth_m: NDArray[np.float32]  # (H, W) float32 along the optical axis; 0 where nothing is within range
     robot: NDArray[np.bool_]  # (H, W) bool, which pixels show the robot
@@ -30,7 +30,7 @@ def render_depth(
     camera: DepthCamera,
     spheres: ArrayLike | None = None,
     max_range_m: float = MAX_RANGE_M,
-) -> DepthView:
+) -> Rendering:
     """The exact depth picture, without noise, with a robot of spheres (S, 4) m in the base frame."""
     arrays = obstacles.arrays
     robot = np.zeros((0, 4)) if spheres is None else np.asarray(spheres, dtype=np.float64).reshape(-1, 4)
@@ -39,7 +39,7 @@ def render_depth(
     shown = np.zeros(camera.picture_shape, dtype=np.bool_)
     _cast(depth, shown, intrinsics, camera.matrix, arrays.boxes, arrays.cylinders, robot)
     read = depth <= max_range_m
-    return DepthView(np.where(read, depth, 0.0).astype(np.float32), shown & read)
+    return Rendering(np.where(read, depth, 0.0).astype(np.float32), shown & read)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

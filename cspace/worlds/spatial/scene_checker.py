@@ -74,7 +74,8 @@ class SceneChecker:
     @property
     def names(self) -> tuple[str, ...]:
         """Of the bodies, in the order of the arrays."""
-        return tuple(one.name for one in in_order(self.known.scene))
+        kinds = ("box", "cylinder", "sphere", "mesh")
+        return tuple(one.name for kind in kinds for one in self.known.scene if getattr(one, kind) is not None)
 
     def free(
         self, configurations: NDArray[np.floating], check_cancelled: CheckCancelled = lambda: None
@@ -248,13 +249,6 @@ class SceneChecker:
             for part in self.arm.parts
         ]
         return np.asarray(rows, dtype=np.bool_).reshape(len(self.arm.parts), len(self.names))
-
-
-def in_order(bodies: Iterable[Body]) -> list[Body]:
-    """As :class:`cspace.worlds.spatial.bodies.BodyArrays` has them."""
-    every = list(bodies)
-    kinds = ("box", "cylinder", "sphere", "mesh")
-    return [one for kind in kinds for one in every if getattr(one, kind) is not None]
 
 
 def bodies_of(bodies: Iterable[Body], meshes: Mapping[str, NDArray[np.float64]]) -> BodyArrays:

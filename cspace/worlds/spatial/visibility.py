@@ -264,7 +264,7 @@ MAX_USED_SIDE = 160
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Known:
+class VoxelValues:
     """What an array says of points."""
 
     distance_m: NDArray[np.float32]  # (...) float32 to the nearest surface seen, at most :data:`TRUNCATION_M`
@@ -341,7 +341,7 @@ def distances_m(observed: NDArray[np.uint8]) -> NDArray[np.float32]:
     return np.asarray(observed[..., 0] * np.float32(DISTANCE_STEP_M))
 
 
-def lookup(observed: NDArray[np.uint8], grid: GridBox, points_m: ArrayLike) -> Known:
+def lookup(observed: NDArray[np.uint8], grid: GridBox, points_m: ArrayLike) -> VoxelValues:
     """What an array (X, Y, Z, 2) says of points (..., 3) m in the base frame.
 
     Distances are trilinear between the centres of voxels, codes those of the voxel that a point is in.
@@ -374,7 +374,7 @@ def lookup(observed: NDArray[np.uint8], grid: GridBox, points_m: ArrayLike) -> K
     near = (near + share[0] * (along_y(x) - near)) * np.float32(DISTANCE_STEP_M)
     distance = np.where(inside, near, np.float32(TRUNCATION_M))
     shape = points.shape[:-1]
-    return Known(distance.reshape(shape), codes.reshape(shape))
+    return VoxelValues(distance.reshape(shape), codes.reshape(shape))
 
 
 def _cells(

