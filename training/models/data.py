@@ -97,9 +97,10 @@ class TrainingArrays:
         )
 
     def part(self, cluster: int | None) -> dict[str, float]:
-        """How much of the data a cluster has: ``configurations``, and their ``share_of_data``."""
+        """Of a cluster or all data: its number, how many ``configurations``, and their ``share_of_data``."""
         count = len(self.labels) if cluster is None else int((self.labels == cluster).sum())
-        return {"configurations": count, "share_of_data": round(count / len(self.labels), 4)}
+        number = {} if cluster is None else {"cluster": cluster}
+        return number | {"configurations": count, "share_of_data": round(count / len(self.labels), 4)}
 
     def scenes(self) -> Scenes | None:
         """The pictures for look-ups, copied; None without."""
