@@ -5,6 +5,7 @@ import sys
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -100,11 +101,11 @@ class Seen:
     known: Known | None = None
     occupancy: NDArray[np.float16] | None = None
 
-    def beside(self, unseen: Any) -> Predict:
+    def beside(self, unseen: Any, predict: Predict) -> Predict:
         """``predict`` times the chance that nothing is touched in the unseen space of a model's occupancy."""
 
         def both(rows: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
-            confidence, share = self.predict(rows)
+            confidence, share = predict(rows)
             clear = 1.0 - unseen.touched(rows)
             if self.known is not None:
                 clear[self.known.certain(rows, lambda: None)] = 1.0
@@ -249,33 +250,29 @@ def search_paths(
     load_kernels(checkers[0], ends[0], STEP_RAD)
     began = time.monotonic()
     until_s = time.thread_time() + time_limit_s
-    goals, predict, unseen = ends[1:], seen.predict, None
+    goals, predict, careful, unseen = ends[1:], seen.predict, 0, None
     if seen.occupancy is not None:
         unseen = unseen_space(seen.world, seen.picture, seen.occupancy, ends, seen.known)
-        predict = seen.beside(unseen)
+        checkers, careful = [unseen.careful_checker(), *checkers], 1
     if constraints is not None:
         checkers, goals, reason = _constrained(seen.world, checkers, ends, constraints)
         if reason is not None:
             took_ms = 1e3 * (time.monotonic() - began)
             return Searched([], late=False, search_ms=took_ms, score_ms=0.0, reason=reason)
         # The model takes circles in [-pi, pi).
-        own, predicted = seen.world.space, predict
-        if constraints.limits is not None:
-            predict = lambda rows: predicted(own.to_float32(rows))  # noqa: E731
-    found = find_paths(checkers, ends[0], goals, count, seed, until_s, check_cancelled=check_cancelled)
+        own = seen.world.space
+        predict = (
+            seen.predict if constraints.limits is None else lambda rows: seen.predict(own.to_float32(rows))
+        )
+    if unseen is not None:
+        predict = seen.beside(unseen, predict)
+    search = partial(find_paths, start=ends[0], goal=goals, seed=seed, until_s=until_s)
+    found = search(checkers[careful:], count=count, check_cancelled=check_cancelled)
     paths = found.paths
-    if unseen is not None and constraints is not None and paths:
+    if paths and careful:
         # The ways that a careful robot would take, if there are any.
-        careful, _, _ = _constrained(seen.world, [unseen.careful_checker()], ends, constraints)
-        more = find_paths(
-            careful,
-            ends[0],
-            goals,
-            CAREFUL_PATHS,
-            seed,
-            until_s,
-            limits=CAREFUL,
-            check_cancelled=check_cancelled,
+        more = search(
+            checkers[:careful], count=CAREFUL_PATHS, limits=CAREFUL, check_cancelled=check_cancelled
         )
         paths = [*more.paths, *paths]
     searched = time.monotonic()

@@ -103,5 +103,5 @@ def test_confidence_falls_with_the_occupancy_on_the_way() -> None:
     half, start = np.full(COUNTS, 0.5, dtype=np.float16), np.zeros((1, WORLD.dim))
     space = unseen_space(WORLD, seen_as(OUT_OF_VIEW), half, start)
     rows = WORLD.space.to_float32(np.stack([start[0], start[0] + 0.6]))
-    confidence, _ = Seen(WORLD, seen_as(OUT_OF_VIEW), surely).beside(space)(rows)
+    confidence, _ = Seen(WORLD, seen_as(OUT_OF_VIEW), surely).beside(space, surely)(rows)
     np.testing.assert_allclose(confidence, [0.9, 0.45], rtol=1e-3)
