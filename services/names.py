@@ -19,8 +19,6 @@ OUTCOMES_EXPERIMENT, OUTCOMES_FILE = "cspace-outcomes", "outcomes.parquet"
 # they have to be gone, s since 1970.
 VIEWS_FILE, VIEW, TAG_KEEP_UNTIL = "views.jsonl", "view", "keep_until_s"
 # Scene models: their runs, the registered model, and its weights among a run's files.
-SCENE_MODELS_EXPERIMENT, SCENE_MODEL_NAME = "cspace-scene-models", "scene-model"
-SCENE_MODEL_FILE = "scene_model.safetensors"
 # The setting that names where artifacts lie that the tracking server does not hand out itself: ``s3://models``.
 ARTIFACT_STORE = "CSPACE_ARTIFACT_STORE"
 # The variable that ``python -m services.local env`` sets in a shell: the API that commands ask.
