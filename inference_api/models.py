@@ -42,6 +42,7 @@ from inference_api.problems import ModelNotReadyError
 from inference_api.settings import ApiSettings
 from services.names import (
     ALIAS_CHAMPION,
+    SCENE_MODEL_NAME,
     TAG_ROBOT,
     TAG_SIGNATURE,
     may_name,
@@ -314,8 +315,8 @@ class ModelStore:
             with suppress(RegistryError):
                 names = self._ask(lambda registry: registry.names())
             found = self._versions(self.model_name)
-            others = [one for one in names if one != self.model_name and is_model_name(one)]
-            for other in others[:LISTED_MODELS]:
+            others = [one for one in names if one not in (self.model_name, SCENE_MODEL_NAME)]
+            for other in [one for one in others if is_model_name(one)][:LISTED_MODELS]:
                 found += [version for version in self._versions(other) if version.aliases]
             with self._lock:
                 self._listed[self.model_name] = found

@@ -18,7 +18,8 @@ OUTCOMES_EXPERIMENT, OUTCOMES_FILE = "cspace-outcomes", "outcomes.parquet"
 # The plans of these that were asked to be kept with their pictures, the kind of their rows, and on a run when
 # they have to be gone, s since 1970.
 VIEWS_FILE, VIEW, TAG_KEEP_UNTIL = "views.jsonl", "view", "keep_until_s"
-# Scene models: their runs, the registered model, and its weights among a run's files.
+# A registered model that is no sampler: earlier code kept versions of the scene model.
+SCENE_MODEL_NAME = "scene-model"
 # The setting that names where artifacts lie that the tracking server does not hand out itself: ``s3://models``.
 ARTIFACT_STORE = "CSPACE_ARTIFACT_STORE"
 # The variable that ``python -m services.local env`` sets in a shell: the API that commands ask.
