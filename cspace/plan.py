@@ -157,15 +157,14 @@ def plan(
         if query.alternatives:
             alternatives = tuple(one.alternative() for one in searched.paths if one.whole >= least)
             found = replace(found, alternatives=alternatives)
-        if query.next_view:
-            check_cancelled = check_cancelled or (lambda: None)
+        if query.next_view and seen.occupancy is not None:
+            unseen = unseen_space(seen.world, seen.picture, seen.occupancy, ends, seen.known)
             view = best_view(
                 seen.world,
                 seen.picture,
-                best.states,
-                best.costs,
+                unseen.doubt_along(best.states),
                 query.views,
-                check_cancelled,
+                check_cancelled or (lambda: None),
                 query.seen_by,
                 query.seen_state,
             )

@@ -194,7 +194,7 @@ class NextView:
     """A camera that would see more."""
 
     camera: Mapping[str, Any]
-    sees: float  # share of the cost along a path that lies on space it would see, 0 to 1
+    sees: float  # share of the doubtful space about a path that it would see, 0 to 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)

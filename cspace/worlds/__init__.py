@@ -163,23 +163,19 @@ def tool_constraints(
 def best_view(
     world: World,
     picture: Image,
-    states: NDArray[np.float64],
-    costs: NDArray[np.float64],
+    doubt: NDArray[np.float32],
     given: Sequence[object] = (),
     check_cancelled: Callable[[], None] = lambda: None,
     seen_by: Sequence[Mapping[str, Any]] = (),
     seen_state: object = None,
 ) -> NextView | None:
-    """The camera, best from a new place, that would see most of the space that makes a path uncertain.
+    """The camera, best from a new place, that would see most of the doubtful space about a path.
 
-    ``states``: (n, d) rad along the path. ``costs``: (n,) of each. ``given``: cameras to choose from; none
-    for generated ones. ``seen_by``, ``seen_state``: cameras and robot state of the picture. None where no
-    camera would see any, and in worlds that are seen whole.
+    ``doubt``: (X, Y, Z), 0 where there is none. ``given``: cameras to choose from; none for generated ones.
+    ``seen_by``, ``seen_state``: cameras and robot state of the picture. None where no camera would see any.
     """
-    if world.kind not in _PARTLY_SEEN:
-        return None
     found = _part(world.kind, "next_view").best_view(
-        world, picture, states, costs, given, check_cancelled, seen_by, seen_state
+        world, picture, doubt, given, check_cancelled, seen_by, seen_state
     )
     return cast("NextView | None", found)
 

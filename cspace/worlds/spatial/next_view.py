@@ -1,8 +1,6 @@
-"""Which further depth camera would see most of the space that makes a path uncertain. NumPy alone.
+"""Which further depth camera would see most of the doubtful space about a path. NumPy alone.
 
-Space in which a camera read nothing is mostly the sky: another picture would read nothing either. A path is
-uncertain for what hides behind what was seen, and its neighbours hide there: a camera beside one that has
-looked sees past what hid that path alone, and so cameras from elsewhere go first.
+A camera beside one that has looked sees past what hid that path alone, so cameras from elsewhere go first.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -16,14 +14,13 @@ from cspace.world import NextView
 from cspace.worlds.spatial.camera import DepthCamera, camera_place, camera_pose, looking, read_camera
 from cspace.worlds.spatial.sensor import DISTANCE_STEP_M, FREE, NO_READING
 from cspace.worlds.spatial.view import cameras_in_base, state_of
-from cspace.worlds.spatial.visibility import lookup
 from cspace.worlds.spatial.world import SpatialWorld
 
 # Cameras about the uncertain space: so many to each side, and so many heights.
 _SIDES, _HEIGHTS = 5, 3
 # Nobody puts a camera into the arm, or far below it.
 _OFF_BASE_M, _LOWEST_M = 0.35, 0.1
-# Voxels of uncertain space that are looked at, those of highest cost.
+# Voxels of doubtful space that are looked at, the most doubtful.
 _PLACES = 512
 _STEP_M = 0.02
 # A seen surface is met, and so much unseen space hides what is behind it with 1 - 1/e.
@@ -35,17 +32,17 @@ _ELSEWHERE_DEG = 45.0
 def best_view(
     world: SpatialWorld,
     picture: NDArray[np.uint8],
-    states: NDArray[np.float64],
-    costs: NDArray[np.float64],
+    doubt: NDArray[np.float32],
     given: Sequence[object],
     check_cancelled: Callable[[], None],
     seen_by: Sequence[Mapping[str, Any]] = (),
     seen_state: object = None,
 ) -> NextView | None:
     """See :func:`cspace.worlds.best_view`."""
-    places, weights = _uncertain_places(world, picture, states, costs)
-    total = float(costs.sum())
-    if not len(places) or not total > 0.0:
+    most = np.argsort(-doubt, axis=None, kind="stable")[:_PLACES]
+    weights = doubt.reshape(-1)[most].astype(np.float64)
+    places, total = world.sensor.grid.centres_m().reshape(-1, 3)[most], float(doubt.sum())
+    if not total > 0.0:
         return None
     focus_m = np.average(places, axis=0, weights=weights)
     cameras = [_camera(one) for one in given] or hemisphere(world, focus_m)
@@ -63,7 +60,7 @@ def best_view(
 def hemisphere(world: SpatialWorld, focus_m: NDArray[np.float64]) -> list[DepthCamera]:
     """Cameras that look at a point (3,) m from where the cameras of the world's training stood.
 
-    Others see more where the arm is not in the way, but a model is uncertain there.
+    Others see more where the arm is not in the way, but a model knows less of what they see.
     """
     views, found = world.sensor.views, []
     sides = np.radians(np.linspace(*views.side_deg, _SIDES))
@@ -117,38 +114,10 @@ def seen_shares(
     x, y, z = np.moveaxis(np.where(crossed[..., None], cells, 0), -1, 0)
     known = picture[x, y, z]
     surface = crossed & (known[..., 0] * DISTANCE_STEP_M < _SURFACE_M)
-    hidden_m = _STEP_M * (crossed & _is_hidden(known[..., 1])).sum(axis=1)
+    hidden_m = _STEP_M * (crossed & (known[..., 1] != FREE) & (known[..., 1] != NO_READING)).sum(axis=1)
     found = np.zeros(len(places))
     found[ahead] = np.where(surface.any(axis=1), 0.0, np.exp(-hidden_m / _HIDING_M))
     return found
-
-
-def _uncertain_places(
-    world: SpatialWorld,
-    picture: NDArray[np.uint8],
-    states: NDArray[np.float64],
-    costs: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Places (n, 3) m of the arm in hidden space along a path, and the cost that lies on each, (n,).
-
-    A state's cost lies on its spheres in hidden space, by their volume.
-    """
-    moving = world.body.sphere_links() > 0
-    centres = world.body.sphere_centres_m(states)[:, moving]
-    volumes = world.body.spheres_m()[moving, 3] ** 3
-    weights = _is_hidden(lookup(picture, world.sensor.grid, centres).codes) * volumes
-    sums = weights.sum(axis=1, keepdims=True)
-    weights = costs[:, None] * np.divide(weights, sums, out=np.zeros_like(weights), where=sums > 0.0)
-    cells = np.floor((centres - np.array(world.sensor.grid.low_m)) / world.sensor.grid.voxel_m)
-    held = weights > 0.0
-    _, first, place = np.unique(cells[held], axis=0, return_index=True, return_inverse=True)
-    summed = np.bincount(place.ravel(), weights[held], len(first)).astype(np.float64)
-    most = np.argsort(-summed, kind="stable")[:_PLACES]
-    return centres[held][first[most]], summed[most]
-
-
-def _is_hidden(codes: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    return np.asarray((codes != FREE) & (codes != NO_READING))
 
 
 def _camera(values: object) -> DepthCamera:

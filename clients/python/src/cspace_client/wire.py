@@ -603,7 +603,7 @@ class NextView(Answer):
     """A camera that would see more."""
 
     camera: View
-    sees: float = Field(description="Share of the path's cost that lies on space it would see.")
+    sees: float = Field(description="Share of the doubtful space about the path that it would see.")
 
 
 class PlanAnswer(SceneAnswer):
