@@ -13,7 +13,7 @@ from fastapi import Depends, FastAPI
 from starlette.types import Message, Receive, Scope, Send
 
 from inference_api import limits
-from inference_api.limits import ComputePlace, ComputePlaces, LimitRequests, client_of
+from inference_api.limits import ComputePlace, ComputePlaces, LimitRequests
 from inference_api.problems import RequestError, add_problem_handlers
 from inference_api.telemetry import Metrics
 from tests.inference_api.answers import PNG, assert_problem
@@ -41,7 +41,7 @@ UNKNOWN = (
 )  # fmt: skip
 
 
-def test_known_names_are_answered_with_any_port_and_others_are_421(named: ApiClient) -> None:
+def test_known_names_are_answered_with_any_port_and_others_are_refused(named: ApiClient) -> None:
     for host in KNOWN:
         assert named.get("/models", headers={"host": host}).status_code == 200, host
     for path, hosts in (
@@ -50,16 +50,15 @@ def test_known_names_are_answered_with_any_port_and_others_are_421(named: ApiCli
     ):
         for host in hosts:
             answer = named.get(path, headers={"host": host})
-            assert_problem(answer, 421, "unknown-host")
+            assert answer.status_code == 400, host
             assert "x-request-id" in answer.headers
     for path in ("/health/live", "/health/ready"):
-        assert named.get(path, headers={"host": "10.1.2.3:8000", "origin": "null"}).status_code == 200
+        assert named.get(path, headers={"host": "localhost:8000", "origin": "null"}).status_code == 200
 
 
 def test_a_star_answers_under_any_name(start_api: StartApi) -> None:
     api = start_api(api_hosts=("*",))
     assert api.get("/models", headers={"host": "any.example"}).status_code == 200
-    assert api.get("/models", headers={"host": ""}).status_code == 421
 
 
 CASES = [
@@ -107,24 +106,11 @@ def test_a_page_of_an_allowed_site_asks_and_reads_the_answer(named: ApiClient) -
     assert named.options("/sample", headers=other).status_code == 403
 
 
-@pytest.mark.parametrize(
-    ("first", "second", "same"),
-    [
-        ("192.0.2.1", "192.0.2.2", False),
-        ("2001:db8::1", "2001:db8::ffff:1", True),
-        ("2001:db8::1", "2001:db8:0:1::1", False),
-        ("testclient", "testclient", True),
-        ("::ffff:192.0.2.1", "::ffff:192.0.2.2", False),
-        ("fe80::1%eth0", "fe80::2%eth1", True),
-    ],
-)
-def test_addresses_of_one_subscriber_are_one_client(first: str, second: str, same: bool) -> None:
-    assert (client_of({"client": (first, 1)}) == client_of({"client": (second, 2)})) is same
-    assert client_of({"client": (first, 1), "state": {"client": "robot"}}) == "key robot"
-
-
-def test_a_byte_now_and_then_does_not_lengthen_the_time_of_a_body(start_api: StartApi) -> None:
-    api = start_api(api_body_timeout_s=0.1)
+def test_a_byte_now_and_then_does_not_lengthen_the_time_of_a_body(
+    start_api: StartApi, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(limits, "BODY_TIMEOUT_S", 0.1)
+    api = start_api()
 
     async def trickling() -> AsyncIterator[bytes]:
         for _ in range(100):
@@ -159,9 +145,9 @@ def test_a_body_is_refused_by_its_length_or_by_what_came(length: str, body: byte
     headers = [(b"content-length", length.encode())] if length else []
     if status == 413 and body:
         with pytest.raises(RequestError, match="too large"):
-            asyncio.run(_through(LimitRequests(app, 8, 30.0), headers, body))
+            asyncio.run(_through(LimitRequests(app, 8), headers, body))
         return
-    assert asyncio.run(_through(LimitRequests(app, 8, 30.0), headers, body))[0]["status"] == status
+    assert asyncio.run(_through(LimitRequests(app, 8), headers, body))[0]["status"] == status
     assert len(read) == (status == 200)
 
 
@@ -187,7 +173,7 @@ def test_one_client_takes_neither_all_places_nor_all_bytes_and_gives_back_what_i
         raise ZeroDivisionError
 
     async def scenario() -> list[int]:
-        limited = LimitRequests(app, 4, 30.0)
+        limited = LimitRequests(app, 4)
 
         async def ask(host: str) -> int:
             transport = httpx.ASGITransport(limited, raise_app_exceptions=False, client=(host, 1))
@@ -216,9 +202,9 @@ class Computing:
     def __init__(self, cores: int) -> None:
         self.free, self.running, self.ended = threading.Event(), 0, list[str]()
         self.app = FastAPI()
-        self.app.state.places = ComputePlaces(cores, Metrics(lambda: None).waiting)
+        self.app.state.places = ComputePlaces(cores, Metrics().waiting)
         add_problem_handlers(self.app)
-        self.app.add_middleware(LimitRequests, max_in_flight=64, body_timeout_s=30.0)
+        self.app.add_middleware(LimitRequests, max_in_flight=64)
 
         @self.app.post("/plan")
         @self.app.post("/")

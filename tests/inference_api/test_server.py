@@ -116,7 +116,7 @@ def test_a_server_with_keys_and_one_place_ends_with_what_is_in_flight(
         "CSPACE_API_KEYS_FILE": str(path),
         "CSPACE_API_MAX_IN_FLIGHT": "1",
     }
-    with server_process(tmp_path, settings, "--log", "json") as server:
+    with server_process(tmp_path, settings) as server:
         assert_problem(httpx.get(f"{server.address}/models", timeout=30), 401, "unauthorized")
         assert httpx.get(f"{server.address}/health/ready", timeout=30).status_code == 200
         with connect(server.address) as link:
@@ -167,7 +167,7 @@ def a_plan(time_limit_s: float) -> bytes:
 
 
 def test_a_search_ends_when_its_client_has_gone_and_the_next_one_is_answered(tmp_path: Path) -> None:
-    with server_process(tmp_path, {"CSPACE_API_THREADS": "1"}, "--log", "json") as server:
+    with server_process(tmp_path, {"CSPACE_API_THREADS": "1"}) as server:
         with connect(server.address) as link:
             # Until the search is loaded.
             link.settimeout(120)
