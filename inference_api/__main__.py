@@ -29,8 +29,7 @@ def main(arguments: list[str] | None = None) -> int:
         settings = ApiSettings.from_environment()
         check_exposure(options.host, settings.api_keys_file, allowed=options.allow_unauthenticated)
         hosts = {*settings.api_hosts, bracketed(options.host)} - {"0.0.0.0", "[::]", ""}  # noqa: S104
-        workbench = settings.api_workbench or options.workbench
-        app = create_app(settings.model_copy(update={"api_hosts": hosts, "api_workbench": workbench}))
+        app = create_app(settings.model_copy(update={"api_hosts": hosts}))
     except ConfigError as error:
         print(error, file=sys.stderr)
         return 2
@@ -79,11 +78,6 @@ def _parser() -> argparse.ArgumentParser:
         "--allow-unauthenticated",
         action="store_true",
         help="listen on other addresses than loopback although no key is required",
-    )
-    parser.add_argument(
-        "--workbench",
-        action="store_true",
-        help="ground truth for the page at /: collision regions, families, checks of paths",
     )
     return parser
 

@@ -1,16 +1,13 @@
 """API keys: long random tokens of which the server knows SHA-256 digests only.
 
-``python -m inference_api.auth NAME`` makes one. A digest without salt or stretching is enough here and here
-only, because a key is 256 random bits and not a password that somebody chose.
+A digest without salt or stretching is enough, because a key is 256 random bits and not a password that
+somebody chose. docs/operations.md makes one with openssl.
 """
 
-import argparse
 import hashlib
 import ipaddress
 import re
-import secrets
 import stat
-import sys
 from contextlib import suppress
 from pathlib import Path
 
@@ -23,12 +20,10 @@ from inference_api.limits import HEALTH, WORKBENCH_FILES
 from inference_api.problems import UNAUTHORIZED, RequestError, problem_response
 from inference_api.telemetry import request_fields
 
-KEY_BYTES = 32
 # Some thousand keys.
 MAX_FILE_BYTES = 2**20
 REALM = 'Bearer realm="cspace-sampler"'
-_NAME = r"[A-Za-z0-9._-]{1,64}"
-_LINE = re.compile(rf"({_NAME}):([0-9a-f]{{64}})", re.ASCII)
+_LINE = re.compile(r"([A-Za-z0-9._-]{1,64}):([0-9a-f]{64})", re.ASCII)
 
 
 def read_keys(path: Path) -> dict[str, str]:
@@ -52,7 +47,7 @@ def read_keys(path: Path) -> dict[str, str]:
             f"the file of API keys {path} is wrong",
             expected="lines name:sha256",
             got="another line" if matches else "no key",
-            remedy="make lines with python -m inference_api.auth NAME",
+            remedy="make lines as docs/operations.md does",
         )
     return keys
 
@@ -102,34 +97,10 @@ def check_exposure(host: str, keys_file: Path | None, *, allowed: bool) -> None:
             "everybody who reaches the server could use it",
             expected="a loopback address, or keys",
             got=f"--host {host!r} without CSPACE_API_KEYS_FILE",
-            remedy="make keys with python -m inference_api.auth NAME, or say --allow-unauthenticated",
+            remedy="name a file of keys there, or say --allow-unauthenticated",
         )
 
 
 def digest_of(token: str) -> str:
     """SHA-256 of a key, in hexadecimal."""
     return hashlib.sha256(token.encode(errors="surrogateescape")).hexdigest()
-
-
-def make_key() -> str:
-    """A new key with 256 random bits."""
-    return "csk_" + secrets.token_urlsafe(KEY_BYTES)
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """Make a key and print it, this once; 2 for a wrong name."""
-    parser = argparse.ArgumentParser(
-        prog="python -m inference_api.auth",
-        description="Make an API key: prints the key for its holder and the line for CSPACE_API_KEYS_FILE.",
-    )
-    parser.add_argument("name", help="whose key it is: 1 to 64 letters, digits, dots, dashes, underscores")
-    name = parser.parse_args(arguments).name
-    if not re.fullmatch(_NAME, name, re.ASCII):
-        parser.error(f"expected a name of letters, digits, dots, dashes and underscores; got {name!r}")
-    key = make_key()
-    sys.stdout.write(f"key, shown this once: {key}\n{name}:{digest_of(key)}\n")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

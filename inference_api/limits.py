@@ -146,15 +146,17 @@ class LimitRequests:
                 until = math.inf
             more = len(message.get("body", b""))
             if size + more > MAX_BODY_BYTES:
-                raise _too_large(f"more than {MAX_BODY_BYTES}")
+                raise RequestError(
+                    BODY_TOO_LARGE,
+                    "the body is too large",
+                    expected=f"at most {MAX_BODY_BYTES} bytes",
+                    remedy="send a smaller picture; 2048 pixels a side are the most that is accepted",
+                )
             self._bytes.take(client, more)
             size += more
             return message
 
         try:
-            announced = Headers(scope=scope).get("content-length", "0")
-            if announced.isdigit() and int(announced[:30]) > MAX_BODY_BYTES:
-                raise _too_large(announced[:30])
             self._places.take(client)
         except RequestError as error:
             await problem_response(error)(scope, receive, send)
@@ -165,16 +167,6 @@ class LimitRequests:
         finally:
             self._places.give(client)
             self._bytes.give(client, size)
-
-
-def _too_large(got: str) -> RequestError:
-    return RequestError(
-        BODY_TOO_LARGE,
-        "the body is too large",
-        expected=f"at most {MAX_BODY_BYTES} bytes",
-        got=f"{got} bytes",
-        remedy="send a smaller picture; 2048 pixels a side are the most that is accepted",
-    )
 
 
 class Place:

@@ -5,7 +5,7 @@ import threading
 import time
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import httpx
 import pytest
@@ -14,7 +14,7 @@ from starlette.types import Message, Receive, Scope, Send
 
 from inference_api import limits
 from inference_api.limits import ComputePlace, ComputePlaces, LimitRequests
-from inference_api.problems import RequestError, add_problem_handlers
+from inference_api.problems import add_problem_handlers
 from inference_api.telemetry import Metrics
 from tests.inference_api.answers import PNG, assert_problem
 from tests.inference_api.client import ApiClient
@@ -123,46 +123,6 @@ def test_a_byte_now_and_then_does_not_lengthen_the_time_of_a_body(
     assert_problem(answer, 408, "request-timeout")
     assert answer.headers["connection"] == "close"
     assert api.post("/sample", files={"image": PNG}).status_code == 200
-
-
-@pytest.mark.parametrize(
-    ("length", "body", "status"),
-    [
-        ("9" * 5000, b"", 413),
-        (str(9 * 2**20), b"", 413),
-        ("0" * 5000 + "1", b"1", 200),
-        ("", bytes(2**20), 413),
-    ],
-)
-def test_a_body_is_refused_by_its_length_or_by_what_came(length: str, body: bytes, status: int) -> None:
-    """Below the app: a server's parser may be of any kind."""
-    read = []
-
-    async def app(scope: Scope, receive: Receive, send: Send) -> None:
-        read.extend([await receive() for _ in range(9 if len(body) > 1 else 1)])
-        await send({"type": "http.response.start", "status": 200, "headers": []})
-
-    headers = [(b"content-length", length.encode())] if length else []
-    if status == 413 and body:
-        with pytest.raises(RequestError, match="too large"):
-            asyncio.run(_through(LimitRequests(app, 8), headers, body))
-        return
-    assert asyncio.run(_through(LimitRequests(app, 8), headers, body))[0]["status"] == status
-    assert len(read) == (status == 200)
-
-
-async def _through(app: Any, headers: list[tuple[bytes, bytes]], body: bytes) -> list[Message]:
-    sent: list[Message] = []
-
-    async def send(message: Message) -> None:
-        sent.append(message)
-
-    async def receive() -> Message:
-        return {"type": "http.request", "body": body, "more_body": len(body) > 1}
-
-    scope = {"type": "http", "path": "/", "headers": headers, "client": ("127.0.0.1", 1)}
-    await app(scope, receive, send)
-    return sent
 
 
 def test_one_client_takes_neither_all_places_nor_all_bytes_and_gives_back_what_it_held() -> None:
