@@ -8,12 +8,13 @@ import sys
 
 import uvicorn
 
-from cspace.errors import ConfigError, PortTakenError
+from cspace.errors import ConfigError
+from inference_api.app import create_app
 from inference_api.auth import check_exposure
-from inference_api.settings import HOSTS, WORKBENCH, ApiSettings, bracketed, described_settings
-from inference_api.telemetry import LOG_FORMS, log_settings
+from inference_api.settings import ApiSettings, bracketed
+from inference_api.telemetry import configure_logging
 
-KEEP_ALIVE_S = 60
+MAX_CONNECTIONS, KEEP_ALIVE_S = 512, 60
 # Of request line and headers together.
 MAX_HEAD_BYTES = 40 * 1024
 
@@ -21,83 +22,38 @@ MAX_HEAD_BYTES = 40 * 1024
 def main(arguments: list[str] | None = None) -> int:
     """Parse, listen, serve; 0 after a shutdown, 1 when it could not start, 2 for wrong settings."""
     options = _parser().parse_args(arguments)
-    if options.workbench:
-        # The processes of the server read it again.
-        os.environ[WORKBENCH] = "1"
     # One BLAS thread; two on two busy cores are an order of magnitude slower.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
+    configure_logging()
     try:
         settings = ApiSettings.from_environment()
         check_exposure(options.host, settings.api_keys_file, allowed=options.allow_unauthenticated)
-        if options.host not in ("0.0.0.0", "::", ""):  # noqa: S104 - all addresses have no name of their own
-            os.environ[HOSTS] = ",".join((*settings.api_hosts, bracketed(options.host)))
-        listener = _listen(options.host, options.port)
+        hosts = {*settings.api_hosts, bracketed(options.host)} - {"0.0.0.0", "[::]", ""}  # noqa: S104
+        app = create_app(settings.model_copy(update={"api_hosts": hosts}))
     except ConfigError as error:
         print(error, file=sys.stderr)
         return 2
-    except PortTakenError as error:
-        print(error, file=sys.stderr)
+    app.state.loads_planner = settings.api_load_planner
+    try:
+        family = socket.AF_INET6 if ":" in options.host else socket.AF_INET
+        listener = socket.create_server((options.host, options.port), family=family)
+    except (OSError, OverflowError) as error:
+        print(f"cannot listen: {error}; choose another --port or --host", file=sys.stderr)
         return 1
     host, port = listener.getsockname()[:2]
     print(f"serving on http://{host}:{port} (documentation at http://{host}:{port}/docs)", flush=True)
-    return _serve(settings, options.log, listener)
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m inference_api",
-        description="Serve POST /sample and the rest of the API.",
-        epilog="\n".join(("settings, as environment variables:", *described_settings())),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: %(default)s)")
-    parser.add_argument("--port", type=int, default=8000, help="0 for a free one (default: %(default)s)")
-    parser.add_argument(
-        "--log", choices=LOG_FORMS, default="text", help="form of the log (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--allow-unauthenticated",
-        action="store_true",
-        help="listen on other addresses than loopback although no key is required",
-    )
-    parser.add_argument(
-        "--workbench",
-        action="store_true",
-        help="ground truth for the page at /: collision regions, families, checks of paths",
-    )
-    return parser
-
-
-def _listen(host: str, port: int) -> socket.socket:
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    # asyncio sets TCP_NODELAY on connections of sockets that name their protocol.
-    listener = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
-    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    try:
-        listener.bind((host, port))
-        # Who connects before the app has started waits.
-        listener.listen()
-    except (OSError, OverflowError) as error:
-        raise PortTakenError(
-            f"cannot listen on {host}:{port}", got=str(error), remedy="choose another --port or --host"
-        ) from error
-    return listener
-
-
-def _serve(settings: ApiSettings, log: str, listener: socket.socket) -> int:
     config = uvicorn.Config(
-        "inference_api.app:create_server_app",
-        factory=True,
+        app,
         # Unlike httptools it bounds a request's head.
         http="h11",
         # A request to upgrade is answered as a request, by the limits and the routes.
         ws="none",
-        limit_concurrency=settings.api_max_connections,
+        limit_concurrency=MAX_CONNECTIONS,
         timeout_keep_alive=KEEP_ALIVE_S,
         timeout_graceful_shutdown=settings.api_grace_s,
         h11_max_incomplete_event_size=MAX_HEAD_BYTES,
-        forwarded_allow_ips=list(settings.api_trusted_proxies),
-        log_config=log_settings(log),
+        forwarded_allow_ips=[str(network) for network in settings.api_trusted_proxies],
+        log_config=None,
         # The app writes one line a request of its own.
         access_log=False,
         server_header=False,
@@ -106,8 +62,24 @@ def _serve(settings: ApiSettings, log: str, listener: socket.socket) -> int:
         # The server shuts down, then raises the signal again; without this that would look like a crash.
         signal.signal(number, lambda *_: sys.exit(0))
     server = uvicorn.Server(config)
-    server.run(sockets=[listener])
+    # Opened again it knows its protocol, without which asyncio leaves Nagle's algorithm on.
+    server.run(sockets=[socket.socket(fileno=listener.detach())])
     return 0 if server.started else 1
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m inference_api",
+        description="Serve POST /sample and the rest of the API. docs/operations.md lists its settings.",
+    )
+    parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: %(default)s)")
+    parser.add_argument("--port", type=int, default=8000, help="0 for a free one (default: %(default)s)")
+    parser.add_argument(
+        "--allow-unauthenticated",
+        action="store_true",
+        help="listen on other addresses than loopback although no key is required",
+    )
+    return parser
 
 
 if __name__ == "__main__":

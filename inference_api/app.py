@@ -14,21 +14,21 @@ from typing import TYPE_CHECKING
 from anyio import to_thread
 from fastapi import FastAPI
 from fastapi.middleware.cors import CORSMiddleware
+from fastapi.middleware.trustedhost import TrustedHostMiddleware
 
 from cspace.bundle import Bundle
 from cspace.bundle.load import verify
-from inference_api.auth import ApiKeys, RequireKey
+from inference_api.auth import RequireKey, read_keys
 from inference_api.kernels import SearchKernels
 from inference_api.limits import (
-    HEALTH,
-    WORKBENCH_FILES,
+    LOOPBACK_NAMES,
     ComputePlaces,
-    HostAndOriginMiddleware,
     LimitRequests,
+    RefuseForeignOrigins,
 )
 from inference_api.models import ModelStore
 from inference_api.pictures import PictureCache
-from inference_api.problems import add_problem_handlers
+from inference_api.problems import PROBLEM_RESPONSES, add_problem_handlers
 from inference_api.routes import belief, doctor, models, outcomes, plan, sample, validity
 from inference_api.routes.documentation import add_docs_page, add_guide, document
 from inference_api.settings import MIB, ApiSettings
@@ -48,35 +48,31 @@ SWITCH_S = 0.00005
 
 
 def create_app(settings: ApiSettings | None = None, registry: "ModelRegistry | None" = None) -> FastAPI:
-    """The API; its state holds ``settings``, ``models``, ``metrics``, ``places``, ``spool`` and ``receipts``.
-
-    Args:
-        settings: from the environment when None.
-        registry: where the models are; MLflow at ``settings.registry_uri`` when None.
-
-    Raises:
-        ConfigError: a setting in the environment is wrong, or the file of API keys, or traces or the truth
-            of scenes are asked for and their packages are not there.
-    """
+    """The API with settings of the environment, and MLflow at ``settings.registry_uri``, unless given."""
     settings = settings or ApiSettings.from_environment()
     app = FastAPI(
         title="cspace-sampler",
         version=_version(),
         description="A picture of a scenario goes in, collision-free joint configurations come out.",
         lifespan=_lifespan,
+        responses=PROBLEM_RESPONSES,
         docs_url=None,
         redoc_url=None,
     )
     store = _model_store(settings, registry)
-    metrics = Metrics(lambda: store.default)
-    store.on_reload = metrics.reloaded
+    metrics = Metrics()
+    store.on_reload = lambda outcome: metrics.reloads.labels(outcome).inc()
     app.state.settings, app.state.models, app.state.metrics = settings, store, metrics
     app.state.places = ComputePlaces(settings.api_threads, metrics.waiting)
-    app.state.kernels, app.state.pictures = SearchKernels(), PictureCache(settings.cached_pictures)
+    app.state.kernels, app.state.pictures = SearchKernels(), PictureCache()
     app.state.spool = app.state.receipts = None
     if settings.outcomes is not None:
         app.state.receipts = Receipts.of(settings.outcomes, settings.receipt_key)
-        app.state.spool = Spool(settings.outcomes, int(MIB * settings.outcomes_mib), metrics.outcomes)
+        app.state.spool = Spool(
+            settings.outcomes,
+            int(MIB * settings.outcomes_mib),
+            lambda result, count: metrics.outcomes.labels(result).inc(count),
+        )
     # Servers load the search when they start; an app in another process with its first plan.
     app.state.loads_planner = False
     for routes in (sample, validity, plan, belief, doctor, outcomes, models):
@@ -86,26 +82,17 @@ def create_app(settings: ApiSettings | None = None, registry: "ModelRegistry | N
     add_workbench(app, truth=settings.api_workbench)
     add_problem_handlers(app)
     _add_middleware(app, settings)
-    app.state.traces = add_tracing(app) if settings.traces else None
+    if settings.traces:
+        add_tracing(app)
     app.openapi = lambda: document(app, settings.model_name)  # type: ignore[method-assign]
-    return app
-
-
-def create_server_app() -> FastAPI:
-    """The app of a server's process, see :mod:`inference_api.__main__`."""
-    app = create_app()
-    app.state.loads_planner = app.state.settings.api_load_planner
     return app
 
 
 def _add_middleware(app: FastAPI, settings: ApiSettings) -> None:
     """What is added last is asked first."""
-    app.add_middleware(
-        LimitRequests, max_in_flight=settings.api_max_in_flight, body_timeout_s=settings.api_body_timeout_s
-    )
+    app.add_middleware(LimitRequests, max_in_flight=settings.api_max_in_flight)
     if settings.api_keys_file is not None:
-        open_paths = (*HEALTH, "/", f"{WORKBENCH_FILES}/")
-        app.add_middleware(RequireKey, keys=ApiKeys.read(settings.api_keys_file), open_paths=open_paths)
+        app.add_middleware(RequireKey, keys=read_keys(settings.api_keys_file))
     if settings.api_origins:
         app.add_middleware(
             CORSMiddleware,
@@ -114,7 +101,10 @@ def _add_middleware(app: FastAPI, settings: ApiSettings) -> None:
             allow_headers=["*"],
             expose_headers=["*"],
         )
-    app.add_middleware(HostAndOriginMiddleware, hosts=settings.api_hosts, origins=settings.api_origins)
+    app.add_middleware(RefuseForeignOrigins, origins=settings.api_origins)
+    app.add_middleware(
+        TrustedHostMiddleware, allowed_hosts=[*LOOPBACK_NAMES, *settings.api_hosts], www_redirect=False
+    )
     app.add_middleware(Telemetry, metrics=app.state.metrics)
 
 
@@ -138,9 +128,6 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     store.ended.set()
     if expiring is not None:
         expiring.cancel()
-    if app.state.traces is not None:
-        # Sends what is still waiting.
-        await to_thread.run_sync(app.state.traces.shutdown)
 
 
 async def _expire(spool: Spool, registry_uri: str) -> None:

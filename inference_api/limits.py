@@ -5,12 +5,11 @@ the process.
 """
 
 import asyncio
-import ipaddress
+import math
 import time
 from collections import Counter
 from collections.abc import AsyncIterator, Iterable
 from contextlib import AsyncExitStack
-from functools import lru_cache
 from typing import Annotated
 from weakref import WeakValueDictionary
 
@@ -25,7 +24,6 @@ from inference_api.problems import (
     BODY_TOO_LARGE,
     FOREIGN_ORIGIN,
     REQUEST_TIMEOUT,
-    UNKNOWN_HOST,
     RequestError,
     overloaded,
     problem_response,
@@ -34,6 +32,8 @@ from inference_api.problems import (
 MAX_BODY_BYTES = 8 * 1024 * 1024
 # Of all bodies that have arrived and are not answered.
 MAX_HELD_BYTES = 8 * MAX_BODY_BYTES
+# From the headers to the last byte of a body.
+BODY_TIMEOUT_S = 30.0
 # A request that is not answered by then is refused, before a proxy in front gives up (60 s) without a reason.
 ANSWER_S = 50.0
 # A request that waits or computes for so long is ended where its client goes away.
@@ -44,77 +44,42 @@ LOOPBACK_NAMES = ("localhost", "127.0.0.1", "[::1]")
 HEALTH = ("/health/live", "/health/ready")
 METRICS, SEARCH = "/metrics", "/plan"
 WORKBENCH_FILES = "/workbench/files"
-# What one subscriber is usually given of IPv6; single addresses of it are free to choose.
-_SUBSCRIBER_BITS = 64
 
 
 def client_of(scope: Scope) -> str:
-    """By whom requests are counted: the name of the key, else the peer's address, of IPv6 the first half."""
+    """By whom requests are counted: the name of the key, else the peer's address."""
     name = scope.get("state", {}).get("client")
-    if name is not None:
-        return f"key {name}"
-    return f"peer {_subscriber((scope.get('client') or ('unknown', 0))[0])}"
+    return f"peer {(scope.get('client') or ('unknown', 0))[0]}" if name is None else f"key {name}"
 
 
-@lru_cache(maxsize=4096)
-def _subscriber(host: str) -> str:
-    try:
-        address = ipaddress.ip_address(host.partition("%")[0])
-    except ValueError:
-        return host
-    if isinstance(address, ipaddress.IPv6Address) and address.ipv4_mapped is None:
-        return str(ipaddress.ip_network((int(address), _SUBSCRIBER_BITS), strict=False))
-    return str(address)
+class RefuseForeignOrigins:
+    """ASGI middleware: 403 for pages of other sites, but those at ``origins``.
 
-
-class HostAndOriginMiddleware:
-    """ASGI middleware: 421 for unknown hosts, 403 for pages of other sites; health pages are open to all.
-
-    A page of any site makes its visitor's browser ask servers on loopback; one whose name is made to mean
-    127.0.0.1 (DNS rebinding) even reads the answers. Both show in headers that no page can forge.
-
-    Args:
-        app: what is protected.
-        hosts: names besides those of loopback, without port; ``*`` for any.
-        origins: of other sites, as ``https://host:port``.
+    A page of any site makes its visitor's browser ask servers on loopback. That shows in headers that no page
+    can forge. One whose name is made to mean 127.0.0.1 (DNS rebinding) is refused by its Host header.
     """
 
-    def __init__(self, app: ASGIApp, hosts: Iterable[str], origins: Iterable[str]) -> None:
-        self._app, self._hosts, self._origins = (
-            app,
-            {*LOOPBACK_NAMES, *map(str.lower, hosts)},
-            frozenset(map(str.lower, origins)),
-        )
+    def __init__(self, app: ASGIApp, origins: Iterable[str]) -> None:
+        self._app, self._origins = app, frozenset(map(str.lower, origins))
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Passes a request on, or refuses it."""
-        if scope["type"] == "http" and scope["path"] not in HEALTH:
-            headers = Headers(scope=scope)
-            host = headers.get("host", "").lower()
-            name = host[: host.find("]") + 1] or host.partition(":")[0]
-            refused: RequestError | None = None
-            if name not in self._hosts and not ("*" in self._hosts and name):
-                refused = RequestError(
-                    UNKNOWN_HOST,
-                    "the server does not answer under this name",
-                    expected="a Host header with a name that the server knows",
-                    remedy="ask for localhost, or have the server's CSPACE_API_HOSTS name the host",
-                )
-            elif self._is_foreign(scope, headers, f"{scope['scheme']}://{host}"):
-                refused = RequestError(
-                    FOREIGN_ORIGIN,
-                    "the request comes from a page of another site",
-                    remedy="have the server's CSPACE_API_ORIGINS name the page's origin",
-                )
-            if refused is not None:
-                await problem_response(refused)(scope, receive, send)
-                return
-        await self._app(scope, receive, send)
+        if scope["type"] == "http" and scope["path"] not in HEALTH and self._is_foreign(scope):
+            error = RequestError(
+                FOREIGN_ORIGIN,
+                "the request comes from a page of another site",
+                remedy="have the server's CSPACE_API_ORIGINS name the page's origin",
+            )
+            await problem_response(error)(scope, receive, send)
+        else:
+            await self._app(scope, receive, send)
 
-    def _is_foreign(self, scope: Scope, headers: Headers, own: str) -> bool:
+    def _is_foreign(self, scope: Scope) -> bool:
+        headers = Headers(scope=scope)
         origin = headers.get("origin")
         if origin is not None:
-            return origin.lower() not in (own, *self._origins)
+            own = f"{scope['scheme']}://{headers.get('host', '')}"
+            return origin.lower() not in (own.lower(), *self._origins)
         if headers.get("sec-fetch-site") not in ("cross-site", "same-site"):
             return False
         # A link to a page of this server: the visitor leaves the other site.
@@ -148,15 +113,10 @@ class LimitRequests:
 
     It notes in ``state.deadline`` until when a request has to be answered, see :class:`Place`. Health pages
     and metrics matter most when a server is overloaded, and are not counted.
-
-    Args:
-        app: what is protected.
-        max_in_flight: requests at the same time.
-        body_timeout_s: from the headers to the body's last byte.
     """
 
-    def __init__(self, app: ASGIApp, max_in_flight: int, body_timeout_s: float) -> None:
-        self._app, self._body_timeout_s = app, body_timeout_s
+    def __init__(self, app: ASGIApp, max_in_flight: int) -> None:
+        self._app = app
         self._places = Shares(max_in_flight, "requests in flight")
         self._bytes = Shares(MAX_HELD_BYTES, "bytes of bodies")
 
@@ -165,65 +125,48 @@ class LimitRequests:
         if scope["type"] != "http" or scope["path"] in (*HEALTH, METRICS):
             await self._app(scope, receive, send)
             return
-        client = client_of(scope)
+        client, size, until = client_of(scope), 0, time.monotonic() + BODY_TIMEOUT_S
+
+        async def receive_bounded() -> Message:
+            nonlocal size, until
+            try:
+                # However the body trickles, its time runs from the headers on.
+                with fail_after(max(0.0, until - time.monotonic())):
+                    message = await receive()
+            except TimeoutError:
+                raise RequestError(
+                    REQUEST_TIMEOUT,
+                    "the body did not arrive in time",
+                    expected=f"all of it within {BODY_TIMEOUT_S:g} s",
+                    remedy="send it again, over a faster connection or as a smaller picture",
+                    headers={"Connection": "close"},
+                ) from None
+            if not message.get("more_body", False):
+                # What comes after it is that the client goes away.
+                until = math.inf
+            more = len(message.get("body", b""))
+            if size + more > MAX_BODY_BYTES:
+                raise RequestError(
+                    BODY_TOO_LARGE,
+                    "the body is too large",
+                    expected=f"at most {MAX_BODY_BYTES} bytes",
+                    remedy="send a smaller picture; 2048 pixels a side are the most that is accepted",
+                )
+            self._bytes.take(client, more)
+            size += more
+            return message
+
         try:
-            announced = Headers(scope=scope).get("content-length", "0")
-            if announced.isdigit() and int(announced[:30]) > MAX_BODY_BYTES:
-                raise _too_large(announced[:30])
             self._places.take(client)
         except RequestError as error:
             await problem_response(error)(scope, receive, send)
             return
-        body = _Body(receive, client, self._bytes, self._body_timeout_s)
         scope.setdefault("state", {})["deadline"] = time.monotonic() + ANSWER_S
         try:
-            await self._app(scope, body.receive, send)
+            await self._app(scope, receive_bounded, send)
         finally:
             self._places.give(client)
-            self._bytes.give(client, body.size)
-
-
-class _Body:
-    """The body of one request: its size, its part of what all bodies may hold, and its time."""
-
-    def __init__(self, receive: Receive, client: str, held: Shares, limit_s: float) -> None:
-        self.size, self._complete = 0, False
-        self._receive, self._client, self._held = receive, client, held
-        self._limit_s, self._until = limit_s, time.monotonic() + limit_s
-
-    async def receive(self) -> Message:
-        """The next piece; raises RequestError where it is too large, too late, or too much for all."""
-        if self._complete:
-            return await self._receive()
-        try:
-            # However the body trickles, its time runs from the headers on.
-            with fail_after(max(0.0, self._until - time.monotonic())):
-                message = await self._receive()
-        except TimeoutError:
-            raise RequestError(
-                REQUEST_TIMEOUT,
-                "the body did not arrive in time",
-                expected=f"all of it within {self._limit_s:g} s",
-                remedy="send it again, over a faster connection or as a smaller picture",
-                headers={"Connection": "close"},
-            ) from None
-        self._complete = message["type"] != "http.request" or not message.get("more_body", False)
-        size = len(message.get("body", b""))
-        if self.size + size > MAX_BODY_BYTES:
-            raise _too_large(f"more than {MAX_BODY_BYTES}")
-        self._held.take(self._client, size)
-        self.size += size
-        return message
-
-
-def _too_large(got: str) -> RequestError:
-    return RequestError(
-        BODY_TOO_LARGE,
-        "the body is too large",
-        expected=f"at most {MAX_BODY_BYTES} bytes",
-        got=f"{got} bytes",
-        remedy="send a smaller picture; 2048 pixels a side are the most that is accepted",
-    )
+            self._bytes.give(client, size)
 
 
 class Place:
@@ -233,12 +176,7 @@ class Place:
         self.deadline, self.is_abandoned = deadline, False
 
     def check_cancelled(self) -> None:
-        """Ends the work of a request that nobody waits for any more; cheap, and for any thread.
-
-        Raises:
-            ClientDisconnect: the client has gone away.
-            RequestError: the deadline has passed.
-        """
+        """Raises where the client has gone away or the deadline has passed; cheap, and for any thread."""
         if self.is_abandoned:
             raise ClientDisconnect
         if time.monotonic() > self.deadline:
@@ -251,12 +189,7 @@ class Place:
 
 
 class ComputePlaces:
-    """As many places as cores; a client never holds the last one, unless there is but one.
-
-    Args:
-        cores: places.
-        waiting: the number of requests that wait for one.
-    """
+    """As many places as cores; a client never holds the last one, unless there is but one."""
 
     def __init__(self, cores: int, waiting: Gauge) -> None:
         self.all, self.waiting = CapacityLimiter(cores), waiting

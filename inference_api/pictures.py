@@ -40,7 +40,7 @@ class Prepared:
 class PictureCache:
     """Prepared pictures by bundle and view; safe to share between threads."""
 
-    def __init__(self, most: int) -> None:
+    def __init__(self, most: int = 256) -> None:
         self._most, self._lock = most, Lock()
         self._kept: MutableMapping[tuple[str, bytes], Prepared] = LRUCache(
             MAX_BYTES, lambda prepared: prepared.picture.size_bytes

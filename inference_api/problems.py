@@ -7,8 +7,7 @@ import logging
 import re
 import reprlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
@@ -42,18 +41,12 @@ class ModelNotReadyError(CspaceError):
     """There is no model that could answer."""
 
 
-@dataclass(frozen=True, slots=True)
-class ProblemType:
+class ProblemType(NamedTuple):
     """One row of the contract's table of errors: the ``type`` never changes once published."""
 
     name: str
     status: int
     title: str
-
-    @property
-    def uri(self) -> str:
-        """The problem's ``type``."""
-        return _PREFIX + self.name
 
 
 MALFORMED_BODY = ProblemType("malformed-body", 400, "The body or its JSON is malformed")
@@ -67,7 +60,6 @@ REQUEST_TIMEOUT = ProblemType("request-timeout", 408, "The body did not arrive i
 OTHER_ROBOT = ProblemType("other-robot", 409, "The model is of another robot")
 BODY_TOO_LARGE = ProblemType("body-too-large", 413, "The body is too large")
 UNSUPPORTED_MEDIA_TYPE = ProblemType("unsupported-media-type", 415, "The body's media type is not supported")
-UNKNOWN_HOST = ProblemType("unknown-host", 421, "The server does not answer under this name")
 INVALID_IMAGE = ProblemType("invalid-image", 422, "The picture is not acceptable")
 INVALID_VALUE = ProblemType("invalid-value", 422, "A field is wrong")
 # nginx's number for it; nobody reads the answer, but metrics and log count it.
@@ -83,25 +75,14 @@ OUT_OF_RESOURCES = ProblemType("out-of-resources", 503, "The server has no memor
 REGISTRY_UNAVAILABLE = ProblemType("registry-unavailable", 503, "The model registry does not answer")
 
 PROBLEMS = tuple(value for value in list(globals().values()) if isinstance(value, ProblemType))
-# What is answered before any route is looked for.
-GUARD_PROBLEMS = (UNAUTHORIZED, FOREIGN_ORIGIN, UNKNOWN_HOST, OVERLOADED, SHUTTING_DOWN)
-# What a route that computes something for a picture answers.
-SAMPLE_PROBLEMS = (
-    *GUARD_PROBLEMS,
-    MALFORMED_BODY,
-    UNKNOWN_MODEL,
-    REQUEST_TIMEOUT,
-    OTHER_ROBOT,
-    BODY_TOO_LARGE,
-    UNSUPPORTED_MEDIA_TYPE,
-    INVALID_IMAGE,
-    INVALID_VALUE,
-    INTERNAL_ERROR,
-    NO_MODEL,
-    OUT_OF_RESOURCES,
-    STORAGE_UNAVAILABLE,
-    REGISTRY_UNAVAILABLE,
-)
+# What every route may answer, for the OpenAPI document.
+PROBLEM_RESPONSES: dict[int | str, dict[str, Any]] = {
+    status: {
+        "description": "A problem, by its `type`.",
+        "content": {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}},
+    }
+    for status in ("4XX", "5XX")
+}
 # All that a client is told of failures that are not about its request.
 _ABOUT_THE_SERVER = {
     INTERNAL_ERROR: "the server failed; its log says how",
@@ -154,7 +135,12 @@ class ProblemResponse(Response):
     def __init__(
         self, problem: ProblemType, detail: str, headers: Mapping[str, str] | None = None, **members: Any
     ) -> None:
-        body = {"type": problem.uri, "title": problem.title, "status": problem.status, "detail": detail}
+        body = {
+            "type": _PREFIX + problem.name,
+            "title": problem.title,
+            "status": problem.status,
+            "detail": detail,
+        }
         body |= {name: value for name, value in members.items() if value is not None}
         # ASCII, for a detail may echo half a surrogate pair, which UTF-8 does not have.
         super().__init__(json.dumps(body), problem.status, headers)
@@ -250,20 +236,3 @@ def add_problem_handlers(app: FastAPI) -> None:
     @app.exception_handler(ClientDisconnect)
     async def gone(_: Request, __: ClientDisconnect) -> Response:
         return ProblemResponse(CLIENT_GONE, "the client went away before its answer")
-
-
-def problem_responses(*problems: ProblemType) -> dict[int | str, dict[str, Any]]:
-    """Answers that are problems, one entry a status, for a route's ``responses``."""
-    responses: dict[int | str, dict[str, Any]] = {}
-    for status in dict.fromkeys(problem.status for problem in problems):
-        same = [problem for problem in problems if problem.status == status]
-        examples = {
-            one.name: {"value": {"type": one.uri, "title": one.title, "status": status, "detail": "..."}}
-            for one in same
-        }
-        schema = {"$ref": "#/components/schemas/Problem"}
-        responses[status] = {
-            "description": "; ".join(problem.title for problem in same) + ".",
-            "content": {MEDIA_TYPE: {"schema": schema, "examples": examples}},
-        }
-    return responses

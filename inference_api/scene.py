@@ -41,7 +41,6 @@ from cspace_client.wire import (
 )
 from inference_api.body import body_of
 from inference_api.models import Models, ModelStore, ServedModel
-from inference_api.problems import SAMPLE_PROBLEMS, problem_responses
 from services.names import ALIAS_CHAMPION, PATH_MODEL_NAME, model_of
 from services.registry.entities import ModelReference
 
@@ -335,7 +334,7 @@ def _warnings_text(warnings: Sequence[PictureWarning]) -> str:
 def answer_responses(model: type[BaseModel]) -> dict[int | str, dict[str, Any]]:
     """``responses`` of a route that answers a question about a picture with JSON."""
     success = {"description": "The answer.", "model": model, "headers": REQUEST_ID_HEADER}
-    return {200: success, **problem_responses(*SAMPLE_PROBLEMS)}
+    return {200: success}
 
 
 def npy_responses(

@@ -1,20 +1,17 @@
 """Settings of the inference API: environment variables, read once at the start."""
 
-import ipaddress
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Self
 
-from pydantic import AfterValidator, BeforeValidator, Field, ValidationError
+from pydantic import AfterValidator, BeforeValidator, Field, IPvAnyNetwork, ValidationError
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from cspace.errors import ConfigError
 from services.registry.entities import PRETRAINED, SHIPPED, is_model_name
 
-TRACES_ENDPOINTS = ("OTEL_EXPORTER_OTLP_ENDPOINT", "OTEL_EXPORTER_OTLP_TRACES_ENDPOINT")
-HOSTS, WORKBENCH = "CSPACE_API_HOSTS", "CSPACE_API_WORKBENCH"
 PREFIX = "CSPACE_"
 MIB = 1024 * 1024
 PRETRAINED_FOLDER = Path(__file__).parent / "pretrained"
@@ -49,14 +46,6 @@ def _parts(value: object) -> object:
     return [part.strip() for part in value.split(",") if part.strip()] if isinstance(value, str) else value
 
 
-def _network(text: str) -> str:
-    try:
-        return str(ipaddress.ip_network(text))
-    except ValueError:
-        # ``*`` too, for it would believe everybody.
-        raise ValueError("addresses or networks such as 10.0.0.0/8, separated by commas") from None
-
-
 def _served_name(text: str) -> str:
     if not is_model_name(text) or text in SHIPPED:
         raise ValueError("the name of a registered model, other than a shipped one's")
@@ -71,7 +60,6 @@ def _trusted_key(path: Path) -> Path:
 
 _Host = Annotated[str, AfterValidator(bracketed), Field(pattern=_HOST)]
 _Origin = Annotated[str, Field(pattern=_ORIGIN)]
-_Network = Annotated[str, AfterValidator(_network)]
 
 
 class ApiSettings(BaseSettings):
@@ -84,7 +72,6 @@ class ApiSettings(BaseSettings):
         populate_by_name=True,
         env_ignore_empty=True,
         allow_inf_nan=False,
-        use_attribute_docstrings=True,
     )
 
     registry_uri: str | None = Field(None, alias="MLFLOW_TRACKING_URI")
@@ -107,23 +94,17 @@ class ApiSettings(BaseSettings):
     """Versions of each model that stay on disk beside its champion."""
     trusted_key: Annotated[Path, AfterValidator(_trusted_key)] | None = None
     """PEM file of a public key that registered models have to be signed by."""
-    cached_pictures: int = Field(256, ge=0)
-    """Encoded pictures that stay in memory; 0 for none."""
     api_threads: int = Field(default_factory=usable_cores, ge=1)
     """Requests that are computed at the same time."""
     api_keys_file: Path | None = None
     """File of API keys; without it everybody may ask."""
     api_max_in_flight: int = Field(64, ge=1)
     """Requests that are answered at the same time; further ones are refused."""
-    api_max_connections: int = Field(512, ge=1)
-    """Connections; with more, all further requests are refused."""
-    api_body_timeout_s: float = Field(30.0, gt=0.0)
-    """Time within which a request's body has to arrive, s."""
     api_hosts: Annotated[tuple[_Host, ...], NoDecode, BeforeValidator(_parts)] = ()
     """Names that the server answers to beside loopback and --host; * for any."""
     api_origins: Annotated[tuple[_Origin, ...], NoDecode, BeforeValidator(_parts)] = ()
     """Origins of other sites whose pages may use the server, as https://host:port."""
-    api_trusted_proxies: Annotated[tuple[_Network, ...], NoDecode, BeforeValidator(_parts)] = ()
+    api_trusted_proxies: Annotated[tuple[IPvAnyNetwork, ...], NoDecode, BeforeValidator(_parts)] = ()
     """Addresses and networks whose X-Forwarded-For and -Proto are believed."""
     api_grace_s: int = Field(10, ge=1)
     """Time for requests in flight when the server is told to end, whole s."""
@@ -165,14 +146,9 @@ class ApiSettings(BaseSettings):
     @property
     def traces(self) -> bool:
         """Whether OpenTelemetry's own variables name a place to send traces to."""
-        disabled = os.environ.get("OTEL_SDK_DISABLED", "").strip().lower() == "true"
-        return not disabled and any(os.environ.get(name) for name in TRACES_ENDPOINTS)
-
-
-def described_settings() -> Iterator[str]:
-    """A line for each environment variable: its name, and what it sets."""
-    for name, field in ApiSettings.model_fields.items():
-        yield f"{_variable(name)}: {field.description}"
+        return (
+            "OTEL_EXPORTER_OTLP_ENDPOINT" in os.environ or "OTEL_EXPORTER_OTLP_TRACES_ENDPOINT" in os.environ
+        )
 
 
 def _variable(field: str) -> str:

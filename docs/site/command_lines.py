@@ -53,7 +53,6 @@ COMMANDS = (
     Command("python -m services.planner", "services.planner.__main__"),
     Command("python -m services.registry", "services.registry.__main__"),
     Command("python -m inference_api", "inference_api.__main__"),
-    Command("python -m inference_api.auth", "inference_api.auth"),
 )
 
 

@@ -24,7 +24,7 @@ from inference_api.scene import (
     view_of,
     warnings_of,
 )
-from inference_api.telemetry import Answered, Metered
+from inference_api.telemetry import request_fields
 
 router = APIRouter()
 
@@ -40,7 +40,6 @@ def belief(
     served: Annotated[ServedModel, Depends(served_for(BeliefRequest))],
     place: ComputePlace,
     pictures: PreparedPictures,
-    metrics: Metered,
 ) -> Response:
     """How likely something is in each cell of space, also where no camera looks. Of arms in space alone."""
     began = time.perf_counter()
@@ -51,7 +50,7 @@ def belief(
     asked = time.perf_counter()
     found = bundle.belief(prepared.picture)
     ended = time.perf_counter()
-    metrics.answered(Answered("belief", served))
+    request_fields.get()["model"] = str(served)
     warnings = warnings_of(prepared.findings_with(spec.world, colliding=0.0))
     return json_response(
         BeliefAnswer.model_construct(

@@ -22,7 +22,7 @@ from inference_api.scene import (
     served_for,
     view_of,
 )
-from inference_api.telemetry import Answered, Metered
+from inference_api.telemetry import request_fields
 
 router = APIRouter()
 
@@ -38,7 +38,6 @@ def doctor(
     served: Annotated[ServedModel, Depends(served_for(DoctorRequest))],
     place: ComputePlace,
     pictures: PreparedPictures,
-    metrics: Metered,
 ) -> Response:
     """Warnings of other answers, and tests that take longer: the arm rendered at `state` against the picture.
 
@@ -55,7 +54,7 @@ def doctor(
         # Nothing in reach, which is among the verdicts.
         novelty = None if bundle.spec.novelty_quantiles is None else 1.0
     found, ended = found.with_novelty(novelty), time.perf_counter()
-    metrics.answered(Answered("diagnosis", served))
+    request_fields.get()["model"] = str(served)
     return json_response(
         DoctorAnswer(
             verdicts=[Verdict.model_validate(one) for one in found.findings],

@@ -15,15 +15,7 @@ from cspace.worlds import read_world, robot_digest
 from cspace_client.wire import Answer, JointSpaceInfo, ModelInfo
 from inference_api.kernels import Kernels
 from inference_api.models import PRETRAINED_VERSION, Models, ModelStore, ServedModel, Shipped
-from inference_api.problems import (
-    GUARD_PROBLEMS,
-    INVALID_VALUE,
-    NO_MODEL,
-    STARTING,
-    UNAUTHORIZED,
-    ModelNotReadyError,
-    problem_responses,
-)
+from inference_api.problems import ModelNotReadyError
 from inference_api.scene import model_info
 from inference_api.telemetry import CONTENT_TYPE, Metered
 from services.names import MAX_WORLD, TAG_ROBOT, TAG_WORLD
@@ -74,7 +66,6 @@ class Ready(Answer):
 @router.get(
     "/models",
     summary="Models that requests can name",
-    responses=problem_responses(*GUARD_PROBLEMS, INVALID_VALUE),
 )
 def models(store: Models, name: str | None = None) -> ModelsAnswer:
     """Versions of the model of this name, newest first, and the shipped models.
@@ -96,11 +87,10 @@ def models(store: Models, name: str | None = None) -> ModelsAnswer:
     "/metrics",
     summary="What Prometheus scrapes",
     response_class=PlainTextResponse,
-    responses=problem_responses(UNAUTHORIZED),
 )
-def metrics(metrics: Metered) -> Response:
-    """Requests, failures, latencies, acceptance, reloads and the model in service, as text."""
-    return Response(metrics.render(), media_type=CONTENT_TYPE)
+def metrics(store: Models, metrics: Metered) -> Response:
+    """Requests, failures, latencies, reloads and the model in service, as text."""
+    return Response(metrics.render(store.default), media_type=CONTENT_TYPE)
 
 
 # Asynchronous, so that no thread has to be free for them.
@@ -113,7 +103,6 @@ async def live() -> Live:
 @router.get(
     "/health/ready",
     summary="Whether the server can answer",
-    responses=problem_responses(NO_MODEL, STARTING),
 )
 async def ready(store: Models, kernels: Kernels) -> Ready:
     """The model that answers requests that name none; 503 at the start, or without one."""

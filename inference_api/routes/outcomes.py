@@ -12,21 +12,8 @@ from cspace.errors import InputError
 from cspace_client.wire import OutcomesAnswer, OutcomesRequest
 from inference_api.body import JSON, body_of
 from inference_api.models import ServedModel
-from inference_api.problems import (
-    BODY_TOO_LARGE,
-    GUARD_PROBLEMS,
-    INTERNAL_ERROR,
-    INVALID_VALUE,
-    MALFORMED_BODY,
-    NO_OUTCOMES,
-    OUT_OF_RESOURCES,
-    REQUEST_TIMEOUT,
-    UNSUPPORTED_MEDIA_TYPE,
-    RequestError,
-    problem_responses,
-)
+from inference_api.problems import NO_OUTCOMES, RequestError
 from inference_api.scene import REQUEST_ID_HEADER
-from inference_api.telemetry import request_record
 from services.outcomes import Spool, matched, view_row
 
 
@@ -56,17 +43,6 @@ _SCHEMA = {"$ref": "#/components/schemas/OutcomesRequest"}
             "model": OutcomesAnswer,
             "headers": REQUEST_ID_HEADER,
         },
-        **problem_responses(
-            *GUARD_PROBLEMS,
-            MALFORMED_BODY,
-            NO_OUTCOMES,
-            REQUEST_TIMEOUT,
-            BODY_TOO_LARGE,
-            UNSUPPORTED_MEDIA_TYPE,
-            INVALID_VALUE,
-            INTERNAL_ERROR,
-            OUT_OF_RESOURCES,
-        ),
     },
 )
 def outcomes(
@@ -76,7 +52,7 @@ def outcomes(
 ) -> Response:
     """Keeps the outcomes in a bounded folder of the server. An outcome that is sent twice counts once."""
     reports = [one.model_dump(exclude_none=True) for one in request.outcomes]
-    rows = matched(reports, http.app.state.receipts, _received()["client"])
+    rows = matched(reports, http.app.state.receipts, key_name(http))
     if not rows:
         raise InputError(
             "outcomes match no answer",
@@ -90,13 +66,18 @@ def outcomes(
 def keep_plan(request: Request, served: ServedModel, view: bytes, path: NDArray[np.float64]) -> bool:
     """Whether a plan's pictures and path are taken for the upload of outcomes, to train on."""
     spool: Spool | None = request.app.state.spool
-    record, keep_s = request_record.get(), 86_400.0 * request.app.state.settings.outcomes_keep_days
-    if spool is None or record is None or not keep_s:
+    keep_s = 86_400.0 * request.app.state.settings.outcomes_keep_days
+    if spool is None or not keep_s:
         return False
-    asked = {"request_id": record.request_id, **_received()}
+    asked = {"request_id": request.state.request_id, **_received(request)}
     return spool.add([asked | view_row(served, served.bundle.robot, view, path, keep_s)])
 
 
-def _received() -> dict[str, Any]:
-    record = request_record.get()
-    return {"client": None if record is None else record.client, "received_s": round(time.time(), 3)}
+def key_name(request: Request) -> str | None:
+    """The name of the key that a request came with."""
+    name: str | None = getattr(request.state, "client", None)
+    return name
+
+
+def _received(request: Request) -> dict[str, Any]:
+    return {"client": key_name(request), "received_s": round(time.time(), 3)}

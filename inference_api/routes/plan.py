@@ -22,8 +22,7 @@ from inference_api.kernels import Kernels, needs_kernels
 from inference_api.limits import ComputePlace
 from inference_api.models import ServedModel
 from inference_api.pictures import Prepared, PreparedPictures
-from inference_api.problems import NO_PLANNER, SAMPLE_PROBLEMS, STARTING, problem_responses
-from inference_api.routes.outcomes import keep_plan
+from inference_api.routes.outcomes import keep_plan, key_name
 from inference_api.scene import (
     PlanRequest,
     about,
@@ -35,7 +34,7 @@ from inference_api.scene import (
     view_of,
     warnings_of,
 )
-from inference_api.telemetry import Answered, Metered, request_record
+from inference_api.telemetry import Metered, request_fields
 from services.outcomes import problem_of
 
 # Findings by which a plan is refused.
@@ -48,7 +47,7 @@ router = APIRouter()
     "/plan",
     summary="Plan a path through a picture's scenario, or explain why there is none",
     openapi_extra=both_bodies(PlanRequest),
-    responses=answer_responses(PlanAnswer) | problem_responses(*SAMPLE_PROBLEMS, NO_PLANNER, STARTING),
+    responses=answer_responses(PlanAnswer),
 )
 def plan(
     request: Annotated[PlanRequest, Depends(body_of(PlanRequest))],
@@ -80,13 +79,14 @@ def plan(
             # The calibration of other scenes does not hold here, so that paths are refused by default.
             query = replace(query, min_confidence=1.0)
         found = bundle.plan(prepared.picture, query, place.check_cancelled)
-    metrics.answered(Answered("plan", served, status=found.status, seed=query.seed))
-    kept, record, receipts = None, request_record.get(), http.app.state.receipts
+    metrics.plans.labels(found.status).inc()
+    request_fields.get().update(model=str(served), seed=str(query.seed))
+    kept, receipts = None, http.app.state.receipts
     receipt = None
-    if record is not None and receipts is not None and found.status == "solved":
+    if receipts is not None and found.status == "solved":
         problem = problem_of(view.digest(), found.path[0], found.path[-1])
         receipt = receipts.issue(
-            record.request_id, served.name, served.version, found.confidence, record.client, problem
+            http.state.request_id, served.name, served.version, found.confidence, key_name(http), problem
         )
     if request.keep:
         kept = (

@@ -32,7 +32,7 @@ from inference_api.scene import (
     view_of,
     warnings_of,
 )
-from inference_api.telemetry import Answered, Metered
+from inference_api.telemetry import request_fields
 
 # Fewer configurations may well all collide.
 MANY_ROWS = 20
@@ -61,7 +61,6 @@ def validity(
     place: ComputePlace,
     pictures: PreparedPictures,
     kernels: Kernels,
-    metrics: Metered,
     npy: WantsNpy,
 ) -> Response:
     """The validity head's confidence for each of the configurations, whatever they were drawn by.
@@ -93,7 +92,7 @@ def validity(
     )
     colliding = float((confidence < HALF).mean()) if len(confidence) >= MANY_ROWS else 0.0
     warnings = warnings_of(prepared.findings_with(spec.world, colliding=colliding))
-    metrics.answered(Answered("scores", served, n=len(confidence)))
+    request_fields.get().update(model=str(served), n=len(confidence))
     if npy:
         columns = np.full((len(confidence), 2), np.nan, dtype="<f4")
         columns[:, 0] = confidence

@@ -61,6 +61,6 @@ def add_workbench(app: FastAPI, *, truth: bool) -> None:
             "the workbench cannot compute the ground truth",
             expected="the packages of the extra workbench",
             got=f"no {', '.join(missing)}",
-            remedy="pip install .[workbench], or leave CSPACE_API_WORKBENCH and --workbench out",
+            remedy="pip install .[workbench], or unset CSPACE_API_WORKBENCH",
         )
     app.include_router(planar.router)

@@ -15,7 +15,7 @@ from cspace.files import encode_png
 from cspace.worlds.planar.arm import PlanarArm
 from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.world import Disc, Scenario
-from inference_api.auth import digest_of, make_key
+from inference_api.auth import digest_of
 from tests.browser.workbench import (
     ENDS,
     SCENE,
@@ -215,7 +215,7 @@ def test_a_server_without_scenes_takes_dropped_pictures(page: Page, address: str
 
 
 def test_a_key_is_asked_for_and_kept_in_memory_only(page: Page, tmp_path: Path) -> None:
-    key = make_key()
+    key = "csk_of-this-test"
     keys = tmp_path / "keys"
     keys.write_text(f"bench:{digest_of(key)}\n")
     keys.chmod(0o600)

@@ -12,7 +12,7 @@ from tests.inference_api.client import ApiClient
 
 PNG = encode_png(picture())
 IMAGE = base64.b64encode(PNG).decode()
-TITLES = {problem.uri: (problem.status, problem.title) for problem in PROBLEMS}
+TITLES = {problem.name: problem.title for problem in PROBLEMS}
 
 
 def assert_problem(answer: httpx.Response, status: int, name: str) -> dict[str, Any]:
@@ -20,7 +20,7 @@ def assert_problem(answer: httpx.Response, status: int, name: str) -> dict[str, 
     assert answer.headers["content-type"] == "application/problem+json"
     problem: dict[str, Any] = answer.json()
     assert problem["type"] == f"urn:cspace-sampler:problem:{name}"
-    assert (problem["status"], problem["title"]) == (status, TITLES[problem["type"]][1])
+    assert (problem["status"], problem["title"]) == (status, TITLES[name])
     assert problem["detail"]
     return problem
 

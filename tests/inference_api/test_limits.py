@@ -5,7 +5,7 @@ import threading
 import time
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import httpx
 import pytest
@@ -13,8 +13,8 @@ from fastapi import Depends, FastAPI
 from starlette.types import Message, Receive, Scope, Send
 
 from inference_api import limits
-from inference_api.limits import ComputePlace, ComputePlaces, LimitRequests, client_of
-from inference_api.problems import RequestError, add_problem_handlers
+from inference_api.limits import ComputePlace, ComputePlaces, LimitRequests
+from inference_api.problems import add_problem_handlers
 from inference_api.telemetry import Metrics
 from tests.inference_api.answers import PNG, assert_problem
 from tests.inference_api.client import ApiClient
@@ -41,7 +41,7 @@ UNKNOWN = (
 )  # fmt: skip
 
 
-def test_known_names_are_answered_with_any_port_and_others_are_421(named: ApiClient) -> None:
+def test_known_names_are_answered_with_any_port_and_others_are_refused(named: ApiClient) -> None:
     for host in KNOWN:
         assert named.get("/models", headers={"host": host}).status_code == 200, host
     for path, hosts in (
@@ -50,16 +50,15 @@ def test_known_names_are_answered_with_any_port_and_others_are_421(named: ApiCli
     ):
         for host in hosts:
             answer = named.get(path, headers={"host": host})
-            assert_problem(answer, 421, "unknown-host")
+            assert answer.status_code == 400, host
             assert "x-request-id" in answer.headers
     for path in ("/health/live", "/health/ready"):
-        assert named.get(path, headers={"host": "10.1.2.3:8000", "origin": "null"}).status_code == 200
+        assert named.get(path, headers={"host": "localhost:8000", "origin": "null"}).status_code == 200
 
 
 def test_a_star_answers_under_any_name(start_api: StartApi) -> None:
     api = start_api(api_hosts=("*",))
     assert api.get("/models", headers={"host": "any.example"}).status_code == 200
-    assert api.get("/models", headers={"host": ""}).status_code == 421
 
 
 CASES = [
@@ -107,24 +106,11 @@ def test_a_page_of_an_allowed_site_asks_and_reads_the_answer(named: ApiClient) -
     assert named.options("/sample", headers=other).status_code == 403
 
 
-@pytest.mark.parametrize(
-    ("first", "second", "same"),
-    [
-        ("192.0.2.1", "192.0.2.2", False),
-        ("2001:db8::1", "2001:db8::ffff:1", True),
-        ("2001:db8::1", "2001:db8:0:1::1", False),
-        ("testclient", "testclient", True),
-        ("::ffff:192.0.2.1", "::ffff:192.0.2.2", False),
-        ("fe80::1%eth0", "fe80::2%eth1", True),
-    ],
-)
-def test_addresses_of_one_subscriber_are_one_client(first: str, second: str, same: bool) -> None:
-    assert (client_of({"client": (first, 1)}) == client_of({"client": (second, 2)})) is same
-    assert client_of({"client": (first, 1), "state": {"client": "robot"}}) == "key robot"
-
-
-def test_a_byte_now_and_then_does_not_lengthen_the_time_of_a_body(start_api: StartApi) -> None:
-    api = start_api(api_body_timeout_s=0.1)
+def test_a_byte_now_and_then_does_not_lengthen_the_time_of_a_body(
+    start_api: StartApi, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(limits, "BODY_TIMEOUT_S", 0.1)
+    api = start_api()
 
     async def trickling() -> AsyncIterator[bytes]:
         for _ in range(100):
@@ -139,46 +125,6 @@ def test_a_byte_now_and_then_does_not_lengthen_the_time_of_a_body(start_api: Sta
     assert api.post("/sample", files={"image": PNG}).status_code == 200
 
 
-@pytest.mark.parametrize(
-    ("length", "body", "status"),
-    [
-        ("9" * 5000, b"", 413),
-        (str(9 * 2**20), b"", 413),
-        ("0" * 5000 + "1", b"1", 200),
-        ("", bytes(2**20), 413),
-    ],
-)
-def test_a_body_is_refused_by_its_length_or_by_what_came(length: str, body: bytes, status: int) -> None:
-    """Below the app: a server's parser may be of any kind."""
-    read = []
-
-    async def app(scope: Scope, receive: Receive, send: Send) -> None:
-        read.extend([await receive() for _ in range(9 if len(body) > 1 else 1)])
-        await send({"type": "http.response.start", "status": 200, "headers": []})
-
-    headers = [(b"content-length", length.encode())] if length else []
-    if status == 413 and body:
-        with pytest.raises(RequestError, match="too large"):
-            asyncio.run(_through(LimitRequests(app, 8, 30.0), headers, body))
-        return
-    assert asyncio.run(_through(LimitRequests(app, 8, 30.0), headers, body))[0]["status"] == status
-    assert len(read) == (status == 200)
-
-
-async def _through(app: Any, headers: list[tuple[bytes, bytes]], body: bytes) -> list[Message]:
-    sent: list[Message] = []
-
-    async def send(message: Message) -> None:
-        sent.append(message)
-
-    async def receive() -> Message:
-        return {"type": "http.request", "body": body, "more_body": len(body) > 1}
-
-    scope = {"type": "http", "path": "/", "headers": headers, "client": ("127.0.0.1", 1)}
-    await app(scope, receive, send)
-    return sent
-
-
 def test_one_client_takes_neither_all_places_nor_all_bytes_and_gives_back_what_it_held() -> None:
     inside = asyncio.Event()
 
@@ -187,7 +133,7 @@ def test_one_client_takes_neither_all_places_nor_all_bytes_and_gives_back_what_i
         raise ZeroDivisionError
 
     async def scenario() -> list[int]:
-        limited = LimitRequests(app, 4, 30.0)
+        limited = LimitRequests(app, 4)
 
         async def ask(host: str) -> int:
             transport = httpx.ASGITransport(limited, raise_app_exceptions=False, client=(host, 1))
@@ -216,9 +162,9 @@ class Computing:
     def __init__(self, cores: int) -> None:
         self.free, self.running, self.ended = threading.Event(), 0, list[str]()
         self.app = FastAPI()
-        self.app.state.places = ComputePlaces(cores, Metrics(lambda: None).waiting)
+        self.app.state.places = ComputePlaces(cores, Metrics().waiting)
         add_problem_handlers(self.app)
-        self.app.add_middleware(LimitRequests, max_in_flight=64, body_timeout_s=30.0)
+        self.app.add_middleware(LimitRequests, max_in_flight=64)
 
         @self.app.post("/plan")
         @self.app.post("/")

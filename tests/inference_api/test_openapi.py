@@ -13,7 +13,6 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from inference_api.app import create_app
-from inference_api.problems import SAMPLE_PROBLEMS
 from inference_api.settings import ApiSettings
 from tests.inference_api.client import ApiClient
 
@@ -88,7 +87,7 @@ def test_real_answers_fit_their_description(api: ApiClient, document: dict[str, 
     for path in ("/models", "/health/live", "/health/ready"):
         validate(document, answers(document, path, "get", "200", "application/json"), api.get(path).json())
     answer = api.post("/sample", files={"image": png}, data={"n": "0", "colour": "red"})
-    validate(document, answers(document, "/sample", "post", "422", "application/problem+json"), answer.json())
+    validate(document, answers(document, "/sample", "post", "4XX", "application/problem+json"), answer.json())
 
 
 def test_npy_answers_carry_exactly_the_described_headers(
@@ -100,17 +99,6 @@ def test_npy_answers_carry_exactly_the_described_headers(
     answer = api.post("/sample", data=fields, files={"image": png}, headers={"accept": "application/x-npy"})
     sent = {name for name in answer.headers if name.startswith(("x-", "server-timing"))}
     assert sent - {"x-content-type-options"} == {name.lower() for name in described["headers"]}
-
-
-def test_every_problem_is_described(document: dict[str, Any]) -> None:
-    described = document["paths"]["/sample"]["post"]["responses"]
-    examples = {
-        example["value"]["type"]
-        for status, response in described.items()
-        if status != "200"
-        for example in response["content"]["application/problem+json"]["examples"].values()
-    }
-    assert examples == {problem.uri for problem in SAMPLE_PROBLEMS}
 
 
 if __name__ == "__main__":

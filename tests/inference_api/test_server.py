@@ -103,20 +103,18 @@ def test_what_keeps_a_server_from_starting_is_told_with_a_remedy(address: str) -
 def test_a_server_with_keys_and_one_place_ends_with_what_is_in_flight(
     tmp_path: Path, bundles: dict[str, Path]
 ) -> None:
-    command = [sys.executable, "-m", "inference_api.auth", "robot"]
-    made = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
-    shown, line = made.stdout.splitlines()
-    key = shown.rpartition(" ")[2]
-    path = tmp_path / "keys"
-    path.touch(0o600)
-    path.write_text(line + "\n")
+    # As docs/operations.md makes one.
+    command = """umask 077; key=csk_$(openssl rand -hex 32) && echo "$key"
+        echo "robot:$(printf %s "$key" | sha256sum | cut -c -64)" >> keys"""
+    made = subprocess.run(["/bin/sh", "-c", command], cwd=tmp_path, capture_output=True, check=True)
+    key, path = made.stdout.decode().strip(), tmp_path / "keys"
     bearer = {"Authorization": f"Bearer {key}"}
     settings = {
         "CSPACE_PRETRAINED_MODEL": str(bundles["plain"]),
         "CSPACE_API_KEYS_FILE": str(path),
         "CSPACE_API_MAX_IN_FLIGHT": "1",
     }
-    with server_process(tmp_path, settings, "--log", "json") as server:
+    with server_process(tmp_path, settings) as server:
         assert_problem(httpx.get(f"{server.address}/models", timeout=30), 401, "unauthorized")
         assert httpx.get(f"{server.address}/health/ready", timeout=30).status_code == 200
         with connect(server.address) as link:
@@ -167,7 +165,7 @@ def a_plan(time_limit_s: float) -> bytes:
 
 
 def test_a_search_ends_when_its_client_has_gone_and_the_next_one_is_answered(tmp_path: Path) -> None:
-    with server_process(tmp_path, {"CSPACE_API_THREADS": "1"}, "--log", "json") as server:
+    with server_process(tmp_path, {"CSPACE_API_THREADS": "1"}) as server:
         with connect(server.address) as link:
             # Until the search is loaded.
             link.settimeout(120)
