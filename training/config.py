@@ -14,7 +14,7 @@ from cspace.strict_json import refused
 from cspace.world import World
 from cspace.worlds import default_world, simulator_of
 from services.names import model_name
-from services.registry.entities import ModelReference, flatten
+from services.registry.entities import ModelReference
 from training.data.config import DatasetConfig, GeneratedConfig, PathDatasetConfig
 from training.section import AbsolutePath, RobotName, Section
 
@@ -44,14 +44,6 @@ class JobConfig(Section):
 
     SCRIPT: ClassVar[str]
     PRESETS: ClassVar[Path]
-    # Settings that tell which networks there are and what their weights fit, in whatever section they stand.
-    SHAPING: ClassVar[frozenset[str]] = frozenset(
-        (
-            *("latent_dim", "width", "patches", "checkpoint", "count", "form", "cells", "hidden", "layers"),
-            *("noise_dim", "means", "generator", "critic_condition", "critic_features", "critic_hidden"),
-            *("critic_layers", "points_per_link", "side_m"),
-        )
-    )
 
     preset: str = Field(description="settings that the job starts from")
     seed: int = Field(0, ge=0, description="of everything that is drawn, except the data")
@@ -60,13 +52,6 @@ class JobConfig(Section):
         None, description="absolute: an existing data set in the documented format"
     )
     robot_name: RobotName = None
-    start_from: str | None = Field(
-        None,
-        min_length=1,
-        exclude_if=lambda start: start is None,
-        description="name@alias, name/version or a run's id: trials start from the weights of the job that "
-        "made it",
-    )
 
     @classmethod
     def presets(cls) -> list[str]:
@@ -105,15 +90,6 @@ class JobConfig(Section):
     def world(self) -> World:
         """Robot and sensor of the data."""
         return self.data.world if self.data_folder is None else Manifest.read(self.data_folder).world
-
-    @property
-    def shapes(self) -> dict[str, str]:
-        """The settings that the networks' shapes follow from, as text by key."""
-        return {
-            key: value
-            for key, value in flatten(self.to_dict()).items()
-            if key.rpartition(".")[2] in self.SHAPING and not key.startswith("data.")
-        }
 
 
 # In a job's folder: centres of its cells, and the cluster of each.

@@ -19,7 +19,7 @@ from services.registry.models import ModelRegistry
 from training.config import PathTrainConfig
 from training.data.generate import generate
 from training.jobs.fit import fit_tracked
-from training.jobs.job import TAG_START, Job, kept_bundle, registered_name, world_tag
+from training.jobs.job import Job, kept_bundle, registered_name, world_tag
 from training.jobs.launch import TrialOutcome, TrialRequest, run_trials
 from training.models.checkpoint import seeded_initialisation, trained
 from training.models.paths import (
@@ -145,7 +145,6 @@ def trained_bundle(
     graph, noise = point_graph(net, spec.latent_dim), RandomInput("noise", "normal", (net.noise_dim,))
     seeds = {"training": config.seed, "data": dataset.generator_seed}
     recipe = {"path_model": MODEL, "source_digest": source.digest, **config.to_dict()}
-    recipe |= {} if job.start_run_id is None else {TAG_START: job.start_run_id}
     metrics = {**trial.metrics, "training_s": trial.seconds}
     return write_path_bundle(folder, source, graph, (noise,), dataset.digest, seeds, recipe, metrics)
 
@@ -157,7 +156,6 @@ def _register(job: Job[PathTrainConfig], registry: ModelRegistry, model: str, bu
         "preset": job.config.preset,
         "seed": str(job.config.seed),
     }
-    tags |= {} if job.start_run_id is None else {TAG_START: job.start_run_id}
     run_id = job.child(MODEL)
     version = registry.register(model, bundle.folder, run_id, bundle.digest, tags, alias=ALIAS_CHALLENGER)
     job.tracking.note(run_id, tags={TAG_MODEL: str(version)})

@@ -20,7 +20,6 @@ from training.clusters.calibration import (
     validation_scores,
 )
 from training.config import HeadConfig, TrainConfig
-from training.jobs.job import TAG_START
 from training.jobs.provenance import provenance
 from training.models.autoencoders import load_encoder, load_scores, network_size
 from training.models.checkpoint import load_scene_model, load_weights, trained
@@ -50,7 +49,6 @@ class TrainedParts:
     done: Mapping[str, Path]  # the family's trials
     validity: Path | None
     arrays: TrainingArrays
-    start_run_id: str | None = None
 
 
 def make_bundle(folder: Path, config: TrainConfig, dataset: Dataset, parts: TrainedParts) -> Bundle:
@@ -83,7 +81,7 @@ def make_bundle(folder: Path, config: TrainConfig, dataset: Dataset, parts: Trai
         novelty_quantiles=known,
         standardisation=scale,
         provenance=provenance(
-            config.to_dict() | ({TAG_START: parts.start_run_id} if parts.start_run_id else {}),
+            config.to_dict(),
             data_digest=dataset.digest,
             seeds={"train": config.seed, "data": config.data.seed},
         ),

@@ -1,6 +1,6 @@
 """k-means over the configuration space, on its embedding so that clusters respect circles and limits."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +62,7 @@ class Partition:
         return Cells(spread, spacing_rad, self.cells.labels, self.clusters)
 
     def save(self, path: Path) -> None:
-        """Keep it for a job that goes on, and for another job's data in the same cells."""
+        """Keep it for a job that goes on."""
         with replacing(path, str(path)) as beside, beside.open("wb") as handle:
             np.savez(handle, centres=self.cells.centres, clusters=self.clusters, cells=self.cells.labels)
 
@@ -80,20 +80,6 @@ class Partition:
                 expected=f"{len(found.labels)} configurations",
                 got=str(len(configurations)),
                 remedy="submit the job under another name",
-            )
-        return found
-
-    @classmethod
-    def load(cls, path: Path, configurations: NDArray[np.float32], space: JointSpace) -> "Partition":
-        """Other (M, d) configurations in the cells of an earlier partition."""
-        with np.load(path, allow_pickle=False) as kept:
-            cells = Clustering(kept["centres"], np.empty(0, dtype=np.int64), space)
-            found = cls(replace(cells, labels=cells.label(configurations)), kept["clusters"])
-        if len(np.unique(found.labels)) < len(np.unique(found.clusters)):
-            raise ConfigError(
-                "the data leave a cluster of start_from without configurations",
-                expected=f"some in each of {len(np.unique(found.clusters))} clusters",
-                remedy="merge them with the data of the earlier job, or train without start_from",
             )
         return found
 

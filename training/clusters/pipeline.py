@@ -25,7 +25,7 @@ from training.clusters.bundling import TrainedParts, make_bundle
 from training.clusters.clustering import Partition, cluster, group
 from training.config import CLUSTERS_FILE, TrainConfig
 from training.data.generate import generate
-from training.jobs.job import TAG_START, Job, kept_bundle, registered_name, world_tag
+from training.jobs.job import Job, kept_bundle, registered_name, world_tag
 from training.jobs.launch import TrialOutcome, run_trials
 from training.jobs.trainables import VAE, VALIDITY, family_trial, has_occupancy, picture_trial
 from training.models.autoencoders import encode, load_encoder, shown
@@ -135,7 +135,7 @@ def cluster_data(job: Job[TrainConfig], dataset: Dataset) -> TrainingArrays:
     free, ids = uniform_free(dataset)
     parted = Partition.read(path, free, dataset.world.space)
     if parted is None:
-        parted = partition(config, free, dataset.world.space, job.start_folder)
+        parted = partition(config, free, dataset.world.space)
         parted.save(path)
     sizes = np.bincount(parted.labels, minlength=config.clusters.count)
     _LOG.info("clusters: sizes %s", ", ".join(map(str, sizes)))
@@ -173,15 +173,10 @@ def uniform_free(dataset: Dataset) -> tuple[NDArray[np.float32], NDArray[np.int6
     return free[uniform], ids[uniform]
 
 
-def partition(
-    config: TrainConfig, free: NDArray[np.float32], space: JointSpace, start: Path | None = None
-) -> Partition:
-    """Cells and clusters of (M, d) configurations: new ones, or those of the job in the folder ``start``."""
-    count, seed = config.clusters.count, config.seed
-    if start is not None:
-        return Partition.load(start / CLUSTERS_FILE, free, space)
-    cells = cluster(free, config.cells, seed, space)
-    return Partition(cells, group(cells, count, seed))
+def partition(config: TrainConfig, free: NDArray[np.float32], space: JointSpace) -> Partition:
+    """Cells and clusters of (M, d) configurations."""
+    cells = cluster(free, config.cells, config.seed, space)
+    return Partition(cells, group(cells, config.clusters.count, config.seed))
 
 
 def train_family(job: Job[TrainConfig], arrays: TrainingArrays) -> list[TrialOutcome]:
@@ -255,7 +250,7 @@ def run_job(job: Job[TrainConfig]) -> TrainResult:
         encoder = trained[-1].checkpoint if config.trains_encoder else encoder_checkpoint(job, vae)
         head_at = config.validity.scene_model_file if head is None else head.checkpoint
         done = {outcome.name: outcome.checkpoint for outcome in trained}
-        parts = TrainedParts(encoder, done, head_at, arrays, job.start_run_id)
+        parts = TrainedParts(encoder, done, head_at, arrays)
         bundle = kept_bundle(job.folder / BUNDLE_FOLDER)
         if bundle is None:
             bundle = make_bundle(job.folder / BUNDLE_FOLDER, config, dataset, parts)
@@ -277,7 +272,6 @@ def run_job(job: Job[TrainConfig]) -> TrainResult:
 def _register(job: Job[TrainConfig], model: str, dataset: Dataset, bundle: Bundle) -> int:
     registry = ModelRegistry(job.environment.tracking_uri)
     tags = {"data_digest": dataset.digest, "preset": job.config.preset, "seed": str(job.config.seed)}
-    tags |= {} if job.start_run_id is None else {TAG_START: job.start_run_id}
     version = job.patiently(
         "registering the bundle",
         lambda: registry.register(

@@ -106,10 +106,6 @@ class WganConfig(TrainConfig):
     def _sections_fit(self) -> "WganConfig":
         world = self.known_world
         for key, gan in self.gans.items():
-            if self.start_from and gan.critic_condition == "projection":
-                raise ValueError(
-                    "start_from takes critic_condition=latent: projection knows scenarios by their place"
-                )
             for part in ("generator_lookups", "critic_lookups"):
                 lookups: LookupConfig = getattr(gan, part)
                 if world is None or not lookups.points_per_link:
