@@ -142,6 +142,10 @@ def _with_threshold(draft: Bundle, config: HeadConfig, spec: BundleSpec) -> Bund
         threshold = choose_threshold(proposed, config.target_precision)
     if bound is not None:
         kinds = {"samples": proposed, "uniform": uniform}
-        metrics = [collision_bound(scenes, threshold).metrics(kind) for kind, scenes in kinds.items()]
-        spec = replace(spec, provenance=replace(spec.provenance, metrics=metrics[0] | metrics[1]))
+        metrics = {
+            f"promise/{kind}_collide/{name}": value
+            for kind, scenes in kinds.items()
+            for name, value in collision_bound(scenes, threshold).items()
+        }
+        spec = replace(spec, provenance=replace(spec.provenance, metrics=metrics))
     return replace(spec, confidence_threshold=threshold)
