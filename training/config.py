@@ -5,14 +5,13 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self
 
-from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 
 from cspace.dataset import Manifest
 from cspace.errors import ConfigError, InputError
 from cspace.files import read_yaml, read_yaml_file
 from cspace.strict_json import refused
 from cspace.world import World
-from cspace.worlds import default_world, simulator_of
 from services.names import model_name
 from services.registry.entities import ModelReference
 from training.data.config import DatasetConfig, GeneratedConfig, PathDatasetConfig
@@ -165,9 +164,6 @@ class ValidityConfig(TrialSettings):
     steps: int = Field(3000, ge=0, description="0 leaves the bundle without a head")
     pictures_per_step: int = Field(32, ge=1, description="scenarios of a batch")
     configurations_per_picture: int = Field(64, ge=2, description="of each scenario of a batch")
-    free_share: float = Field(
-        gt=0, lt=1, description="of the joint space, on average: the prior that confidences are true to"
-    )
     points_per_link: int = Field(12, ge=2, description="look-ups along each link, both ends included")
     side_m: float = Field(0.1, ge=0, description="distance of the look-ups beside each link")
     grid: GridConfig | None = Field(
@@ -250,7 +246,7 @@ class TrainConfig(JobConfig):
     data: DatasetConfig = DatasetConfig()
     vae: VaeConfig = VaeConfig()
     clusters: ClusterConfig = ClusterConfig()
-    validity: HeadConfig = Field({}, validate_default=True)
+    validity: HeadConfig = HeadConfig()
     resources: ResourceConfig = ResourceConfig()
 
     @classmethod
@@ -286,17 +282,6 @@ class TrainConfig(JobConfig):
         except InputError:
             return None
 
-    @field_validator("validity", mode="before")
-    @classmethod
-    def _free_share_of_the_world(cls, head: Any, before: ValidationInfo) -> Any:
-        """The world's own where none is given."""
-        if not isinstance(head, dict) or "free_share" in head:
-            return head
-        # Data that did not fit are told on their own.
-        known = {"data", "data_folder"} <= before.data.keys()
-        world = _world(before.data["data"], before.data["data_folder"]) if known else default_world()
-        return {**head, "free_share": simulator_of(world).measures.free_share}
-
     @model_validator(mode="after")
     def _name_is_the_robots(self) -> Self:
         # That of a data set's folder is looked at when it is opened.
@@ -318,14 +303,6 @@ class TrainConfig(JobConfig):
         elif self.validity.steps and grid is not None:
             world.grid_arm(grid.groups)
         return self
-
-
-def _world(data: DatasetConfig, folder: Path | None) -> World:
-    """That of the data; what does not fit there the job tells when it opens or makes them."""
-    try:
-        return data.world if folder is None else Manifest.read(folder).world
-    except InputError:
-        return default_world()
 
 
 class PathGanConfig(TrialSettings):

@@ -318,7 +318,6 @@ def trained_and_measured(folder: Path, options: argparse.Namespace) -> None:
     tasks, held_out = plan_tasks(folder, options.scenes, options.seed)
     draw_all([*held_out, *tasks], options.processes)
     config = ValidityConfig(
-        free_share=0.6,
         steps=options.steps,
         pictures_per_step=16,
         configurations_per_picture=160,

@@ -83,7 +83,7 @@ def test_one_model_learns_with_arms_of_other_sizes_and_serves_a_third(
     tasks: list[SceneTask], tmp_path: Path
 ) -> None:
     config = ValidityConfig(
-        free_share=0.6, steps=12, pictures_per_step=2, configurations_per_picture=40, hidden=8, grid=SMALL
+        steps=12, pictures_per_step=2, configurations_per_picture=40, hidden=8, grid=SMALL
     )
     held = ArmSamples(
         tuple(scene_world(named_arm(task.arm)) for task in tasks),
