@@ -13,7 +13,7 @@ from cspace.dataset import Dataset, open_dataset
 from cspace.errors import ConfigError
 from cspace.space import JointSpace
 from services.commands import Progress, numbers
-from services.names import ALIAS_CHALLENGER, TAG_MODEL, recorded_name
+from services.names import TAG_MODEL, recorded_name
 from services.registry.entities import ModelReference
 from services.registry.models import ModelRegistry
 from training.config import PathTrainConfig
@@ -87,7 +87,10 @@ def run_job(job: Job[PathTrainConfig]) -> PathTrainResult:
         _LOG.info("bundle: exporting %s", MODEL)
         folder = job.folder / BUNDLE_FOLDER
         bundle = kept_bundle(folder) or trained_bundle(folder, job, trial, source, dataset)
-        version = job.patiently("registering the bundle", lambda: _register(job, registry, model, bundle))
+        trained_by = job.child(MODEL)
+        tags = {"path_model": MODEL, "data_digest": bundle.spec.provenance.data_digest or ""}
+        version = job.register(model, bundle, trained_by, tags)
+        job.tracking.note(trained_by, tags={TAG_MODEL: str(version)})
         return PathTrainResult(
             run_id=run.run_id,
             model=model,
@@ -147,17 +150,3 @@ def trained_bundle(
     recipe = {"path_model": MODEL, "source_digest": source.digest, **config.to_dict()}
     metrics = {**trial.metrics, "training_s": trial.seconds}
     return write_path_bundle(folder, source, graph, (noise,), dataset.digest, seeds, recipe, metrics)
-
-
-def _register(job: Job[PathTrainConfig], registry: ModelRegistry, model: str, bundle: Bundle) -> int:
-    tags = {
-        "path_model": MODEL,
-        "data_digest": bundle.spec.provenance.data_digest or "",
-        "preset": job.config.preset,
-        "seed": str(job.config.seed),
-    }
-    run_id = job.child(MODEL)
-    version = registry.register(model, bundle.folder, run_id, bundle.digest, tags, alias=ALIAS_CHALLENGER)
-    job.tracking.note(run_id, tags={TAG_MODEL: str(version)})
-    _LOG.info("registry: %s version %d, alias %s", model, version.number, ALIAS_CHALLENGER)
-    return version.number

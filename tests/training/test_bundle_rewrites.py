@@ -1,19 +1,13 @@
 """Commands that rewrite a bundle: the same networks, other numbers, and clear words for bad input."""
 
-import json
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from cspace.bundle import Bundle, write_bundle
 from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.spatial.arm import SerialArm
-from cspace.worlds.spatial.benchmark import LIMITS_RAD
-from cspace.worlds.spatial.world import shipped
 from tests.bundles import tiny_graphs, tiny_spec, write_tiny_bundle
 from training import plan_confidence
-from training.motionbench import main as motionbench
 
 WIDE = PlanarArm(joint_limits_rad=((-3.0, 3.0), (-3.0, 3.0)))
 
@@ -28,13 +22,6 @@ def source(tmp_path_factory):
 @pytest.fixture
 def headless(tmp_path):
     return write_tiny_bundle(tmp_path / "headless")
-
-
-def test_the_benchmarks_robot_is_the_shipped_one_with_wider_limits(tmp_path):
-    assert motionbench(["robot", "--out", str(tmp_path / "panda.json")]) == 0
-    arm = SerialArm.from_dict(json.loads((tmp_path / "panda.json").read_text()))
-    assert arm == shipped("panda").with_limits(LIMITS_RAD)
-    assert np.less(arm.space.lower, shipped("panda").space.lower).all()
 
 
 @pytest.mark.slow

@@ -17,9 +17,8 @@ from cspace.space import JointSpace
 from services.commands import numbers
 from services.evaluator.report import gallery
 from services.evaluator.scenes import Scene, Stage
-from services.names import ALIAS_CHALLENGER, TAG_MODEL, label, recorded_name
+from services.names import TAG_MODEL, label, recorded_name
 from services.planner.samples import BundleSampler
-from services.registry.models import ModelRegistry
 from services.registry.tracking import RunLog
 from training.clusters.bundling import TrainedParts, make_bundle
 from training.clusters.clustering import Partition, cluster, group
@@ -256,7 +255,8 @@ def run_job(job: Job[TrainConfig]) -> TrainResult:
             bundle = make_bundle(job.folder / BUNDLE_FOLDER, config, dataset, parts)
         outcomes = [*(outcome for outcome in (vae, head) if outcome is not None), *trained]
         figures = log_result(run, bundle, dataset, outcomes[-1])
-        version = _register(job, model, dataset, bundle)
+        version = job.register(model, bundle, run.run_id, {"data_digest": dataset.digest})
+        job.add_tags({TAG_MODEL: str(version)})
     return TrainResult(
         run_id=job.run.run_id,
         model=model,
@@ -267,17 +267,3 @@ def run_job(job: Job[TrainConfig]) -> TrainResult:
         trials={outcome.name: outcome.times_s for outcome in outcomes},
         figures=figures,
     )
-
-
-def _register(job: Job[TrainConfig], model: str, dataset: Dataset, bundle: Bundle) -> int:
-    registry = ModelRegistry(job.environment.tracking_uri)
-    tags = {"data_digest": dataset.digest, "preset": job.config.preset, "seed": str(job.config.seed)}
-    version = job.patiently(
-        "registering the bundle",
-        lambda: registry.register(
-            model, bundle.folder, job.run.run_id, bundle.digest, tags, alias=ALIAS_CHALLENGER
-        ),
-    )
-    job.add_tags({TAG_MODEL: str(version)})
-    _LOG.info("registry: %s version %d, alias %s", model, version.number, ALIAS_CHALLENGER)
-    return version.number

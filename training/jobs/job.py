@@ -214,6 +214,19 @@ class Job(Generic[Config]):
         """The answer of ``call``, asked again while the tracking server is away."""
         return retry(action, call, self.environment.patience_s)
 
+    def register(self, model: str, bundle: Bundle, run_id: str, tags: Mapping[str, str]) -> int:
+        """Make a bundle the next version of a model, by the run that trained it, and the challenger."""
+        registry = ModelRegistry(self.environment.tracking_uri)
+        tags = {**tags, "preset": self.config.preset, "seed": str(self.config.seed)}
+        version = self.patiently(
+            "registering the bundle",
+            lambda: registry.register(
+                model, bundle.folder, run_id, bundle.digest, tags, alias=ALIAS_CHALLENGER
+            ),
+        )
+        _LOG.info("registry: %s version %d, alias %s", model, version.number, ALIAS_CHALLENGER)
+        return version.number
+
     def same(self, config: Config) -> "Job[Config]":
         """This job, if it has these settings."""
         ours, given = flatten(self.config.to_dict()), flatten(config.to_dict())
