@@ -128,18 +128,6 @@ def test_a_three_link_arm_runs_through_the_same_job(server, data_folder, tmp_pat
     assert np.shape(answer.json()["samples"]) == (7, 3)
 
 
-LOOKUPS = "{points_per_link: 3, side_m: 0.1}"
-
-
-def test_guided_clusters_with_look_ups_end_in_a_bundle_that_answers(server, data_folder, tmp_path):
-    looking = [f"{part}.critic_lookups={LOOKUPS}" for part in ("local", "global")]
-    result = run_job(server, data_folder, *looking, f"global.generator_lookups={LOOKUPS}")
-    assert set(result["trials"]) == {"vae", "validity", "local-0", "local-1", "global"}
-    bundle = bundle_of(server, MODEL_NAME, result["version"], tmp_path / "bundle")
-    assert bundle.spec.looks_at_picture
-    assert bundle.sample(WHITE, 9, 1, min_confidence=0.0).samples.shape == (9, 2)
-
-
 def test_the_same_seed_trains_the_same_sampler(result, server, data_folder, tmp_path):
     again = run_job(server, data_folder, f"local.steps={LOCAL_STEPS}", "resources.log_every_steps=200")
     assert again["version"] > result["version"]

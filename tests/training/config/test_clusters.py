@@ -166,7 +166,7 @@ def test_the_source_of_paths_is_a_registered_version_or_an_absolute_folder(sourc
     [
         ("panda", "local.generator_lookups", "{points_per_link: 12, side_m: 0.1}"),
         ("panda", "local.critic_lookups", "{groups: 64}"),
-        ("smoke", "global.generator_lookups", "{groups: 64}"),
+        ("smoke_mixture", "local.generator_lookups", "{groups: 64}"),
     ],
 )
 def test_look_ups_that_the_arm_cannot_have_are_refused_before_anything_starts(preset, part, lookups):

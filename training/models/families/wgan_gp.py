@@ -18,7 +18,6 @@ from torch import Tensor, nn
 from torch.optim.lr_scheduler import LambdaLR
 
 from cspace.bundle import RandomInput
-from cspace.errors import ConfigError
 from cspace.space import JointSpace
 from training.config import TrainConfig, TrialSettings
 from training.models.checkpoint import trained
@@ -26,16 +25,7 @@ from training.models.data import Batch, ScenarioSamples
 from training.models.export import Sampler
 from training.models.families import Checkpoints, Family, Trial, register
 from training.models.joints import Joints
-from training.models.lookups import (
-    ArmLookups,
-    LookupConfig,
-    Scenes,
-    look,
-    make_lookups,
-    make_reader,
-    read,
-    values_read,
-)
+from training.models.lookups import Readers, read, values_read
 from training.models.modules import TrialModule, differentiate, mlp, near_zero
 
 
@@ -59,8 +49,6 @@ class GanConfig(TrialSettings):
     )
     critic_hidden: int = Field(128, ge=1, description="units of the critic's layers")
     critic_layers: int = Field(3, ge=2, description="hidden layers of the critic")
-    generator_lookups: LookupConfig = LookupConfig()
-    critic_lookups: LookupConfig = LookupConfig()
     penalty: Literal["one_sided", "two_sided"] = Field(
         "one_sided", description="form of the gradient penalty"
     )
@@ -79,46 +67,10 @@ class GanConfig(TrialSettings):
             raise ValueError(
                 "means and sigma belong to generator=means; the torus generator takes means=1, sigma=0"
             )
-        if self.generator == "means" and self.generator_lookups.points_per_link:
-            raise ValueError("generator_lookups belong to generator=torus: the means have no base to look up")
         return self
 
 
-class WganConfig(TrainConfig):
-    """Everything that fixes a job that trains WGAN-GPs, whatever its sections of them are called."""
-
-    @property
-    def gans(self) -> Mapping[str, GanConfig]:
-        """The sections of WGAN-GPs by their keys."""
-        fields = {field.alias or name: getattr(self, name) for name, field in type(self).model_fields.items()}
-        return {key: part for key, part in fields.items() if isinstance(part, GanConfig)}
-
-    @property
-    def reads_pictures(self) -> bool:
-        """Whether a generator or a critic looks pictures up."""
-        return any(
-            part.points_per_link
-            for gan in self.gans.values()
-            for part in (gan.generator_lookups, gan.critic_lookups)
-        )
-
-    @model_validator(mode="after")
-    def _sections_fit(self) -> "WganConfig":
-        world = self.known_world
-        for key, gan in self.gans.items():
-            for part in ("generator_lookups", "critic_lookups"):
-                lookups: LookupConfig = getattr(gan, part)
-                if world is None or not lookups.points_per_link:
-                    continue
-                try:
-                    world.link_sample_points(lookups.points_per_link, lookups.side_m)
-                except ConfigError as error:
-                    text = f"{key}.{part}.points_per_link does not fit the robot: {error}"
-                    raise ValueError(text) from error
-        return self
-
-
-class PlainConfig(WganConfig):
+class PlainConfig(TrainConfig):
     """Everything that fixes a job that trains one WGAN-GP."""
 
     global_: GanConfig = Field(GanConfig(), alias="global")
@@ -384,14 +336,13 @@ class WganGpModule(AdversarialModule):
         seed: int,
         space: JointSpace,
         base: UniformBase | None = None,
-        scenes: Scenes | None = None,
+        readers: Readers = (None, None),
     ) -> None:
         super().__init__(seed)
         self.config, self.samples, self.joints = config, samples, Joints(space)
         self.decay_from, self.smooth_maximum = config.decay_from, config.smooth_maximum
         self.base = UniformBase(space) if base is None else base
-        self.generator_reader = make_reader(config.generator_lookups, scenes)
-        self.critic_reader = make_reader(config.critic_lookups, scenes)
+        self.generator_reader, self.critic_reader = readers
         scenarios, latent_dim = samples.mu.shape
         sizes = Sizes(space, latent_dim, config.hidden, config.layers, values_read(self.generator_reader))
         self.generator: Generator
@@ -441,18 +392,17 @@ class WganGpModule(AdversarialModule):
 class TorusSampler(Sampler):
     """A torus generator as a bundle holds it; its base is uniform on the torus whatever the limits are."""
 
-    def __init__(self, generator: TorusGenerator, lookups: ArmLookups | None = None) -> None:
+    def __init__(self, generator: TorusGenerator) -> None:
         super().__init__()
-        self.generator, self.lookups, self.looks_at_picture = generator, lookups, lookups is not None
+        self.generator = generator
         self.random_inputs = (
             RandomInput("base", "uniform", (generator.joints.dim,), -math.pi, math.pi),
             RandomInput("noise", "normal", (generator.noise_dim,)),
         )
 
-    def forward(self, latent: Tensor, base: Tensor, noise: Tensor, image: Tensor | None = None) -> Tensor:
+    def forward(self, latent: Tensor, base: Tensor, noise: Tensor) -> Tensor:
         """One configuration for each latent, (m, 1, d) rad."""
-        start = self.generator.joints.from_torus(base)
-        samples: Tensor = self.generator(latent, start, noise, look(self.lookups, image, start))
+        samples: Tensor = self.generator(latent, self.generator.joints.from_torus(base), noise)
         return samples
 
 
@@ -477,15 +427,12 @@ class WganGp(Family[Any]):
     def given(self, cluster: int | None, seed: int, base: UniformBase | None = None) -> tuple[Any, ...]:
         """What a module of :class:`WganGpModule` takes after its settings: one cluster's data, or all."""
         arrays = self.arrays
-        return arrays.samples(cluster), arrays.scale, seed, arrays.world.space, base, arrays.scenes()
+        return arrays.samples(cluster), arrays.scale, seed, arrays.world.space, base
 
     def sampler(self, done: Checkpoints) -> Sampler:
         """The global generator."""
-        gan = self.config.global_
-        generator = self.load(gan, done[GLOBAL], "generator")
-        if isinstance(generator, Sampler):
-            return generator
-        return TorusSampler(generator, make_lookups(gan.generator_lookups, self.arrays.world))
+        generator = self.load(self.config.global_, done[GLOBAL], "generator")
+        return generator if isinstance(generator, Sampler) else TorusSampler(generator)
 
     def load(self, config: GanConfig, checkpoint: Path, part: str) -> Any:
         """The generator or the critic of a trial's checkpoint."""
