@@ -305,13 +305,11 @@ class TrainConfig(JobConfig):
         return self
 
 
-class PathGanConfig(TrialSettings):
-    """A WGAN-GP whose condition is latent, start and goal (MultiWGAN-GP paper, section 4)."""
+class AdversarialConfig(TrialSettings):
+    """What any WGAN-GP is trained by."""
 
-    hidden: int = Field(256, ge=1, description="units of the generator's layers")
     layers: int = Field(3, ge=1, description="hidden layers of the generator")
     noise_dim: int = Field(2, ge=1, description="numbers of explicit noise")
-    critic_hidden: int = Field(256, ge=1, description="units of the critic's layers")
     critic_layers: int = Field(3, ge=2, description="hidden layers of the critic")
     penalty: Literal["one_sided", "two_sided"] = Field(
         "one_sided", description="form of the gradient penalty"
@@ -320,7 +318,15 @@ class PathGanConfig(TrialSettings):
     critic_steps: int = Field(4, ge=1, description="critic steps before each generator step")
     critic_learning_rate: float = Field(2e-3, gt=0, description="Adam's, of the critic")
     betas: tuple[float, float] = Field((0.0, 0.9), description="Adam's")
-    batch_size: int = Field(512, ge=2, description="points a step, each of another path")
+    batch_size: int = Field(512, ge=2, description="of real samples a step")
+    steps: int = Field(1000, ge=1, description="generator steps")
+
+
+class PathGanConfig(AdversarialConfig):
+    """A WGAN-GP whose condition is latent, start and goal (MultiWGAN-GP paper, section 4)."""
+
+    hidden: int = Field(256, ge=1, description="units of the generator's layers")
+    critic_hidden: int = Field(256, ge=1, description="units of the critic's layers")
     steps: int = Field(1500, ge=1, description="generator steps")
     learning_rate: float = Field(1e-3, gt=0, description="Adam's, of the generator")
 

@@ -1,8 +1,7 @@
 """The main job: data, clusters, VAE and validity head, the model family's trials, bundle, registry."""
 
 import logging
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,6 @@ from cspace.dataset import Dataset, open_dataset
 from cspace.errors import ConfigError, DatasetError
 from cspace.simulator import ORIGINS, Split
 from cspace.space import JointSpace
-from services.commands import numbers
 from services.evaluator.report import gallery
 from services.evaluator.scenes import Scene, Stage
 from services.names import TAG_MODEL, label, recorded_name
@@ -24,7 +22,7 @@ from training.clusters.bundling import TrainedParts, make_bundle
 from training.clusters.clustering import Partition, cluster, group
 from training.config import CLUSTERS_FILE, TrainConfig
 from training.data.generate import generate
-from training.jobs.job import Job, kept_bundle, registered_name, world_tag
+from training.jobs.job import BUNDLE_FOLDER, Job, JobResult, kept_bundle, registered_name, world_tag
 from training.jobs.launch import TrialOutcome, run_trials
 from training.jobs.trainables import VAE, VALIDITY, family_trial, has_occupancy, picture_trial
 from training.models.autoencoders import encode, load_encoder, shown
@@ -198,35 +196,7 @@ def encoder_checkpoint(job: Job[TrainConfig], vae: TrialOutcome | None) -> Path:
     return given
 
 
-BUNDLE_FOLDER = "bundle"
-
-
-@dataclass(frozen=True, slots=True)
-class TrainResult:
-    """What a job leaves behind."""
-
-    run_id: str
-    model: str
-    version: int
-    digest: str
-    data_digest: str
-    metrics: Mapping[str, float]
-    trials: Mapping[str, tuple[float, float]]
-    figures: tuple[str, ...]
-
-    def rows(self, folder: Path) -> dict[str, str]:
-        """The lines of a block for people; the job lies in ``folder``."""
-        return {
-            "model": f"{self.model}/{self.version}",
-            "run": self.run_id,
-            "trials": numbers({name: end - start for name, (start, end) in self.trials.items()}, " s"),
-            "last metrics": numbers(self.metrics),
-            "data": self.data_digest,
-            "bundle": str(folder / BUNDLE_FOLDER),
-        }
-
-
-def run_job(job: Job[TrainConfig]) -> TrainResult:
+def run_job(job: Job[TrainConfig]) -> JobResult:
     """Run the whole job, or go on with it: finished trials stay, others start from their checkpoints."""
     with job.running() as run:
         dataset = prepare_data(job.config, job.environment.data_folder)
@@ -257,7 +227,7 @@ def run_job(job: Job[TrainConfig]) -> TrainResult:
         figures = log_result(run, bundle, dataset, outcomes[-1])
         version = job.register(model, bundle, run.run_id, {"data_digest": dataset.digest})
         job.add_tags({TAG_MODEL: str(version)})
-    return TrainResult(
+    return JobResult(
         run_id=job.run.run_id,
         model=model,
         version=version,

@@ -20,6 +20,7 @@ from cspace.files import HALF_SUFFIX, discard, holding, replacing
 from cspace.strict_json import refused
 from cspace.world import World
 from cspace.worlds import robot_digest
+from services.commands import numbers
 from services.names import (
     ALIAS_CHALLENGER,
     ALIAS_CHAMPION,
@@ -44,6 +45,7 @@ LONGEST = 100
 """Characters of a parameter."""
 # In a job's folder, and an artifact of its run.
 CONFIGURATION = "configuration.json"
+BUNDLE_FOLDER = "bundle"
 # On a trial's run: its name in the job.
 TAG_TRIAL = "trial"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}")
@@ -230,12 +232,13 @@ class Job(Generic[Config]):
     def same(self, config: Config) -> "Job[Config]":
         """This job, if it has these settings."""
         ours, given = flatten(self.config.to_dict()), flatten(config.to_dict())
-        _require_equal(
-            ours,
-            given,
-            f"the job {self.name} has other settings",
-            f"take another name, or go on as it began by --resume {self.run.run_id}",
-        )
+        if other := [key for key in sorted(ours | given) if ours.get(key) != given.get(key)][:5]:
+            raise ConfigError(
+                f"the job {self.name} has other settings: {', '.join(other)}",
+                expected=", ".join(f"{key}={ours.get(key)}" for key in other),
+                got=", ".join(f"{key}={given.get(key)}" for key in other),
+                remedy=f"take another name, or go on as it began by --resume {self.run.run_id}",
+            )
         return self
 
 
@@ -260,15 +263,29 @@ def _write(path: Path, text: str) -> None:
         beside.write_text(text, encoding="utf-8")
 
 
-def _require_equal(expected: Mapping[str, str], got: Mapping[str, str], what: str, remedy: str) -> None:
-    other = [key for key in sorted(expected.keys() | got.keys()) if expected.get(key) != got.get(key)]
-    if other:
-        raise ConfigError(
-            f"{what}: {', '.join(other[:5])}",
-            expected=", ".join(f"{key}={expected.get(key)}" for key in other[:5]),
-            got=", ".join(f"{key}={got.get(key)}" for key in other[:5]),
-            remedy=remedy,
-        )
+@dataclass(frozen=True, slots=True)
+class JobResult:
+    """What a job leaves behind."""
+
+    run_id: str
+    model: str
+    version: int
+    digest: str
+    data_digest: str
+    metrics: Mapping[str, float]
+    trials: Mapping[str, tuple[float, float]]
+    figures: tuple[str, ...]
+
+    def rows(self, folder: Path) -> dict[str, str]:
+        """The lines of a block for people; the job lies in ``folder``."""
+        return {
+            "model": f"{self.model}/{self.version}",
+            "run": self.run_id,
+            "trials": numbers({name: end - start for name, (start, end) in self.trials.items()}, " s"),
+            "last metrics": numbers(self.metrics),
+            "data": self.data_digest,
+            "bundle": str(folder / BUNDLE_FOLDER),
+        }
 
 
 def kept_bundle(folder: Path) -> Bundle | None:

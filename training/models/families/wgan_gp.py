@@ -19,7 +19,7 @@ from torch.optim.lr_scheduler import LambdaLR
 
 from cspace.bundle import RandomInput
 from cspace.space import JointSpace
-from training.config import TrainConfig, TrialSettings
+from training.config import AdversarialConfig, TrainConfig
 from training.models.checkpoint import trained
 from training.models.data import Batch, ScenarioSamples
 from training.models.export import Sampler
@@ -29,13 +29,11 @@ from training.models.lookups import Readers, read, values_read
 from training.models.modules import TrialModule, differentiate, mlp, near_zero
 
 
-class GanConfig(TrialSettings):
+class GanConfig(AdversarialConfig):
     """One WGAN-GP: generator, critic, losses and budget."""
 
     generator: Literal["torus", "means"] = Field("torus", description="means: the paper's")
     hidden: int = Field(128, ge=1, description="units of the generator's layers")
-    layers: int = Field(3, ge=1, description="hidden layers of the generator")
-    noise_dim: int = Field(2, ge=1, description="explicit noise of the torus generator")
     means: int = Field(1, ge=1, description="K of the means generator")
     sigma: float = Field(0.0, ge=0, description="standard deviation round each mean, on standardised angles")
     smooth_maximum: float | None = Field(
@@ -48,18 +46,8 @@ class GanConfig(TrialSettings):
         "torus", description="of configurations: harmonics, or standardised angles as in the paper"
     )
     critic_hidden: int = Field(128, ge=1, description="units of the critic's layers")
-    critic_layers: int = Field(3, ge=2, description="hidden layers of the critic")
-    penalty: Literal["one_sided", "two_sided"] = Field(
-        "one_sided", description="form of the gradient penalty"
-    )
-    penalty_weight: float = Field(10.0, ge=0, description="lambda of the gradient penalty")
-    critic_steps: int = Field(4, ge=1, description="critic steps before each generator step")
     generator_learning_rate: float = Field(1e-3, gt=0, description="Adam's, of the generator")
-    critic_learning_rate: float = Field(2e-3, gt=0, description="Adam's, of the critic")
-    betas: tuple[float, float] = Field((0.0, 0.9), description="Adam's")
     decay_from: float = Field(0.4, ge=0, le=1, description="share of the steps after which the rates fall")
-    batch_size: int = Field(512, ge=2, description="configurations a step")
-    steps: int = Field(1000, ge=1, description="generator steps")
 
     @model_validator(mode="after")
     def _means_need_their_generator(self) -> "GanConfig":
