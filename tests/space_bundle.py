@@ -22,7 +22,7 @@ from training.models.grid_training import grid_validity_graph, map_graph
 
 WORLD = examples()["panda"]
 LATENT = 5
-HEAD = ValidityConfig(free_share=0.6, hidden=8, grid=GridConfig(width=4, middle=4, deep=4))
+HEAD = ValidityConfig(hidden=8, grid=GridConfig(width=4, middle=4, deep=4))
 SPEC = BundleSpec(
     world=WORLD,
     latent_dim=LATENT,

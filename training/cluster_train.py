@@ -8,21 +8,15 @@ ray job submit --working-dir . -- python training/cluster_train.py --resume RUN_
 """
 
 import sys
-from typing import Any
 
 from training.command import JobCommand
 from training.config import TrainConfig
 
-
-def run(job: Any) -> Any:
-    """Runs the job, and returns its result."""
-    from training.clusters.pipeline import run_job  # noqa: PLC0415
-
-    return run_job(job)
-
-
 COMMAND = JobCommand(
-    description=(__doc__ or "").partition("\n")[0], example="local.steps=100", config=TrainConfig, run=run
+    description=(__doc__ or "").partition("\n")[0],
+    example="local.steps=100",
+    config=TrainConfig,
+    run="training.clusters.pipeline:run_job",
 )
 
 if __name__ == "__main__":

@@ -4,8 +4,9 @@ import argparse
 import dataclasses
 import logging
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pkgutil import resolve_name
 from typing import Any
 
 from cspace.errors import CspaceError, InputError
@@ -24,7 +25,7 @@ class JobCommand:
     description: str
     example: str
     config: type[JobConfig]
-    run: Callable[[Any], Any]
+    run: str  # module:function, imported for the job alone
 
     @property
     def program(self) -> str:
@@ -45,7 +46,7 @@ class JobCommand:
                 print("\n".join(described(config)))
                 return 0
             job = self._job(config, options)
-            result = self.run(job)
+            result = resolve_name(self.run)(job)
         except CspaceError as error:
             return report_error(error, InputError, program=self.program)
         except KeyboardInterrupt:

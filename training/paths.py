@@ -1,8 +1,6 @@
 """The job of the path model: data, what a bundle sees of them, the trial, the bundle, the registry."""
 
 import logging
-from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,14 +10,14 @@ from cspace.bundle import Bundle, RandomInput, load_verified
 from cspace.dataset import Dataset, open_dataset
 from cspace.errors import ConfigError
 from cspace.space import JointSpace
-from services.commands import Progress, numbers
-from services.names import ALIAS_CHALLENGER, TAG_MODEL, recorded_name
+from services.commands import Progress
+from services.names import TAG_MODEL, recorded_name
 from services.registry.entities import ModelReference
 from services.registry.models import ModelRegistry
 from training.config import PathTrainConfig
 from training.data.generate import generate
 from training.jobs.fit import fit_tracked
-from training.jobs.job import TAG_START, Job, kept_bundle, registered_name, world_tag
+from training.jobs.job import BUNDLE_FOLDER, Job, JobResult, kept_bundle, registered_name, world_tag
 from training.jobs.launch import TrialOutcome, TrialRequest, run_trials
 from training.models.checkpoint import seeded_initialisation, trained
 from training.models.paths import (
@@ -35,32 +33,9 @@ from training.path_sampler import write_path_bundle
 _LOG = logging.getLogger("training")
 
 MODEL = "wgan"
-BUNDLE_FOLDER = "bundle"
 
 
-@dataclass(frozen=True, slots=True)
-class PathTrainResult:
-    """What a job leaves behind."""
-
-    run_id: str
-    model: str
-    version: int
-    digest: str
-    data_digest: str
-    seconds: Mapping[str, float]
-
-    def rows(self, folder: Path) -> dict[str, str]:
-        """The lines of a block for people; the job lies in ``folder``."""
-        return {
-            "model": f"{self.model}/{self.version}",
-            "run": self.run_id,
-            "trials": numbers(self.seconds, " s"),
-            "data": self.data_digest,
-            "bundle": str(folder / BUNDLE_FOLDER),
-        }
-
-
-def run_job(job: Job[PathTrainConfig]) -> PathTrainResult:
+def run_job(job: Job[PathTrainConfig]) -> JobResult:
     """Run the whole job, or go on with it: finished trials stay, others start from their checkpoints."""
     config = job.config
     with job.running() as run:
@@ -87,14 +62,19 @@ def run_job(job: Job[PathTrainConfig]) -> PathTrainResult:
         _LOG.info("bundle: exporting %s", MODEL)
         folder = job.folder / BUNDLE_FOLDER
         bundle = kept_bundle(folder) or trained_bundle(folder, job, trial, source, dataset)
-        version = job.patiently("registering the bundle", lambda: _register(job, registry, model, bundle))
-        return PathTrainResult(
+        trained_by = job.child(MODEL)
+        tags = {"path_model": MODEL, "data_digest": bundle.spec.provenance.data_digest or ""}
+        version = job.register(model, bundle, trained_by, tags)
+        job.tracking.note(trained_by, tags={TAG_MODEL: str(version)})
+        return JobResult(
             run_id=run.run_id,
             model=model,
             version=version,
             digest=bundle.digest,
             data_digest=dataset.digest,
-            seconds={MODEL: trial.seconds},
+            metrics=trial.metrics,
+            trials={MODEL: trial.times_s},
+            figures=(),
         )
 
 
@@ -145,21 +125,5 @@ def trained_bundle(
     graph, noise = point_graph(net, spec.latent_dim), RandomInput("noise", "normal", (net.noise_dim,))
     seeds = {"training": config.seed, "data": dataset.generator_seed}
     recipe = {"path_model": MODEL, "source_digest": source.digest, **config.to_dict()}
-    recipe |= {} if job.start_run_id is None else {TAG_START: job.start_run_id}
     metrics = {**trial.metrics, "training_s": trial.seconds}
     return write_path_bundle(folder, source, graph, (noise,), dataset.digest, seeds, recipe, metrics)
-
-
-def _register(job: Job[PathTrainConfig], registry: ModelRegistry, model: str, bundle: Bundle) -> int:
-    tags = {
-        "path_model": MODEL,
-        "data_digest": bundle.spec.provenance.data_digest or "",
-        "preset": job.config.preset,
-        "seed": str(job.config.seed),
-    }
-    tags |= {} if job.start_run_id is None else {TAG_START: job.start_run_id}
-    run_id = job.child(MODEL)
-    version = registry.register(model, bundle.folder, run_id, bundle.digest, tags, alias=ALIAS_CHALLENGER)
-    job.tracking.note(run_id, tags={TAG_MODEL: str(version)})
-    _LOG.info("registry: %s version %d, alias %s", model, version.number, ALIAS_CHALLENGER)
-    return version.number

@@ -11,37 +11,25 @@ Exit codes: 0 done, 1 the bundle or the disk is bad, 2 the command is wrong.
 import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
-from cspace.bundle import Bundle, load_verified
-from cspace.bundle.files import VALIDITY_FILE
-from cspace.errors import BundleError, ConfigError, CspaceError, InputError
+from cspace.bundle import graphs_of, load_verified, write_bundle
+from cspace.bundle.files import GOLDEN_FILE, VALIDITY_FILE, GoldenCase
+from cspace.errors import BundleError, CspaceError, InputError
 from services.commands import report_error
-from training.clusters.calibration import (
-    PlanCalibration,
-    fit_plan_calibration,
-    planned,
-    write_fitted,
-)
-
-# Fewer say nothing: each third of the plans is predicted from the others.
-_LEAST = 6
+from training.clusters.calibration import fit_plan_calibration, planned
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Parse, plan, fit, write."""
     options = parser().parse_args(arguments)
     try:
-        source = load_verified(options.bundle)
-        found = _fitted(source, options.problems)
-        note = {"plan_problems": options.problems}
-        folder = write_fitted(source, options.folder, found.stated_in(source.spec), "plans", note)
+        metrics = recalibrate(options.bundle, options.folder, options.problems)
     except CspaceError as error:
         return report_error(error, InputError)
-    metrics_text = ", ".join(
-        f"{name.removeprefix('plans/')} {value:.3g}" for name, value in found.metrics().items()
-    )
-    sys.stdout.write(f"{folder}\n  plan_calibration {found.parameters}\n  {metrics_text}\n")
+    lines = [str(options.folder), *(f"  {name} {value:.3g}" for name, value in metrics.items())]
+    sys.stdout.write("\n".join(lines) + "\n")
     return 0
 
 
@@ -58,11 +46,11 @@ def parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _fitted(source: Bundle, problems: int) -> PlanCalibration:
-    if problems < _LEAST:
-        raise ConfigError("too few problems to fit anything", expected=f"{_LEAST} or more", got=str(problems))
+def recalibrate(bundle: Path, folder: Path, problems: int) -> dict[str, float]:
+    """Write the bundle with plans that are calibrated anew; what was measured."""
+    source = load_verified(bundle)
     if not source.has_validity:
-        raise BundleError("the bundle has no validity head", expected=VALIDITY_FILE, got=str(source.folder))
+        raise BundleError("the bundle has no validity head", expected=VALIDITY_FILE, got=str(bundle))
     found = fit_plan_calibration(planned(source, source.spec.world, problems))
     if found is None:
         raise BundleError(
@@ -70,7 +58,12 @@ def _fitted(source: Bundle, problems: int) -> PlanCalibration:
             got=f"of {problems} problems",
             remedy="give more with --problems",
         )
-    return found
+    spec = found.stated_in(source.spec)
+    note = {"plan_problems": problems, "source_digest": source.digest}
+    provenance = replace(spec.provenance, config={**spec.provenance.config, "plans_fitted_again": note})
+    golden = GoldenCase.from_npz((source.folder / GOLDEN_FILE).read_bytes())
+    write_bundle(folder, replace(spec, provenance=provenance), graphs_of(source.folder), golden)
+    return dict(found.metrics)
 
 
 if __name__ == "__main__":

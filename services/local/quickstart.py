@@ -194,9 +194,7 @@ def import_arm(settings: Settings, urdf: Path, options: Sequence[str], say: Repo
         raise ConfigError(f"{urdf} was not imported", got="the error above", remedy=remedy)
     # Named as the model is: an import under another name leaves this file to its model.
     named = file.with_name(f"{_name(named_world(str(file)))}.json")
-    for end in (".json", ".report.png"):
-        file.with_suffix(end).replace(named.with_suffix(end))
-    return named
+    return file.replace(named)
 
 
 def tour_of_arm(file: Path) -> Tour:

@@ -25,9 +25,11 @@ def bundle(tmp_path, monkeypatch):
 def test_every_column_is_a_valid_job_with_the_same_share_and_width_and_encoder(column, tmp_path):
     config = TrainConfig.load(column.preset, overrides(column, 0.1, 16, tmp_path))
     assert config.vae.steps == 600
+    sections = config.to_dict()
+    gans = {name: sections[name] for name in ("global", "local") if name in sections}
     steps = {"global": 15_630, "local": 7_820}
-    assert all(gan.steps == steps[name] for name, gan in config.gans.items())
-    assert {size for gan in config.gans.values() for size in (gan.hidden, gan.critic_hidden)} == {16}
+    assert {name: gan["steps"] for name, gan in gans.items()} == {name: steps[name] for name in gans}
+    assert {size for gan in gans.values() for size in (gan["hidden"], gan["critic_hidden"])} == {16}
     assert config.trains_encoder or config.vae.checkpoint == tmp_path
 
 

@@ -17,7 +17,7 @@ from services.planner.result import PlannerSettings
 from services.scene_files import SceneFile, read_scene_file
 from tests.own_ray import run_alone
 from tests.training.clusters.test_pipeline import bundle_of
-from training.data.configurations import plot_configurations
+from training.data.configurations import sample_configurations
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -66,7 +66,7 @@ def test_any_robot_has_scenes_pictures_data_and_plans_or_a_reason(tmp_path, valu
     assert simulator.render(scene).shape == world.sensor.picture_shape
     checker = simulator.checker(scene)
     try:
-        free = plot_configurations(checker, 20, rng, free=True)
+        free = sample_configurations(checker, 20, rng, free=True)
     except DatasetError as error:
         assert "hardly any configuration" in str(error)  # noqa: PT017 - likewise
         return

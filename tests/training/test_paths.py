@@ -65,7 +65,7 @@ def test_the_trial_can_be_compared_in_the_tracking_server(result, server):
 @runs_jobs
 def test_a_resumed_job_trains_nothing_twice_and_registers_the_same(result, server, data_folder):
     again = submit(server, data_folder, "--resume", result["run_id"], script=JOB)
-    assert (again["run_id"], again["seconds"]) == (result["run_id"], result["seconds"])
+    assert (again["run_id"], again["trials"]) == (result["run_id"], result["trials"])
     assert again["data_digest"] == result["data_digest"]
 
 

@@ -25,7 +25,6 @@ from training.scene_model import (
     disturbed,
     load_samples,
     make_scenes,
-    measure,
     named_arm,
     random_arm,
     scene_world,
@@ -83,7 +82,7 @@ def test_one_model_learns_with_arms_of_other_sizes_and_serves_a_third(
     tasks: list[SceneTask], tmp_path: Path
 ) -> None:
     config = ValidityConfig(
-        free_share=0.6, steps=12, pictures_per_step=2, configurations_per_picture=40, hidden=8, grid=SMALL
+        steps=12, pictures_per_step=2, configurations_per_picture=40, hidden=8, grid=SMALL
     )
     held = ArmSamples(
         tuple(scene_world(named_arm(task.arm)) for task in tasks),
@@ -94,10 +93,6 @@ def test_one_model_learns_with_arms_of_other_sizes_and_serves_a_third(
     again = train(config, held, 0, tmp_path / "checkpoint")
     for one, other in zip(module.parameters(), again.parameters(), strict=True):
         torch.testing.assert_close(one, other, rtol=0.0, atol=0.0)
-    for head, samples in zip(module.heads, held.samples, strict=True):
-        found = measure(head.eval(), samples)
-        assert all(0.0 <= found[name] <= 1.0 for name in ("accuracy", "mean", "free", "free_above_0.9"))
-        assert found["free"] == pytest.approx(float((~samples.hits.any(dim=1)).float().mean()))
     path = tmp_path / "scene_model.safetensors"
     save_scene_model(path, module.head.model)
     head = GridHead(load_scene_model(path, UR5), UR5.grid_arm(SMALL.groups), counts_of(UR5))

@@ -20,7 +20,6 @@ from training.clusters.calibration import (
     validation_scores,
 )
 from training.config import HeadConfig, TrainConfig
-from training.jobs.job import TAG_START
 from training.jobs.provenance import provenance
 from training.models.autoencoders import load_encoder, load_scores, network_size
 from training.models.checkpoint import load_scene_model, load_weights, trained
@@ -50,7 +49,6 @@ class TrainedParts:
     done: Mapping[str, Path]  # the family's trials
     validity: Path | None
     arrays: TrainingArrays
-    start_run_id: str | None = None
 
 
 def make_bundle(folder: Path, config: TrainConfig, dataset: Dataset, parts: TrainedParts) -> Bundle:
@@ -83,7 +81,7 @@ def make_bundle(folder: Path, config: TrainConfig, dataset: Dataset, parts: Trai
         novelty_quantiles=known,
         standardisation=scale,
         provenance=provenance(
-            config.to_dict() | ({TAG_START: parts.start_run_id} if parts.start_run_id else {}),
+            config.to_dict(),
             data_digest=dataset.digest,
             seeds={"train": config.seed, "data": config.data.seed},
         ),
@@ -144,6 +142,10 @@ def _with_threshold(draft: Bundle, config: HeadConfig, spec: BundleSpec) -> Bund
         threshold = choose_threshold(proposed, config.target_precision)
     if bound is not None:
         kinds = {"samples": proposed, "uniform": uniform}
-        metrics = [collision_bound(scenes, threshold).metrics(kind) for kind, scenes in kinds.items()]
-        spec = replace(spec, provenance=replace(spec.provenance, metrics=metrics[0] | metrics[1]))
+        metrics = {
+            f"promise/{kind}_collide/{name}": value
+            for kind, scenes in kinds.items()
+            for name, value in collision_bound(scenes, threshold).items()
+        }
+        spec = replace(spec, provenance=replace(spec.provenance, metrics=metrics))
     return replace(spec, confidence_threshold=threshold)

@@ -5,15 +5,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from cspace.bundle import Bundle, BundleSpec, graphs_of, write_bundle
-from cspace.bundle.files import GOLDEN_FILE, GoldenCase
+from cspace.bundle import Bundle, BundleSpec
 from cspace.bundle.load import quantiles_of
 from cspace.bundle.sampling import UNIFORM_SHARE
 from cspace.dataset import Dataset
@@ -30,14 +28,6 @@ from training.config import VaeConfig
 from training.models.autoencoders import blocks, load_encoder
 
 _LOG = logging.getLogger(__name__)
-
-
-def write_fitted(source: Bundle, folder: Path, spec: BundleSpec, name: str, note: Mapping[str, Any]) -> Path:
-    """Write a bundle's networks and golden case with a description of which something was fitted again."""
-    entry = {f"{name}_fitted_again": {**note, "source_digest": source.digest}}
-    provenance = replace(spec.provenance, config={**spec.provenance.config, **entry})
-    golden = GoldenCase.from_npz((source.folder / GOLDEN_FILE).read_bytes())
-    return write_bundle(folder, replace(spec, provenance=provenance), graphs_of(source.folder), golden)
 
 
 KNOWN_PICTURES = 400
@@ -137,30 +127,6 @@ FINE = (*CANDIDATES, 0.96, 0.97, 0.98, 0.99)
 MOST = 0.9
 
 
-@dataclass(frozen=True, slots=True)
-class CollisionBound:
-    """A bound on the collisions of one kind of configurations, and what was measured in other scenes."""
-
-    at_most: float
-    in_most: float
-    scenes: int
-    measured: float
-    violations: float
-    others: int
-
-    def metrics(self, kind: str) -> dict[str, float]:
-        """As a bundle's provenance holds it."""
-        values = {
-            "at_most": self.at_most,
-            "at_most_in_nine_of_ten_scenes": self.in_most,
-            "scenes": float(self.scenes),
-            "measured": self.measured,
-            "measured_violations": self.violations,
-            "measured_scenes": float(self.others),
-        }
-        return {f"promise/{kind}_collide/{name}": value for name, value in values.items()}
-
-
 def choose_bounded(scenes: Sequence[Scored], at_most: float) -> float:
     """The lowest threshold whose bound is small enough, by the scenes that choose.
 
@@ -171,19 +137,19 @@ def choose_bounded(scenes: Sequence[Scored], at_most: float) -> float:
     return next((one for one in FINE if _bound(_risks(choosing, one)) <= at_most), FINE[-1])
 
 
-def collision_bound(scenes: Sequence[Scored], threshold: float) -> CollisionBound:
-    """What holds at a threshold that the other scenes decided nothing of."""
+def collision_bound(scenes: Sequence[Scored], threshold: float) -> dict[str, float]:
+    """What holds at a threshold that the other scenes decided nothing of, and what was measured there."""
     made, others = np.sort(_risks(scenes[1::3], threshold)), _risks(scenes[2::3], threshold)
     place = math.ceil((len(made) + 1) * MOST)
     in_most = float(made[place - 1]) if place <= len(made) else 1.0
-    return CollisionBound(
-        at_most=_bound(made),
-        in_most=in_most,
-        scenes=len(made),
-        measured=float(others.mean()),
-        violations=float(np.mean(others > in_most)),
-        others=len(others),
-    )
+    return {
+        "at_most": _bound(made),
+        "at_most_in_nine_of_ten_scenes": in_most,
+        "scenes": float(len(made)),
+        "measured": float(others.mean()),
+        "measured_violations": float(np.mean(others > in_most)),
+        "measured_scenes": float(len(others)),
+    }
 
 
 def _bound(risks: NDArray[np.float64]) -> float:
@@ -223,29 +189,11 @@ class PlanCalibration:
     """What was fitted, and how well such fits predict plans that had no part in them, each third in turn."""
 
     parameters: tuple[tuple[float, float], ...]  # (a, b) for one picture, two and so on
-    plans: int
-    collide: float
-    error: float
-    errors: Mapping[int, float]
-    plain_error: float
-
-    def metrics(self) -> dict[str, float]:
-        """As a bundle's provenance holds it."""
-        values = {
-            "fitted": float(self.plans),
-            "collide": self.collide,
-            "calibration_error": self.error,
-            "calibration_error_of_exp_minus_cost": self.plain_error,
-        }
-        each = {f"calibration_error_{number}_pictures": value for number, value in self.errors.items()}
-        return {f"plans/{name}": value for name, value in {**values, **each}.items()}
+    metrics: Mapping[str, float]
 
     def stated_in(self, spec: BundleSpec) -> BundleSpec:
         """A bundle's description with what was fitted."""
-        others = {
-            name: value for name, value in spec.provenance.metrics.items() if not name.startswith("plans/")
-        }
-        provenance = replace(spec.provenance, metrics={**others, **self.metrics()})
+        provenance = replace(spec.provenance, metrics={**spec.provenance.metrics, **self.metrics})
         return replace(spec, plan_calibration=self.parameters, provenance=provenance)
 
 
@@ -287,18 +235,12 @@ def fit_plan_calibration(plans: Planned) -> PlanCalibration | None:
     for number in range(_FOLDS):
         others = fold == number
         predicted[others] = _confidence(plans.among(others), _fitted(plans.among(~others)))
-    errors = {}
-    for number in np.unique(plans.pictures):
-        rows = plans.pictures == number
-        errors[int(number)] = calibration_error(predicted[rows], plans.free[rows])
-    return PlanCalibration(
-        parameters=_fitted(plans),
-        plans=len(fold),
-        collide=float(1.0 - plans.free.mean()),
-        error=calibration_error(predicted, plans.free),
-        errors=errors,
-        plain_error=calibration_error(np.exp(-plans.cost), plans.free),
-    )
+    metrics = {
+        "plans/fitted": float(len(fold)),
+        "plans/collide": float(1.0 - plans.free.mean()),
+        "plans/calibration_error": calibration_error(predicted, plans.free),
+    }
+    return PlanCalibration(_fitted(plans), metrics)
 
 
 def _fitted(plans: Planned) -> tuple[tuple[float, float], ...]:

@@ -1,6 +1,6 @@
 """k-means over the configuration space, on its embedding so that clusters respect circles and limits."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from cspace.simulator import derived_seed
 from cspace.space import JointSpace
 from training.models.data import Cells
 
-_BLOCK, _FIT_SAMPLES = 100_000, 50_000
+_FIT_SAMPLES = 50_000
 # Cells differ in size; one that is too small for this many draws repeats the points that it has.
 _DRAWS_PER_POINT = 5
 
@@ -30,11 +30,8 @@ class Clustering:
 
     def label(self, configurations: NDArray[np.floating[Any]]) -> NDArray[np.int64]:
         """The cluster of each of (n, d) configurations: the one with the nearest centre."""
-        blocks = [
-            pairwise_distances_argmin(self.space.embed(configurations[start : start + _BLOCK]), self.centres)
-            for start in range(0, len(configurations), _BLOCK)
-        ]
-        return np.concatenate(blocks).astype(np.int64)
+        nearest = pairwise_distances_argmin(self.space.embed(configurations), self.centres)
+        return np.asarray(nearest, dtype=np.int64)
 
     @property
     def sizes(self) -> tuple[int, ...]:
@@ -62,7 +59,7 @@ class Partition:
         return Cells(spread, spacing_rad, self.cells.labels, self.clusters)
 
     def save(self, path: Path) -> None:
-        """Keep it for a job that goes on, and for another job's data in the same cells."""
+        """Keep it for a job that goes on."""
         with replacing(path, str(path)) as beside, beside.open("wb") as handle:
             np.savez(handle, centres=self.cells.centres, clusters=self.clusters, cells=self.cells.labels)
 
@@ -80,20 +77,6 @@ class Partition:
                 expected=f"{len(found.labels)} configurations",
                 got=str(len(configurations)),
                 remedy="submit the job under another name",
-            )
-        return found
-
-    @classmethod
-    def load(cls, path: Path, configurations: NDArray[np.float32], space: JointSpace) -> "Partition":
-        """Other (M, d) configurations in the cells of an earlier partition."""
-        with np.load(path, allow_pickle=False) as kept:
-            cells = Clustering(kept["centres"], np.empty(0, dtype=np.int64), space)
-            found = cls(replace(cells, labels=cells.label(configurations)), kept["clusters"])
-        if len(np.unique(found.labels)) < len(np.unique(found.clusters)):
-            raise ConfigError(
-                "the data leave a cluster of start_from without configurations",
-                expected=f"some in each of {len(np.unique(found.clusters))} clusters",
-                remedy="merge them with the data of the earlier job, or train without start_from",
             )
         return found
 
@@ -116,13 +99,8 @@ def cluster(
     rng = np.random.default_rng(derived_seed(seed, "rows of k-means"))
     rows = rng.choice(total, size=min(total, _FIT_SAMPLES), replace=False)
     model = KMeans(count, n_init=4, random_state=_state(seed, "cells")).fit(space.embed(configurations[rows]))
-    labels = [
-        model.predict(space.embed(configurations[start : start + _BLOCK]))
-        for start in range(0, total, _BLOCK)
-    ]
-    return Clustering(
-        np.asarray(model.cluster_centers_, dtype=np.float64), np.concatenate(labels).astype(np.int64), space
-    )
+    labels = model.predict(space.embed(configurations)).astype(np.int64)
+    return Clustering(np.asarray(model.cluster_centers_, dtype=np.float64), labels, space)
 
 
 def _state(seed: int, use: str) -> int:

@@ -1,8 +1,7 @@
 """The main job: data, clusters, VAE and validity head, the model family's trials, bundle, registry."""
 
 import logging
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,18 +13,16 @@ from cspace.dataset import Dataset, open_dataset
 from cspace.errors import ConfigError, DatasetError
 from cspace.simulator import ORIGINS, Split
 from cspace.space import JointSpace
-from services.commands import numbers
 from services.evaluator.report import gallery
 from services.evaluator.scenes import Scene, Stage
-from services.names import ALIAS_CHALLENGER, TAG_MODEL, label, recorded_name
+from services.names import TAG_MODEL, label, recorded_name
 from services.planner.samples import BundleSampler
-from services.registry.models import ModelRegistry
 from services.registry.tracking import RunLog
 from training.clusters.bundling import TrainedParts, make_bundle
 from training.clusters.clustering import Partition, cluster, group
 from training.config import CLUSTERS_FILE, TrainConfig
 from training.data.generate import generate
-from training.jobs.job import TAG_START, Job, kept_bundle, registered_name, world_tag
+from training.jobs.job import BUNDLE_FOLDER, Job, JobResult, kept_bundle, registered_name, world_tag
 from training.jobs.launch import TrialOutcome, run_trials
 from training.jobs.trainables import VAE, VALIDITY, family_trial, has_occupancy, picture_trial
 from training.models.autoencoders import encode, load_encoder, shown
@@ -135,7 +132,7 @@ def cluster_data(job: Job[TrainConfig], dataset: Dataset) -> TrainingArrays:
     free, ids = uniform_free(dataset)
     parted = Partition.read(path, free, dataset.world.space)
     if parted is None:
-        parted = partition(config, free, dataset.world.space, job.start_folder)
+        parted = partition(config, free, dataset.world.space)
         parted.save(path)
     sizes = np.bincount(parted.labels, minlength=config.clusters.count)
     _LOG.info("clusters: sizes %s", ", ".join(map(str, sizes)))
@@ -173,15 +170,10 @@ def uniform_free(dataset: Dataset) -> tuple[NDArray[np.float32], NDArray[np.int6
     return free[uniform], ids[uniform]
 
 
-def partition(
-    config: TrainConfig, free: NDArray[np.float32], space: JointSpace, start: Path | None = None
-) -> Partition:
-    """Cells and clusters of (M, d) configurations: new ones, or those of the job in the folder ``start``."""
-    count, seed = config.clusters.count, config.seed
-    if start is not None:
-        return Partition.load(start / CLUSTERS_FILE, free, space)
-    cells = cluster(free, config.cells, seed, space)
-    return Partition(cells, group(cells, count, seed))
+def partition(config: TrainConfig, free: NDArray[np.float32], space: JointSpace) -> Partition:
+    """Cells and clusters of (M, d) configurations."""
+    cells = cluster(free, config.cells, config.seed, space)
+    return Partition(cells, group(cells, config.clusters.count, config.seed))
 
 
 def train_family(job: Job[TrainConfig], arrays: TrainingArrays) -> list[TrialOutcome]:
@@ -204,35 +196,7 @@ def encoder_checkpoint(job: Job[TrainConfig], vae: TrialOutcome | None) -> Path:
     return given
 
 
-BUNDLE_FOLDER = "bundle"
-
-
-@dataclass(frozen=True, slots=True)
-class TrainResult:
-    """What a job leaves behind."""
-
-    run_id: str
-    model: str
-    version: int
-    digest: str
-    data_digest: str
-    metrics: Mapping[str, float]
-    trials: Mapping[str, tuple[float, float]]
-    figures: tuple[str, ...]
-
-    def rows(self, folder: Path) -> dict[str, str]:
-        """The lines of a block for people; the job lies in ``folder``."""
-        return {
-            "model": f"{self.model}/{self.version}",
-            "run": self.run_id,
-            "trials": numbers({name: end - start for name, (start, end) in self.trials.items()}, " s"),
-            "last metrics": numbers(self.metrics),
-            "data": self.data_digest,
-            "bundle": str(folder / BUNDLE_FOLDER),
-        }
-
-
-def run_job(job: Job[TrainConfig]) -> TrainResult:
+def run_job(job: Job[TrainConfig]) -> JobResult:
     """Run the whole job, or go on with it: finished trials stay, others start from their checkpoints."""
     with job.running() as run:
         dataset = prepare_data(job.config, job.environment.data_folder)
@@ -255,14 +219,15 @@ def run_job(job: Job[TrainConfig]) -> TrainResult:
         encoder = trained[-1].checkpoint if config.trains_encoder else encoder_checkpoint(job, vae)
         head_at = config.validity.scene_model_file if head is None else head.checkpoint
         done = {outcome.name: outcome.checkpoint for outcome in trained}
-        parts = TrainedParts(encoder, done, head_at, arrays, job.start_run_id)
+        parts = TrainedParts(encoder, done, head_at, arrays)
         bundle = kept_bundle(job.folder / BUNDLE_FOLDER)
         if bundle is None:
             bundle = make_bundle(job.folder / BUNDLE_FOLDER, config, dataset, parts)
         outcomes = [*(outcome for outcome in (vae, head) if outcome is not None), *trained]
         figures = log_result(run, bundle, dataset, outcomes[-1])
-        version = _register(job, model, dataset, bundle)
-    return TrainResult(
+        version = job.register(model, bundle, run.run_id, {"data_digest": dataset.digest})
+        job.add_tags({TAG_MODEL: str(version)})
+    return JobResult(
         run_id=job.run.run_id,
         model=model,
         version=version,
@@ -272,18 +237,3 @@ def run_job(job: Job[TrainConfig]) -> TrainResult:
         trials={outcome.name: outcome.times_s for outcome in outcomes},
         figures=figures,
     )
-
-
-def _register(job: Job[TrainConfig], model: str, dataset: Dataset, bundle: Bundle) -> int:
-    registry = ModelRegistry(job.environment.tracking_uri)
-    tags = {"data_digest": dataset.digest, "preset": job.config.preset, "seed": str(job.config.seed)}
-    tags |= {} if job.start_run_id is None else {TAG_START: job.start_run_id}
-    version = job.patiently(
-        "registering the bundle",
-        lambda: registry.register(
-            model, bundle.folder, job.run.run_id, bundle.digest, tags, alias=ALIAS_CHALLENGER
-        ),
-    )
-    job.add_tags({TAG_MODEL: str(version)})
-    _LOG.info("registry: %s version %d, alias %s", model, version.number, ALIAS_CHALLENGER)
-    return version.number

@@ -1,4 +1,4 @@
-"""Data sets: ``python -m training.data generate|import|import-recording|import-outcomes|merge|verify``.
+"""Data sets: ``python -m training.data generate|import|import-recording|import-outcomes|verify``.
 
 Exit codes: 0 done; 1 the data or the disk is bad; 2 the command is wrong; 3 most of a recording's views fail
 the diagnosis.
@@ -18,14 +18,13 @@ from pydantic import ValidationError
 
 from cspace import bounded
 from cspace.dataset import Dataset, open_dataset
-from cspace.errors import ConfigError, CspaceError, DatasetError, ScenarioError, StorageError
+from cspace.errors import ConfigError, CspaceError, DatasetError, ScenarioError
 from cspace.strict_json import refused
 from cspace.worlds import add_world_options, described_world
 from services.commands import report_error
 from services.registry import tracking_uri
 from services.scene_files import given_scenes, read_scene_file
 from training.data.config import USUAL_OF_ARMS, DatasetConfig
-from training.data.merge import merge
 from training.data.outcomes import import_outcomes
 from training.data.own import import_folder
 from training.data.recordings import Imported, add_recording_options
@@ -82,7 +81,7 @@ def parser() -> argparse.ArgumentParser:
     """The command line."""
     result = argparse.ArgumentParser(
         prog="python -m training.data",
-        description="Make, import, merge and verify data-set folders.",
+        description="Make, import and verify data-set folders.",
         epilog="Exit codes: 0 done, 1 the data or the disk is bad, 2 the command is wrong, "
         "3 most of a recording's views fail the diagnosis.",
     )
@@ -102,10 +101,6 @@ def parser() -> argparse.ArgumentParser:
             "import-outcomes", help="plans that were kept, and what became of them, from MLflow"
         )
     )
-    merged = commands.add_parser("merge", help="several data sets of one world as one, each scenario once")
-    merged.add_argument("parts", type=Path, nargs="+", metavar="part", help="data sets, the first one first")
-    merged.add_argument("folder", type=Path, help="where the merged data set goes")
-    merged.set_defaults(run=_merge)
     verify = commands.add_parser("verify", help="check a folder's format and every file's digest")
     verify.add_argument("folder", type=Path)
     verify.set_defaults(run=lambda options: open_dataset(options.folder, verify=True))
@@ -168,15 +163,6 @@ def _import_outcomes(options: argparse.Namespace) -> Dataset:
     uri = tracking_uri()
     world = described_world(options)
     return import_outcomes(options.folder, world=world, tracking=Tracking(uri), site=options.site)
-
-
-def _merge(options: argparse.Namespace) -> Dataset:
-    if options.folder.exists():
-        raise StorageError("the data set's folder exists", expected="a new folder", got=str(options.folder))
-    merged = merge([open_dataset(part) for part in options.parts], options.folder)
-    left_out = sum(part["left_out"] for part in merged.manifest.generator["merged"])
-    print(f"left out as there already: {left_out} scenarios")
-    return merged
 
 
 def _generate(options: argparse.Namespace) -> Dataset:

@@ -111,9 +111,9 @@ class ConfigurationRecipe(Recipe):
                     **label(checker, simulator.proposals(scene, rng, config.proposals_per_scenario)),
                 }
             try:
-                sides = {"free": plot_configurations(checker, config.free_per_scenario, rng, free=True)}
+                sides = {"free": sample_configurations(checker, config.free_per_scenario, rng, free=True)}
                 if count := config.collision_per_scenario:
-                    sides["collision"] = plot_configurations(checker, count, rng, free=False)
+                    sides["collision"] = sample_configurations(checker, count, rng, free=False)
             except DatasetError as error:
                 problem = error
                 continue
@@ -143,7 +143,7 @@ def _split(arrays: Arrays) -> dict[str, list[NDArray[Any]]]:
     return found
 
 
-def plot_configurations(
+def sample_configurations(
     checker: Checker, count: int, rng: np.random.Generator, *, free: bool
 ) -> NDArray[np.float64]:
     """``count`` uniform configurations that are free (or in collision), (count, d) rad."""

@@ -9,13 +9,13 @@ import logging
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field, ValidationError
 from rosbags.highlevel import AnyReader
@@ -45,7 +45,6 @@ TRANSFORMS = "tf2_msgs/msg/TFMessage"
 _DEPTH = {"16UC1": "u2", "32FC1": "f4"}
 # In front of the PNG of a compressed depth image.
 _HEADER_BYTES = 12
-_FAR_M = 1e6
 # Views that are diagnosed, 2 s each.
 _DIAGNOSED = 8
 _WRONG = {*HYPOTHESES, ELSEWHERE}
@@ -157,21 +156,11 @@ def _diagnosed(world: SpatialWorld, files: Sequence[Path]) -> list[tuple[Finding
 @contextmanager
 def opened(source: Path) -> Iterator[AnyReader]:
     """The messages of a ``.mcap`` or ``.db3`` file, or of those in a folder."""
-    is_folder = source.is_dir()
-    files = sorted(one for one in source.iterdir() if one.suffix in KINDS) if is_folder else [source]
-    inside = source.resolve()
-    if not files or not all(
-        one.suffix in KINDS
-        and one.is_file()
-        and one.resolve().is_relative_to(inside)
-        # The reader of .db3 takes a path for a part of a URI, in which some characters lead elsewhere.
-        and not set("?#%") & set(str(one))
-        for one in files
-    ):
+    files = [one for one in sorted(source.iterdir()) if one.suffix in KINDS] if source.is_dir() else [source]
+    if not files or not all(one.suffix in KINDS and one.is_file() for one in files):
         raise DatasetError(
             f"{source} is no recording",
-            expected=f"a file {' or '.join(KINDS)}, or a folder of them without links to elsewhere; "
-            "no ?, # or % in its path",
+            expected=f"a file {' or '.join(KINDS)}, or a folder of them",
             got=", ".join(one.name for one in files)[:200] or "none",
             remedy="convert other recordings, and compressed ones, by rosbags-convert or ros2 bag convert",
         )
@@ -209,32 +198,17 @@ def _chosen(what: str, option: str, requested: str | None, topics: Sequence[str]
     return found[0]
 
 
-class Series:
-    """Rows of numbers by stamp."""
+def _table(stamps_ns: Sequence[int], rows: Sequence[NDArray[np.float64]], width: int) -> pd.DataFrame:
+    """Rows of numbers by their stamps, in order."""
+    return pd.DataFrame(np.reshape(rows, (-1, width)), pd.Index(stamps_ns, np.int64)).sort_index(
+        kind="stable"
+    )
 
-    def __init__(self) -> None:
-        self._stamps: list[int] = []
-        self._rows: list[Sequence[float] | NDArray[np.float64]] = []
 
-    def add(self, stamp_ns: int, row: Sequence[float] | NDArray[np.float64]) -> None:
-        """One more."""
-        self._stamps.append(stamp_ns)
-        self._rows.append(row)
-
-    @cached_property
-    def sorted(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Stamps (n,) in order, and rows (n, width); nothing is added any more."""
-        stamps = np.array(self._stamps, np.int64)
-        order = np.argsort(stamps, kind="stable")
-        return stamps[order], np.array(self._rows, np.float64)[order]
-
-    def nearest(self, stamp_ns: int, within_ns: float) -> NDArray[np.float64] | None:
-        """The row (width,) of the nearest stamp; None where that is farther away."""
-        stamps, rows = self.sorted
-        if not len(stamps):
-            return None
-        nearest = int(np.argmin(np.abs(stamps - stamp_ns)))
-        return rows[nearest] if abs(int(stamps[nearest]) - stamp_ns) <= within_ns else None
+def _nearest(table: pd.DataFrame, stamp_ns: int, within_ns: float) -> NDArray[np.float64] | None:
+    """The row of the nearest stamp; None where that is farther away."""
+    (row,) = table.index.get_indexer([stamp_ns], method="nearest", tolerance=within_ns)
+    return None if row < 0 else table.to_numpy()[row]
 
 
 @dataclass(slots=True)
@@ -242,9 +216,9 @@ class Recording:
     """Topic of the pictures, cameras that differ from the one before, transforms and joint states."""
 
     depth: str
-    tree: "TransformTree"
-    infos: list[tuple[int, dict[str, Any]]] = field(default_factory=list)
-    states: Series = field(default_factory=Series)
+    transforms: "Transforms"
+    infos: list[tuple[int, dict[str, Any]]]
+    states: pd.DataFrame  # (n, d) rad
 
     @classmethod
     def read(cls, reader: AnyReader, options: RecordingOptions, world: SpatialWorld | None) -> "Recording":
@@ -259,60 +233,52 @@ class Recording:
         beside = [depth.rsplit("/", levels)[0] + "/camera_info" for levels in (1, 2)]
         near = [topic for topic in beside if topic in infos][:1] if options.camera_info is None else []
         info = _chosen("camera infos", "--camera-info", options.camera_info, near or infos)
-        names: list[str] = []
+        names = [] if world is None else [options.joint_prefix + one for one in world.space.names]
         joints = ""
         if world is not None:
-            names = [options.joint_prefix + one for one in world.space.names]
             known = _topics(reader, JOINT_STATE)
             joints = _chosen("joint states", "--joint-states", options.joint_states, known)
-        found = cls(depth, TransformTree(options.base))
-        parts = JointParts(names, 1e9 * options.tolerance_s)
+        transforms, cameras, seen = Transforms(options.base), list[tuple[int, dict[str, Any]]](), set[str]()
+        stamps, rows = list[int](), list[NDArray[np.float64]]()
         for topic, message in _messages(reader, info, joints, *_topics(reader, TRANSFORMS)):
             if topic == info:
                 values = camera_info(message, rectified="/image_rect" in depth)
-                if not found.infos or found.infos[-1][1] != values:
-                    found.infos.append((stamp_of(message.header), values))
+                if not cameras or cameras[-1][1] != values:
+                    cameras.append((stamp_of(message.header), values))
             elif topic == joints:
-                if (state := parts.add(message)) is not None:
-                    found.states.add(stamp_of(message.header), state)
+                seen.update(message.name)
+                angles = dict(zip(message.name, message.position.tolist(), strict=False))
+                stamps.append(stamp_of(message.header))
+                rows.append(np.array([angles.get(name, np.nan) for name in names]))
             else:
                 for transform in message.transforms:
-                    found.tree.add(transform, static=topic.rsplit("/", 1)[-1] == "tf_static")
-        if world is not None and not len(found.states.sorted[0]):
+                    transforms.add(transform, static=topic.rsplit("/", 1)[-1] == "tf_static")
+        states = pd.DataFrame()
+        if world is not None:
+            states = joined(_table(stamps, rows, len(names)), 1e9 * options.tolerance_s)
+        if world is not None and states.empty:
             raise DatasetError(
                 "the recording has no joint state of the robot",
                 expected=f"joints {', '.join(names)}",
-                got=f"joints {', '.join(sorted(parts.seen))}"[:300],
+                got=f"joints {', '.join(sorted(seen))}"[:300],
                 remedy="give what is in front of the robot's names by --joint-prefix, name the topic by "
                 "--joint-states, or import the arm with the recording's joint names",
             )
-        return found
+        return cls(depth, transforms, cameras, states)
 
     def camera(self, stamp_ns: int) -> dict[str, Any]:
         """The camera at a time."""
         return next((info for since, info in reversed(self.infos) if since <= stamp_ns), self.infos[0][1])
 
 
-class JointParts:
-    """Joins the joints of a robot that come in several messages of nearly the same stamp."""
-
-    def __init__(self, names: Sequence[str], within_ns: float) -> None:
-        self.seen: set[str] = set()
-        self._names, self._within_ns, self._since_ns = names, within_ns, 0
-        self._angles: dict[str, float] = {}
-
-    def add(self, message: Any) -> list[float] | None:
-        """All joints, once they have come, in the robot's order; None before."""
-        self.seen.update(message.name)
-        stamp = stamp_of(message.header)
-        if not self._angles or abs(stamp - self._since_ns) > self._within_ns:
-            self._angles, self._since_ns = {}, stamp
-        came = zip(message.name, message.position.tolist(), strict=False)
-        self._angles |= {name: at for name, at in came if name in self._names and np.isfinite(at)}
-        if len(self._angles) < len(self._names):
-            return None
-        found, self._angles = [self._angles[name] for name in self._names], {}
-        return found
+def joined(parts: pd.DataFrame, within_ns: float) -> pd.DataFrame:
+    """Whole joint states (n, d) of messages (m, d) that hold some joints each; NaN those that they do not."""
+    parts = parts.where(np.isfinite(parts))
+    stamps = parts.index.to_numpy()[:, None] - parts.index.min()
+    since = pd.DataFrame(np.where(parts.notna(), stamps, np.nan)).ffill().to_numpy()
+    whole = parts.notna().any(axis=1).to_numpy() & (stamps - since <= within_ns).all(axis=1)
+    found = parts.ffill()[whole]
+    return found[~found.index.duplicated(keep="last")]
 
 
 def _views(
@@ -324,15 +290,15 @@ def _views(
     skipped: Counter[str],
 ) -> Iterator[RecordedView]:
     """The complete pictures, as far apart and as many as asked for; their view files go to a folder."""
-    count, last_ns, within_ns = 0, -np.inf, 1e9 * options.tolerance_s
+    count, next_ns, within_ns = 0, -np.inf, 1e9 * options.tolerance_s
     with Progress("pictures", reader.topics[recording.depth].msgcount, _LOG.info, "picture") as progress:
         for _, message in _messages(reader, recording.depth):
             progress.advance()
             stamp = stamp_of(message.header)
-            if stamp - last_ns < 1e9 * options.every_s:
+            if stamp < next_ns:
                 continue
-            pose = recording.tree.pose(message.header.frame_id, stamp, within_ns)
-            state = None if world is None else recording.states.nearest(stamp, within_ns)
+            pose = recording.transforms.pose(message.header.frame_id, stamp, within_ns)
+            state = None if world is None else _nearest(recording.states, stamp, within_ns)
             if pose is None or (world is not None and state is None):
                 what = "moving transform" if pose is None else "joint state"
                 skipped[f"no {what} within {options.tolerance_s:g} s"] += 1
@@ -354,42 +320,42 @@ def _views(
                 continue
             (folder / f"{count:04d}-{stamp}.view").write_bytes(file)
             yield RecordedView(stamp, None if state is None else tuple(state.tolist()), image)
-            count, last_ns = count + 1, stamp
+            count, next_ns = count + 1, stamp + max(1.0, 1e9 * options.every_s)
             if count == options.most:
                 return
 
 
 def _free(
-    views: Sequence[RecordedView], states: Series, space: JointSpace, options: RecordingOptions
+    views: Sequence[RecordedView], states: pd.DataFrame, space: JointSpace, options: RecordingOptions
 ) -> list[NDArray[np.float64]]:
     """For each view the joint states (n, d) rad that were nearest to it, each once."""
-    stamps, rows = states.sorted
-    pictures = np.array([view.stamp_ns for view in views], dtype=np.int64)
-    nearest = np.searchsorted((pictures[1:] + pictures[:-1]) // 2, stamps)
-    close = np.abs(stamps - pictures[nearest]) <= 1e9 * max(options.every_s, options.tolerance_s)
-    usable = close & space.contains(rows)
+    within_ns = 1e9 * max(options.every_s, options.tolerance_s)
+    pictures, rows = pd.Index([view.stamp_ns for view in views]), states.to_numpy()
+    nearest = pictures.get_indexer(states.index, method="nearest", tolerance=within_ns)
+    nearest = np.where(space.contains(rows), nearest, -1)
     return [
-        np.unique(np.concatenate([[view.state], rows[usable & (nearest == number)]]).round(6), axis=0)
+        np.unique(np.concatenate([[view.state], rows[nearest == number]]).round(6), axis=0)
         for number, view in enumerate(views)
     ]
 
 
-class TransformTree:
+class Transforms:
     """The tf tree; transforms that are none, as of zero quaternions, are left out."""
 
     def __init__(self, base: str) -> None:
         self._base = base.lstrip("/")
         self._parents: dict[str, str] = {}
-        # By the child frame: rows of x, y, z, m, and a quaternion.
-        self._moving: dict[str, Series] = {}
+        # By the child frame: x, y, z, m, and a quaternion, of moving ones by their stamps.
         self._static: dict[str, NDArray[np.float64]] = {}
+        self._moving: dict[str, tuple[list[int], list[NDArray[np.float64]]]] = {}
+        self._tables: dict[str, pd.DataFrame] = {}
 
     def add(self, transform: Any, *, static: bool) -> None:
         """One more transform."""
         child, parent = transform.child_frame_id.lstrip("/"), transform.header.frame_id.lstrip("/")
         place, turn = transform.transform.translation, transform.transform.rotation
         row = np.array((place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w))
-        if not (abs(np.linalg.norm(row[3:]) - 1.0) <= 1e-2 and np.abs(row).max() < _FAR_M):
+        if not abs(np.linalg.norm(row[3:]) - 1.0) <= 1e-2:
             return
         if self._parents.setdefault(child, parent) != parent:
             raise DatasetError(
@@ -400,7 +366,9 @@ class TransformTree:
         if static:
             self._static[child] = row
         else:
-            self._moving.setdefault(child, Series()).add(stamp_of(transform.header), row)
+            stamps, rows = self._moving.setdefault(child, ([], []))
+            stamps.append(stamp_of(transform.header))
+            rows.append(row)
 
     def pose(self, frame: str, stamp_ns: int, within_ns: float) -> NDArray[np.float64] | None:
         """A frame in the base's, (4, 4); None where a moving transform has no such stamp."""
@@ -418,11 +386,10 @@ class TransformTree:
         return None if up is None or down is None else np.linalg.inv(down) @ up
 
     def _chain(self, frame: str) -> list[str]:
+        """A frame, its parent and so on, up to the root, or once around a loop."""
         found = [frame]
-        while found[-1] in self._parents:
-            found.append(self._parents[found[-1]])
-            if found[-1] in found[:-1]:
-                raise DatasetError("the tf tree has a loop", expected="a tree", got=" > ".join(found)[:200])
+        while (parent := self._parents.get(found[-1])) is not None and parent not in found:
+            found.append(parent)
         return found
 
     def _matrix(self, frames: Sequence[str], stamp_ns: int, within_ns: float) -> NDArray[np.float64] | None:
@@ -431,7 +398,10 @@ class TransformTree:
         for frame in frames:
             row = self._static.get(frame)
             if row is None:
-                row = self._moving[frame].nearest(stamp_ns, within_ns)
+                if frame not in self._tables:
+                    table = _table(*self._moving[frame], 7)
+                    self._tables[frame] = table[~table.index.duplicated()]
+                row = _nearest(self._tables[frame], stamp_ns, within_ns)
             if row is None:
                 return None
             found = quaternion_pose(row[:3], row[3:]) @ found

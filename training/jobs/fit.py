@@ -17,7 +17,7 @@ from services.registry.errors import retry, set_timeouts
 from services.registry.tracking import RunLog, Tracking
 from training.config import ResourceConfig, TrialSettings
 from training.jobs.launch import LAST, TrialRequest
-from training.models.checkpoint import fit_module, start_from
+from training.models.checkpoint import fit_module
 from training.models.modules import TrialModule
 
 # Readers of a log want a line now and then, however fast the steps are.
@@ -161,9 +161,6 @@ def fit_tracked(
     # What can not be sent is sent later.
     set_timeouts(os.environ)
     label = f"{trial.name} ({trial.job})"
-    if trial.start is not None:
-        start_from(trial.start, module)
-        _LOG.info("%s: starts from the weights of %s", label, trial.start)
     run = RunLog(Tracking(trial.tracking_uri), trial.run_id)
     parameters = _parameters(trial, module, settings) | extra_parameters
     fit(label, module, settings.steps, resources, run, trial.folder, parameters, trial.patience_s)

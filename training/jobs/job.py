@@ -13,13 +13,14 @@ from typing import Any, Generic, TypeVar
 
 from pydantic import ValidationError
 
-from cspace.bundle import Bundle, BundleSpec
+from cspace.bundle import Bundle
 from cspace.dataset import require_room
 from cspace.errors import BundleError, ConfigError, JobError, StorageError
 from cspace.files import HALF_SUFFIX, discard, holding, replacing
 from cspace.strict_json import refused
 from cspace.world import World
 from cspace.worlds import robot_digest
+from services.commands import numbers
 from services.names import (
     ALIAS_CHALLENGER,
     ALIAS_CHAMPION,
@@ -34,7 +35,7 @@ from services.names import (
     robot_name,
 )
 from services.registry import connect, tracking_uri
-from services.registry.entities import ID, ModelReference, flatten
+from services.registry.entities import ID, flatten
 from services.registry.errors import retry
 from services.registry.models import ModelRegistry
 from services.registry.tracking import RunLog, Tracking
@@ -44,12 +45,10 @@ LONGEST = 100
 """Characters of a parameter."""
 # In a job's folder, and an artifact of its run.
 CONFIGURATION = "configuration.json"
-# On a run and a version: the run of the job whose weights it started from.
-TAG_START = "start_from.run_id"
+BUNDLE_FOLDER = "bundle"
 # On a trial's run: its name in the job.
 TAG_TRIAL = "trial"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}")
-_RUN_ID = re.compile(r"[0-9a-f]{32}")
 _LOG = logging.getLogger("training")
 
 Config = TypeVar("Config", bound=JobConfig)
@@ -117,7 +116,6 @@ class Job(Generic[Config]):
     folder: Path
     children: dict[str, str]  # runs of trials
     name: str | None = None
-    start_run_id: str | None = None
     extra_tags: dict[str, str] = field(default_factory=dict)
 
     @classmethod
@@ -140,8 +138,6 @@ class Job(Generic[Config]):
         if named.is_file():
             return cls.resume(named.read_text(encoding="utf-8"), environment, type(config)).same(config)
         tracking = Tracking(environment.tracking_uri, wait_s=environment.patience_s)
-        start = config.start_from and _earlier_job(config, config.start_from, environment, tracking)
-        tags = {**tags, "start_from": config.start_from or "", TAG_START: start} if start else tags
         title, tags = f"{job_label(config, name)}, {ID}", {**tags, **shown_tags(config, name, stage)}
         # A driver that was killed here finds its run by the key.
         key = None if name is None else f"job/{name}"
@@ -173,8 +169,7 @@ class Job(Generic[Config]):
         run, tags = tracking.resume(run_id), tracking.run(run_id).tags
         trials = retry("looking at the trials", partial(tracking.children, run_id), environment.patience_s)
         children = {one.tags[TAG_TRIAL]: one.run_id for one in trials if TAG_TRIAL in one.tags}
-        name, start = tags.get(TAG_JOB) or None, tags.get(TAG_START)
-        return cls(config, environment, tracking, run, folder, children, name, start)
+        return cls(config, environment, tracking, run, folder, children, tags.get(TAG_JOB) or None)
 
     @contextmanager
     def running(self) -> Iterator[RunLog]:
@@ -210,12 +205,6 @@ class Job(Generic[Config]):
             self.children[name] = self.tracking.start(EXPERIMENT, title, parent, tags).run_id
         return self.children[name]
 
-    @property
-    def start_folder(self) -> Path | None:
-        """The folder of the job whose weights its trials start from; None where they start from nothing."""
-        start = self.start_run_id
-        return None if start is None else _require_folder(job_folder(self.environment, start))
-
     def add_tags(self, tags: Mapping[str, str]) -> None:
         """Tags for the run and for its children, those that are there and those to come."""
         self.extra_tags.update(tags)
@@ -227,15 +216,29 @@ class Job(Generic[Config]):
         """The answer of ``call``, asked again while the tracking server is away."""
         return retry(action, call, self.environment.patience_s)
 
+    def register(self, model: str, bundle: Bundle, run_id: str, tags: Mapping[str, str]) -> int:
+        """Make a bundle the next version of a model, by the run that trained it, and the challenger."""
+        registry = ModelRegistry(self.environment.tracking_uri)
+        tags = {**tags, "preset": self.config.preset, "seed": str(self.config.seed)}
+        version = self.patiently(
+            "registering the bundle",
+            lambda: registry.register(
+                model, bundle.folder, run_id, bundle.digest, tags, alias=ALIAS_CHALLENGER
+            ),
+        )
+        _LOG.info("registry: %s version %d, alias %s", model, version.number, ALIAS_CHALLENGER)
+        return version.number
+
     def same(self, config: Config) -> "Job[Config]":
         """This job, if it has these settings."""
         ours, given = flatten(self.config.to_dict()), flatten(config.to_dict())
-        _require_equal(
-            ours,
-            given,
-            f"the job {self.name} has other settings",
-            f"take another name, or go on as it began by --resume {self.run.run_id}",
-        )
+        if other := [key for key in sorted(ours | given) if ours.get(key) != given.get(key)][:5]:
+            raise ConfigError(
+                f"the job {self.name} has other settings: {', '.join(other)}",
+                expected=", ".join(f"{key}={ours.get(key)}" for key in other),
+                got=", ".join(f"{key}={given.get(key)}" for key in other),
+                remedy=f"take another name, or go on as it began by --resume {self.run.run_id}",
+            )
         return self
 
 
@@ -260,60 +263,29 @@ def _write(path: Path, text: str) -> None:
         beside.write_text(text, encoding="utf-8")
 
 
-def _require_equal(expected: Mapping[str, str], got: Mapping[str, str], what: str, remedy: str) -> None:
-    other = [key for key in sorted(expected.keys() | got.keys()) if expected.get(key) != got.get(key)]
-    if other:
-        raise ConfigError(
-            f"{what}: {', '.join(other[:5])}",
-            expected=", ".join(f"{key}={expected.get(key)}" for key in other[:5]),
-            got=", ".join(f"{key}={got.get(key)}" for key in other[:5]),
-            remedy=remedy,
-        )
+@dataclass(frozen=True, slots=True)
+class JobResult:
+    """What a job leaves behind."""
 
+    run_id: str
+    model: str
+    version: int
+    digest: str
+    data_digest: str
+    metrics: Mapping[str, float]
+    trials: Mapping[str, tuple[float, float]]
+    figures: tuple[str, ...]
 
-def _earlier_job(config: JobConfig, start_from: str, environment: Environment, tracking: Tracking) -> str:
-    """The run of the job that ``start_from`` means, whose networks are of the configuration's shapes."""
-    run_id = start_from
-    if not _RUN_ID.fullmatch(start_from):
-        reference = ModelReference.parse_version(
-            start_from, "start_from does not fit", "name@alias, name/version or a run's id"
-        )
-        registry = ModelRegistry(environment.tracking_uri)
-        look_up = partial(registry.look_up, reference)
-        run_id = retry(f"looking {start_from} up", look_up, environment.patience_s).run_id
-    # A path model is registered by its trial's run.
-    run_id = tracking.run(run_id).parent_run_id or run_id
-    folder = _require_folder(job_folder(environment, run_id))
-    try:
-        earlier = type(config).from_dict(json.loads((folder / CONFIGURATION).read_bytes()))
-    except ValidationError as error:
-        raise refused(error, ConfigError, f"start_from={start_from} is a job of another kind") from error
-    made = folder / "bundle" / "bundle.json"
-    if not made.is_file():
-        raise ConfigError(
-            f"start_from={start_from} is a job that has not finished",
-            expected=f"its bundle in {folder}",
-            remedy="let it finish, or name another version",
-        )
-    worlds = BundleSpec.from_json(made.read_bytes()).world.to_dict(), config.world.to_dict()
-    setting = "data.robot" if config.data_folder is None else "data_folder"
-    remedy = "set them as they were, or train without start_from"
-    _require_equal(earlier.shapes, config.shapes, f"other shapes than start_from={start_from}", remedy)
-    there, ours = (flatten({setting: world}) for world in worlds)
-    _require_equal(there, ours, f"another robot or camera than start_from={start_from}", remedy)
-    return run_id
-
-
-def _require_folder(folder: Path) -> Path:
-    """A job's folder, whose weights another one starts from."""
-    if (folder / CONFIGURATION).is_file():
-        return folder
-    raise ConfigError(
-        "the weights that start_from means are gone",
-        expected=f"the folder {folder} of the job that made them",
-        got="none: it was deleted, or the version was imported or made in another data folder",
-        remedy="put the folder back, name another version, or train without start_from",
-    )
+    def rows(self, folder: Path) -> dict[str, str]:
+        """The lines of a block for people; the job lies in ``folder``."""
+        return {
+            "model": f"{self.model}/{self.version}",
+            "run": self.run_id,
+            "trials": numbers({name: end - start for name, (start, end) in self.trials.items()}, " s"),
+            "last metrics": numbers(self.metrics),
+            "data": self.data_digest,
+            "bundle": str(folder / BUNDLE_FOLDER),
+        }
 
 
 def kept_bundle(folder: Path) -> Bundle | None:

@@ -37,7 +37,6 @@ class TrialRequest:
     folder: Path
     run_id: str = ""
     seed: int = 0
-    start: Path | None = None
     job: str = ""
     tracking_uri: str = ""
     patience_s: float = 0.0
@@ -46,12 +45,10 @@ class TrialRequest:
     def of(cls, job: Job[Any], stage: str, name: str) -> "TrialRequest":
         """A trial of a job, with the run that it has there and a seed of its own."""
         seed = derived_seed(job.config.seed, stage, name)
-        earlier = None if job.start_folder is None else job.start_folder / stage / name / FINAL
-        start = earlier if earlier is not None and earlier.is_file() else None
         label = f"{job.name or job.run.run_id[:8]}, seed {job.config.seed}"
         uri, patience_s = job.environment.tracking_uri, job.environment.patience_s
         folder = job.folder / stage / name
-        return cls(folder, job.child(name), seed, start, label, uri, patience_s)
+        return cls(folder, job.child(name), seed, label, uri, patience_s)
 
     @property
     def name(self) -> str:

@@ -89,16 +89,6 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     return content
 
 
-def start_from(path: Path, module: nn.Module) -> None:
-    """Give a new module the parameters that an earlier one has learned, and nothing else of its training.
-
-    What follows from the data, and parameters that are not learned, stay as they are.
-    """
-    learned = read_checkpoint(path)["state_dict"]
-    trained = [name for name, parameter in module.named_parameters() if parameter.requires_grad]
-    module.load_state_dict({name: learned[name] for name in trained if name in learned}, strict=False)
-
-
 def load_weights(path: Path, prefix: str) -> dict[str, Tensor]:
     """The weights of one part of a checkpoint's module, such as ``generator``, without their prefix."""
     weights, start = read_checkpoint(path)["state_dict"], prefix + "."

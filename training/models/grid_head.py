@@ -255,20 +255,7 @@ class GridHead(nn.Module):
         scenes, count, dim = configurations.shape
         frames = self.frames(configurations.reshape(-1, dim))
         scene = None if scenes == 1 else torch.arange(scenes, device=frames.device).repeat_interleave(count)
-        return self.at_frames(pictures, table, frames, scene, (scenes, count))
-
-    def at_frames(
-        self,
-        pictures: Tensor,
-        table: Tensor,
-        frames: Tensor,
-        scene: Tensor | None,
-        shape: tuple[int, int],
-    ) -> HeadPrediction:
-        """The same of frames of the arm, (3, 4 (d + 1), n), in scenes as :meth:`at_spheres` has them.
-
-        ``scene`` (n,) number of the picture; None for one.
-        """
+        shape = (scenes, count)
         margins, unseen = self.at_spheres(pictures, frames, scene)
         near, sight = margins[self.members].amin(dim=1), unseen[self.members].mean(dim=1)
         inputs = [*self._at_groups(pictures, frames, scene), *_margin_features(near), sight.unsqueeze(0)]

@@ -164,6 +164,10 @@ def make_lookups(config: LookupConfig, world: World) -> ArmLookups | None:
     return ArmLookups(world, config.points_per_link, config.side_m)
 
 
+# Of a generator and of its critic.
+Readers = tuple[PictureReader | None, PictureReader | None]
+
+
 def make_reader(config: LookupConfig, scenes: Scenes | None) -> PictureReader | None:
     """The reader that a configuration names; None for no look-ups."""
     if config.points_per_link == 0:

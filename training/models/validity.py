@@ -7,6 +7,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from cspace.world import World
+from cspace.worlds import simulator_of
 from training.config import ValidityConfig
 from training.models.data import Held, rows_of
 from training.models.export import Graph, exported
@@ -90,15 +91,16 @@ class ValidityModule(TrialModule):
         super().__init__(seed)
         self.config, self.samples = config, samples
         self.head = make_head(config, world)
+        every = config.configurations_per_picture
+        self.free = min(every - 1, max(1, round(simulator_of(world).measures.free_share * every)))
         self.one_cycle(self.parameters(), config.learning_rate, config.steps)
 
     def training_step(self, step: int, batch_index: int) -> None:
         """One step of the cross entropy."""
         del step, batch_index
-        every = self.config.configurations_per_picture
-        free = min(every - 1, max(1, round(self.config.free_share * every)))
+        colliding = self.config.configurations_per_picture - self.free
         pictures, configurations, labels = self.samples.draw(
-            self.config.pictures_per_step, free, every - free, self.rng
+            self.config.pictures_per_step, self.free, colliding, self.rng
         )
         logits = self.head(pictures, configurations)
         loss = functional.binary_cross_entropy_with_logits(logits, labels)

@@ -46,7 +46,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def run(arguments: Sequence[str]) -> list[str]:
     """Import and write; what is to be said of the robot, in lines."""
     options = parser().parse_args(arguments)
-    picture = options.out.with_suffix(".report.png")
     if options.name is not None and re.fullmatch("[a-z0-9]([a-z0-9-]{0,38}[a-z0-9])?", options.name) is None:
         fitting = "1 to 40 lower-case letters, digits and dashes, no dash at an end"
         raise ConfigError("--name does not fit", expected=fitting, got=repr(options.name)[:200])
@@ -71,9 +70,7 @@ def run(arguments: Sequence[str]) -> list[str]:
     text = re.sub(r"\[\s*([^\[\]{}]*?)\s*\]", lambda found: f"[{' '.join(found[1].split())}]", text)
     with replacing(options.out, "the robot") as beside:
         beside.write_text(text + "\n", encoding="utf-8")
-    with replacing(picture, "the report's picture") as beside:
-        imported.draw(beside)
-    return [*imported.lines(), f"written to {options.out}; {picture.name} shows the spheres"]
+    return [*imported.lines(), f"written to {options.out}"]
 
 
 def parser() -> argparse.ArgumentParser:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from cspace.errors import ScenarioError
-from cspace.worlds.spatial.arm import MAX_OVERLAP_M, MAX_SPHERES, Part, SerialArm, ready_rad
+from cspace.worlds.spatial.arm import MAX_OVERLAP_M, MAX_SPHERES, Part, SerialArm
 from cspace.worlds.spatial.kinematics import arm_arrays, self_distance_batch
 from cspace.worlds.spatial.poses import moved
 from cspace.worlds.spatial.sensor import VOXEL_M, grid_of
@@ -26,10 +26,8 @@ from training.robots.spheres import (
     Floats,
     Solid,
     cover,
-    gaps_m,
     measure,
     read_solids,
-    union_surface,
 )
 
 Pairs = set[frozenset[str]]
@@ -42,7 +40,6 @@ _OVERLAP = 0.5
 # As MoveIt's setup assistant counts a pair that always collides.
 ALWAYS_SHARE = 0.95
 _SAMPLES = 4000
-_PICTURE_POINTS = 600
 # Of measured fits, for points between those that the cover was made for.
 _TOLERANCE_M = 0.0005
 # Where spheres stick out by so many times what they may, a surface is open.
@@ -61,17 +58,13 @@ class Touching:
 
 @dataclass(frozen=True, slots=True)
 class Imported:
-    """A robot, fits by the names of its parts, pairs of parts, held joints, warnings, and the SRDF file.
-
-    ``surfaces`` are points of each part's surface (N, 3) in its link's frame, m.
-    """
+    """A robot, fits by the names of its parts, pairs of parts, held joints, warnings, and the SRDF file."""
 
     arm: SerialArm
     fits: Mapping[str, Fit]
     touching: tuple[Touching, ...]
     held: tuple[Held, ...]
     notes: tuple[str, ...]
-    surfaces: Mapping[str, Floats]
     srdf: Path | None
 
     def lines(self) -> list[str]:
@@ -93,38 +86,6 @@ class Imported:
             if one.share is not None and (one.share > 0.0 or one.kept)
         ]
         return lines + [f"warning: {note}" for note in self.notes]
-
-    def draw(self, path: Path) -> None:
-        """Write a PNG: from three sides, the arm's surfaces where it waits, with its spheres over them.
-
-        Points of a surface are green inside the spheres, red outside.
-        """
-        # A second that errors need not wait.
-        from matplotlib.collections import EllipseCollection  # noqa: PLC0415
-        from matplotlib.figure import Figure  # noqa: PLC0415
-
-        arm = self.arm
-        frames = arm.link_frames(ready_rad(arm)[None])[0]
-        spheres, points, missed = [], [], []
-        for part in arm.parts:
-            own, surface = np.asarray(part.spheres_m), self.surfaces[part.name]
-            missed.append(gaps_m(surface, own) > 0.0)
-            points.append(moved(frames[part.link], surface))
-            spheres.append(np.column_stack([moved(frames[part.link], own[:, :3]), own[:, 3]]))
-        centres, dots, red = np.concatenate(spheres), np.concatenate(points), np.concatenate(missed)
-        figure = Figure(figsize=(15, 5.5), layout="constrained")
-        figure.suptitle(f"{arm.name}: {arm.sphere_count} spheres over its surfaces, where it waits")
-        for axes, (x, y) in zip(figure.subplots(1, 3), ((0, 2), (1, 2), (0, 1)), strict=True):
-            sizes = 2.0 * centres[:, 3]
-            axes.add_collection(
-                EllipseCollection(
-                    sizes, sizes, np.zeros(len(sizes)), units="xy", offsets=centres[:, (x, y)],
-                    offset_transform=axes.transData, facecolors="none", edgecolors="0.6", linewidths=0.3,
-                )
-            )  # fmt: skip
-            axes.scatter(dots[:, x], dots[:, y], s=0.3, c=np.where(red, "tab:red", "tab:green"))
-            axes.set(xlabel=f"{'xyz'[x]}, m", ylabel=f"{'xyz'[y]}, m", aspect="equal")
-        figure.savefig(path, format="png")
 
 
 def import_robot(
@@ -154,7 +115,10 @@ def import_robot(
     srdf, allowances = srdf or find_srdf(urdf), allowances or Allowances()
     disabled, notes = ({}, []) if srdf is None else read_srdf(srdf, description.links)
     notes = [*description.notes, *notes]
-    limits = _limits(description, srdf or urdf, limits or {}, notes)
+    by_file = read_joint_limits(srdf or urdf, [joint.name for joint in description.joints.values()])
+    if taken := sorted(set(by_file) - set(limits or {})):
+        notes.append(f"limits of joint_limits.yaml are taken: {', '.join(taken)}")
+    limits = {**by_file, **(limits or {})}
     gone = description.behind(without)
     chain = read_chain(description, tip, locked or {}, limits, gone)
     mentioned = {link for pair in kept for link in pair} | set(without)
@@ -164,7 +128,7 @@ def import_robot(
     # First, for spheres take a while.
     jointed = SerialArm(name or description.name, chain.joints, (), (), chain.tool, ready_rad)
     solids = _solids(description, chain, urdf, packages or {}, gone, notes)
-    parts, fits, surfaces = [], {}, {}
+    parts, fits = [], {}
     for link, own in solids.items():
         report(link)
         number, frame = chain.frames[link]
@@ -175,7 +139,6 @@ def import_robot(
         rows = np.round(np.column_stack([moved(frame, spheres[:, :3]), spheres[:, 3]]), _DIGITS).tolist()
         overlap_m = min(round(_OVERLAP * fits[link].excess_m, _DIGITS), MAX_OVERLAP_M)
         parts.append(Part(link, number, tuple((x, y, z, radius) for x, y, z, radius in rows), overlap_m))
-        surfaces[link] = moved(frame, union_surface(own, _PICTURE_POINTS, np.random.default_rng(_SEED)))
     if (count := sum(fit.spheres for fit in fits.values())) > MAX_SPHERES:
         raise ScenarioError(
             "the robot needs too many spheres",
@@ -191,17 +154,7 @@ def import_robot(
         notes.append(
             f"the arm is large: voxels have {1e3 * voxel_m:.0f} mm instead of {1e3 * VOXEL_M:.0f} mm"
         )
-    return Imported(arm, fits, touching, chain.held, (*chain.notes, *notes), surfaces, srdf)
-
-
-def _limits(
-    description: Description, beside: Path, given: Mapping[str, Limits], notes: list[str]
-) -> dict[str, Limits]:
-    """Limits that replace the description's: MoveIt's, of which the notes tell, and those that are given."""
-    by_file = read_joint_limits(beside, [joint.name for joint in description.joints.values()])
-    if taken := sorted(set(by_file) - set(given)):
-        notes.append(f"limits of joint_limits.yaml are taken: {', '.join(taken)}")
-    return {**by_file, **given}
+    return Imported(arm, fits, touching, chain.held, (*chain.notes, *notes), srdf)
 
 
 def _solids(

@@ -3,7 +3,7 @@ import pytest
 
 from cspace.errors import ConfigError
 from cspace.space import circles
-from training.clusters.clustering import Partition, cluster
+from training.clusters.clustering import cluster
 
 SPACE = circles(2)
 
@@ -26,13 +26,3 @@ def test_a_group_across_the_seam_stays_one_cluster_and_the_same_seed_gives_the_s
 def test_more_clusters_than_configurations_are_refused():
     with pytest.raises(ConfigError, match="at least 5"):
         cluster(np.zeros((3, 2), dtype=np.float32), 5, 0, SPACE)
-
-
-def test_data_that_leave_a_cluster_of_an_earlier_job_empty_are_refused(tmp_path):
-    data = two_groups()
-    earlier = Partition(cluster(data, 2, 0, SPACE), np.arange(2))
-    earlier.save(tmp_path / "clusters.npz")
-    again = Partition.load(tmp_path / "clusters.npz", data, SPACE)
-    np.testing.assert_array_equal(again.labels, earlier.labels)
-    with pytest.raises(ConfigError, match=r"without configurations.*some in each of 2"):
-        Partition.load(tmp_path / "clusters.npz", data[:300], SPACE)

@@ -25,11 +25,8 @@ def drawn(*parameters, count, seed=0):
 def test_the_fit_finds_what_the_plans_were_drawn_by(parameters):
     found = fit_plan_calibration(drawn(parameters, count=9000))
     assert found.parameters == (pytest.approx(parameters, abs=0.12),)
-    assert found.plans == 9000
-    assert found.error < 0.04
-    assert found.errors == {1: found.error}
-    if parameters != (0.0, 1.0):
-        assert found.error < 0.5 * found.plain_error
+    assert found.metrics["plans/fitted"] == 9000
+    assert found.metrics["plans/calibration_error"] < 0.04
 
 
 def test_each_number_of_pictures_has_its_own_and_those_with_few_plans_lean_on_all():
@@ -38,7 +35,7 @@ def test_each_number_of_pictures_has_its_own_and_those_with_few_plans_lean_on_al
     found = fit_plan_calibration(plans)
     for own, true in zip(found.parameters, parameters, strict=True):
         assert own == pytest.approx(true, abs=0.15)
-    assert max(found.errors.values()) < 0.05
+    assert found.metrics["plans/calibration_error"] < 0.05
     some = plans.among((plans.pictures < 3) | (np.arange(9000) < 60))
     few = fit_plan_calibration(some)
     (all_alike,) = fit_plan_calibration(replace(some, pictures=np.ones_like(some.pictures))).parameters

@@ -20,7 +20,7 @@ def dataset(folder, count=COUNT):
 
 def job(folder, *overrides, preset="smoke"):
     folder.mkdir(exist_ok=True)
-    return SimpleNamespace(config=TrainConfig.load(preset, overrides), folder=folder, start_folder=None)
+    return SimpleNamespace(config=TrainConfig.load(preset, overrides), folder=folder)
 
 
 def test_a_job_that_goes_on_reads_the_clusters_that_it_wrote(tmp_path):

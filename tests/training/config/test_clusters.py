@@ -1,15 +1,10 @@
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from cspace.dataset import write_dataset
 from cspace.errors import ConfigError
-from cspace.worlds import simulator_of
-from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.simulator import PlanarSimulator
-from cspace.worlds.planar.world import PlanarWorld
 from training import path_train
 from training.cluster_train import COMMAND
 from training.config import PathTrainConfig, TrainConfig
@@ -79,34 +74,6 @@ def test_a_wrong_override_is_an_error_that_names_it(override, says):
 def test_an_unknown_preset_is_an_error_that_lists_the_known_ones(preset):
     with pytest.raises(ConfigError, match="quickstart"):
         TrainConfig.load(preset)
-
-
-def test_the_free_share_is_the_worlds_unless_it_is_given(monkeypatch, tmp_path):
-    # As the jobs that are on disk have it: by it they are known again.
-    assert TrainConfig.load("quickstart").to_dict()["validity"]["free_share"] == 0.69
-    other = replace(simulator_of(PlanarWorld()).measures, free_share=0.25)
-    monkeypatch.setattr(PlanarSimulator, "measures", property(lambda _: other))
-    assert TrainConfig.load("quickstart").validity.free_share == 0.25
-    given = TrainConfig.load("quickstart", ["validity.free_share=0.5"])
-    assert given.validity.free_share == 0.5
-    assert TrainConfig.from_dict(given.to_dict()) == given
-    # What does not fit is told by its own name: a folder where it is used, a robot here.
-    assert TrainConfig.load("smoke", [f"data_folder={tmp_path}"]).validity.free_share == 0.25
-    with pytest.raises(ConfigError, match=r"data\.robot") as raised:
-        TrainConfig.load("smoke", ["data.robot.link_lengths_m=[]"])
-    assert "free_share" not in str(raised.value)
-
-
-def test_the_free_share_of_own_data_is_that_of_their_world(monkeypatch, tmp_path):
-    arm = PlanarWorld(PlanarArm((1.0, 1.0, 1.0)))
-    pictures, free = np.zeros((1, 48, 48, 3), np.uint8), [np.zeros((2, 3))]
-    folder = write_dataset(tmp_path / "own", world=arm, images=pictures, free=free, generator={}).folder
-    planar = simulator_of(arm).measures
-    shares = property(lambda one: replace(planar, free_share=0.1 * one.world.dim))
-    monkeypatch.setattr(PlanarSimulator, "measures", shares)
-    assert TrainConfig.load("smoke").validity.free_share == pytest.approx(0.2)
-    own = TrainConfig.load("smoke", [f"data_folder={folder}"])
-    assert own.validity.free_share == pytest.approx(0.3)
 
 
 @pytest.mark.parametrize(
@@ -199,7 +166,7 @@ def test_the_source_of_paths_is_a_registered_version_or_an_absolute_folder(sourc
     [
         ("panda", "local.generator_lookups", "{points_per_link: 12, side_m: 0.1}"),
         ("panda", "local.critic_lookups", "{groups: 64}"),
-        ("smoke", "global.generator_lookups", "{groups: 64}"),
+        ("smoke_mixture", "local.generator_lookups", "{groups: 64}"),
     ],
 )
 def test_look_ups_that_the_arm_cannot_have_are_refused_before_anything_starts(preset, part, lookups):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import ray
 
-from cspace.dataset import ATTRIBUTES, open_dataset
+from cspace.dataset import open_dataset
 from cspace.errors import DamagedFileError, DatasetError, StorageError
 from cspace.worlds import simulator_of
 from cspace.worlds.planar.arm import PlanarArm
@@ -19,7 +19,6 @@ from training.data import generate as module
 from training.data.config import DatasetConfig
 from training.data.configurations import ConfigurationRecipe
 from training.data.generate import generate, save_shard
-from training.data.merge import merge
 from training.jobs.trainables import grid_samples
 
 SMALL = DatasetConfig(
@@ -211,15 +210,6 @@ def test_samplers_learn_from_what_was_drawn_uniformly(tmp_path, monkeypatch):
 def checker_of_row(dataset, row):
     discs = tuple(Disc(*values) for values in dataset.arrays["discs"][row].tolist())
     return CollisionChecker(Scenario(dataset.world.body, discs, dataset.world.sensor))
-
-
-def test_merged_data_sets_keep_what_is_attribute_of_their_configurations(tmp_path, monkeypatch):
-    HereInsteadOfRay(monkeypatch)
-    parts = [generate(PROPOSED.model_copy(update={"seed": seed}), tmp_path / str(seed)) for seed in (3, 4)]
-    merged = merge(parts, tmp_path / "merged")
-    for name in ATTRIBUTES:
-        expected = np.concatenate([part.arrays[name] for part in parts])
-        np.testing.assert_array_equal(merged.arrays[name], expected)
 
 
 @pytest.mark.slow

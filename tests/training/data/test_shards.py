@@ -10,7 +10,7 @@ from cspace.worlds.planar.world import Scenario
 from tests.capsules import self_clearance_by_hand
 from tests.scenarios import random_scenarios
 from training.data.config import DatasetConfig, PathDatasetConfig, Shard
-from training.data.configurations import ConfigurationRecipe, plot_configurations
+from training.data.configurations import ConfigurationRecipe, sample_configurations
 from training.data.generate import load_shard, save_shard
 
 SMALL = DatasetConfig(
@@ -75,7 +75,7 @@ def test_the_content_does_not_depend_on_the_size_of_the_shards():
 def test_free_configurations_are_uniform_over_the_free_space():
     scenario = random_scenarios(Split.DEMO, 1, 1)[0]
     rng = np.random.default_rng(0)
-    drawn = plot_configurations(CollisionChecker(scenario), 20_000, rng, free=True)
+    drawn = sample_configurations(CollisionChecker(scenario), 20_000, rng, free=True)
     assert len(drawn) == 20_000
     uniform = scenario.robot.space.sample_uniform(rng, 60_000)
     uniform = uniform[CollisionChecker(scenario).valid_batch(uniform)]
@@ -88,7 +88,7 @@ def test_free_configurations_are_uniform_over_the_free_space():
 def test_a_robot_that_hardly_ever_collides_is_an_error():
     scenario = Scenario(PlanarArm((0.1, 0.1), 0.05), random_scenarios(Split.DEMO, 1, 1)[0].discs)
     with pytest.raises(DatasetError, match="hardly any configuration is in collision"):
-        plot_configurations(CollisionChecker(scenario), 5, np.random.default_rng(0), free=False)
+        sample_configurations(CollisionChecker(scenario), 5, np.random.default_rng(0), free=False)
 
 
 def test_a_shard_that_is_damaged_counts_as_missing(tmp_path):

@@ -57,7 +57,6 @@ def run(folder, plans=None, names=NAMES, **resources):
         environment=Environment("unused", folder),
         folder=folder / "job",
         name="a-job",
-        start_folder=None,
         child=lambda name: name,
     )
     return run_trials(job, "stage", names, trainable(), notes=str(notes), plans=plans or {})

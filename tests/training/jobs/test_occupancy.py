@@ -15,7 +15,7 @@ from training.config import GridConfig, HeadConfig, ValidityConfig
 from training.jobs.trainables import has_occupancy, head_module, occupancy_samples
 from training.models.checkpoint import load_scene_model
 
-HEAD = ValidityConfig(free_share=0.5)
+HEAD = ValidityConfig()
 FREE = [np.full((3, 2), 0.5, dtype=np.float32), np.full((2, 2), 1.0, dtype=np.float32)]
 
 
@@ -69,9 +69,7 @@ def spatial(folder, value, count):
 def test_a_head_learns_from_outcomes_as_often_as_they_have_pictures(tmp_path):
     data, outcomes = spatial(tmp_path / "data", 100, 3), spatial(tmp_path / "outcomes", 200, 1)
     grid = GridConfig(width=4, middle=4, deep=4)
-    config = HeadConfig(
-        free_share=0.5, grid=grid, hidden=8, pictures_per_step=1, configurations_per_picture=2, steps=1
-    )
+    config = HeadConfig(grid=grid, hidden=8, pictures_per_step=1, configurations_per_picture=2, steps=1)
     module = head_module(data, config, torch.empty(0), 0, outcomes)
     assert [float(share) for share in module.shares] == [3.0, 1.0]
     assert [int(one.images[0].max()) for one in module.samples.samples] == [100, 200]
@@ -84,7 +82,7 @@ def test_a_head_learns_from_outcomes_as_often_as_they_have_pictures(tmp_path):
 @pytest.mark.slow
 def test_a_scene_model_is_trained_further_and_exported_as_it_became(tmp_path):
     data = spatial(tmp_path / "data", 100, 1)
-    config = HeadConfig(free_share=0.5, grid=GridConfig(), scene_model="shipped", steps=1)
+    config = HeadConfig(grid=GridConfig(), scene_model="shipped", steps=1)
     module = head_module(data, config, torch.empty(0), 0, data)
     shipped = load_scene_model(config.scene_model_file, PANDA)
     for name, value in shipped.state_dict().items():

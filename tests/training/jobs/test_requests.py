@@ -20,7 +20,6 @@ def requests(seed: int, folder: Path) -> list[TrialRequest]:
     job = SimpleNamespace(
         config=TrainConfig.load("smoke", [f"seed={seed}"]),
         folder=folder,
-        start_folder=None,
         name=None,
         environment=SimpleNamespace(tracking_uri="", patience_s=0.0),
         run=SimpleNamespace(run_id="0" * 32),

@@ -4,9 +4,9 @@ import json
 
 from services.commands import RESULT_FILE, report_result
 from services.local.quickstart import last_result
-from training.clusters.pipeline import TrainResult
+from training.jobs.job import JobResult
 
-RESULT = TrainResult("r1", "arm", 3, "d1", "d2", {"loss": 0.12345678}, {"vae": (10.0, 14.5)}, ("vae-losses",))
+RESULT = JobResult("r1", "arm", 3, "d1", "d2", {"loss": 0.12345678}, {"vae": (10.0, 14.5)}, ("vae-losses",))
 
 
 def output_of(folder):

@@ -65,7 +65,7 @@ def test_the_means_generators_graph_answers_as_the_network():
 
 @pytest.mark.slow
 def test_the_validity_heads_graph_answers_as_the_network():
-    head = make_head(ValidityConfig(free_share=0.69, hidden=8), PlanarWorld(TWO_LINK, Camera()))
+    head = make_head(ValidityConfig(hidden=8), PlanarWorld(TWO_LINK, Camera()))
 
     def confidence(image, configurations):
         return torch.sigmoid(head(image, configurations.unsqueeze(0))).squeeze(0)

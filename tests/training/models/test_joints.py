@@ -4,7 +4,7 @@ import torch
 
 from cspace.space import JointSpace, circles
 from training.models.families.wgan_gp import MeansGenerator, Sizes, TorusGenerator, UniformBase
-from training.models.joints import Joints, harmonics, on_torus, torus_features
+from training.models.joints import Joints
 
 TORUS = Joints(circles(3))
 # A circle between two joints with limits, one of them beyond half a turn and one wider than a turn.
@@ -15,19 +15,6 @@ RNG = torch.Generator().manual_seed(0)
 
 def angles(count=500, scale=20.0):
     return scale * (2.0 * torch.rand(count, 3, generator=RNG) - 1.0)
-
-
-def test_without_limits_every_number_is_that_of_the_torus():
-    first, second, share = angles(), angles(), torch.rand(500, 1, generator=RNG)
-    assert TORUS.from_torus(first) is first
-    assert TORUS.fold(first) is first
-    torch.testing.assert_close(TORUS.features(first), harmonics(first), rtol=0, atol=0)
-    torch.testing.assert_close(TORUS.pair_features(first), torus_features(first), rtol=0, atol=0)
-    way = torch.remainder(second - first + torch.pi, 2.0 * torch.pi) - torch.pi
-    torch.testing.assert_close(TORUS.difference(first, second), way, rtol=0, atol=0)
-    torch.testing.assert_close(TORUS.interpolate(first, second, share), first + share * way, rtol=0, atol=0)
-    embedded = torch.cat([torch.cos(first), torch.sin(first)], dim=1)
-    torch.testing.assert_close(TORUS.unembed(embedded), on_torus(embedded), rtol=0, atol=0)
 
 
 def test_folding_keeps_what_is_inside_and_mirrors_the_rest_at_the_limits():

@@ -22,7 +22,7 @@ from training.models.families.mixture import (
     GateModule,
     gate_probabilities,
 )
-from training.models.families.wgan_gp import Sizes, TorusGenerator, TorusSampler
+from training.models.families.wgan_gp import Sizes, TorusGenerator
 from training.models.lookups import ArmLookups
 
 SPACE = circles(2)
@@ -100,25 +100,6 @@ def test_the_mixtures_graph_answers_as_the_network(lookups):
         found = answer(graph, feeds)
         assert found.shape == (count, 1, 2)
         np.testing.assert_allclose(found, expected.numpy(), atol=1e-5)
-
-
-@pytest.mark.slow
-def test_a_graph_with_lookups_answers_as_the_network():
-    look = ArmLookups(PlanarWorld(TWO_LINK, Camera()), 3, 0.0)
-    (generator, *_), _ = experts(looked_up=look.values)
-    sampler = TorusSampler(generator, look)
-    graph = generator_graph(sampler, 4, 48)
-    for count in (1, 33):
-        drawn = random_inputs(count, lookups=True)
-        feeds = {
-            "latent": drawn["latent"],
-            "base": drawn["jitter"],
-            "noise": drawn["noise"],
-            "image": drawn["image"],
-        }
-        with torch.no_grad():
-            expected = sampler(*feeds.values())
-        np.testing.assert_allclose(answer(graph, feeds), expected.numpy(), atol=1e-5)
 
 
 def test_the_gate_draws_cells_as_often_as_it_says():

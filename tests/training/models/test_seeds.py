@@ -25,7 +25,7 @@ from training.models.data import Cells
 from training.models.families.guided import GlobalConfig, GuidedModule
 from training.models.families.mixture import CellBase, GateConfig, GateModule
 from training.models.families.wgan_gp import GanConfig, WganGpModule
-from training.models.lookups import LookupConfig, Scenes
+from training.models.lookups import LookupConfig, Scenes, make_reader
 from training.models.paths import PathGanModule
 
 SEED, STEPS = 3, {"steps": 20}
@@ -54,11 +54,12 @@ def mixture():
     spacing, none = np.array([0.5, 0.25, 0.1], np.float32), np.zeros(0, np.int64)
     cells = Cells(np.array(points, np.float32), spacing, none, none)
     look = LookupConfig(points_per_link=3, side_m=0.1)
-    config = GanConfig.model_validate(TINY | STEPS | {"generator_lookups": look, "critic_lookups": look})
+    config = GanConfig.model_validate(TINY | STEPS)
     with seeded_initialisation(SEED):
         base = CellBase(cells, torch.tensor([[0.2, 0.5, 0.3], [0.5, 0.1, 0.4]]), SPACE)
         scenes = Scenes(PlanarWorld(TWO_LINK, Camera()), IMAGES)
-        return WganGpModule(config, ring_samples(), SCALE, SEED, SPACE, base, scenes)
+        readers = make_reader(look, scenes), make_reader(look, scenes)
+        return WganGpModule(config, ring_samples(), SCALE, SEED, SPACE, base, readers)
 
 
 def gate():

@@ -118,7 +118,7 @@ def test_its_section_is_read_by_the_name_of_the_family_and_by_no_other():
 def test_it_is_trained_exported_served_and_compared_as_every_other(tmp_path):
     vae = {"latent_dim": 4, "width": 4, "steps": 1, "checkpoint": str(tmp_path / "vae.ckpt")}
     config = config_of(vae=vae)
-    job = SimpleNamespace(config=config, folder=tmp_path, start_folder=None)
+    job = SimpleNamespace(config=config, folder=tmp_path)
     dataset = prepare_data(config, tmp_path)
     pictures = torch.tensor(shown(dataset.world.sensor, dataset.images))
     with seeded_initialisation(0):

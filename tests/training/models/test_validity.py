@@ -16,9 +16,7 @@ from training.config import ValidityConfig
 from training.models.checkpoint import seeded_initialisation
 from training.models.validity import OccupancySamples, ValidityModule
 
-TINY = ValidityConfig(
-    free_share=0.69, hidden=32, pictures_per_step=8, configurations_per_picture=16, steps=60
-)
+TINY = ValidityConfig(hidden=32, pictures_per_step=8, configurations_per_picture=16, steps=60)
 
 
 def occupancy(scenarios, seed=0):

@@ -8,11 +8,11 @@ import torch
 from pydantic import Field, model_validator
 from torch import Tensor
 
-from training.config import VaeConfig
+from training.config import TrainConfig, VaeConfig
 from training.models.autoencoders import Decoder, Encoder, kl_divergence, reconstruction_loss, shown
 from training.models.data import Batch
 from training.models.families import Checkpoints, Trial, register
-from training.models.families.wgan_gp import GanConfig, WganConfig, WganGp, WganGpModule
+from training.models.families.wgan_gp import GanConfig, WganGp, WganGpModule
 
 
 class JointGanConfig(GanConfig):
@@ -29,7 +29,7 @@ class JointGanConfig(GanConfig):
         return self
 
 
-class JointConfig(WganConfig):
+class JointConfig(TrainConfig):
     """Everything that fixes a job that trains the encoder with the generator."""
 
     trains_encoder: ClassVar[bool] = True

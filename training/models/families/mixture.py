@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,8 +13,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from cspace.bundle import RandomInput
+from cspace.errors import ConfigError
 from cspace.space import JointSpace
-from training.config import TrialSettings
+from training.config import TrainConfig, TrialSettings
 from training.models.checkpoint import trained
 from training.models.data import Cells
 from training.models.export import Sampler
@@ -23,12 +25,11 @@ from training.models.families.wgan_gp import (
     GanConfig,
     TorusGenerator,
     UniformBase,
-    WganConfig,
     WganGp,
     WganGpModule,
     beside,
 )
-from training.models.lookups import ArmLookups, look, make_lookups
+from training.models.lookups import ArmLookups, LookupConfig, look, make_lookups, make_reader
 from training.models.modules import TrialModule, mlp
 
 GATE = "gate"
@@ -46,11 +47,24 @@ class GateConfig(TrialSettings):
     learning_rate: float = Field(4e-3, gt=0, description="highest of the one-cycle schedule")
 
 
-class MixtureConfig(WganConfig):
+class LocalConfig(GanConfig):
+    """One cluster's WGAN-GP, which may read the picture where the arm would be."""
+
+    generator_lookups: LookupConfig = LookupConfig()
+    critic_lookups: LookupConfig = LookupConfig()
+
+
+class MixtureConfig(TrainConfig):
     """Everything that fixes a job that trains a generator a cluster behind a gate."""
 
     gate: GateConfig = GateConfig()
-    local: GanConfig = GanConfig(steps=400)
+    local: LocalConfig = LocalConfig(steps=400)
+
+    @property
+    def reads_pictures(self) -> bool:
+        """Whether generators or critics look pictures up."""
+        local = self.local
+        return bool(local.generator_lookups.points_per_link or local.critic_lookups.points_per_link)
 
     @property
     def cells(self) -> int:
@@ -70,6 +84,15 @@ class MixtureConfig(WganConfig):
             )
         if self.local.generator == "means":
             raise ValueError("a gate needs generator=torus: the means have no base to draw in a cell")
+        for part in ("generator_lookups", "critic_lookups"):
+            lookups: LookupConfig = getattr(self.local, part)
+            if self.known_world is None or not lookups.points_per_link:
+                continue
+            try:
+                self.known_world.link_sample_points(lookups.points_per_link, lookups.side_m)
+            except ConfigError as error:
+                text = f"local.{part}.points_per_link does not fit the robot: {error}"
+                raise ValueError(text) from error
         return self
 
 
@@ -255,6 +278,12 @@ class Mixture(WganGp):
         base = CellBase(self.cells, weights, arrays.world.space)
         module = WganGpModule(self.config.local, *self.given(cluster, seed, base))
         return Trial(module, self.config.local, arrays.part(cluster))
+
+    def given(self, cluster: int | None, seed: int, base: UniformBase | None = None) -> tuple[Any, ...]:
+        """With what reads the pictures."""
+        scenes, local = self.arrays.scenes(), self.config.local
+        readers = tuple(make_reader(one, scenes) for one in (local.generator_lookups, local.critic_lookups))
+        return (*super().given(cluster, seed, base), readers)
 
     @property
     def cells(self) -> Cells:

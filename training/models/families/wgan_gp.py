@@ -18,34 +18,22 @@ from torch import Tensor, nn
 from torch.optim.lr_scheduler import LambdaLR
 
 from cspace.bundle import RandomInput
-from cspace.errors import ConfigError
 from cspace.space import JointSpace
-from training.config import TrainConfig, TrialSettings
+from training.config import AdversarialConfig, TrainConfig
 from training.models.checkpoint import trained
 from training.models.data import Batch, ScenarioSamples
 from training.models.export import Sampler
 from training.models.families import Checkpoints, Family, Trial, register
 from training.models.joints import Joints
-from training.models.lookups import (
-    ArmLookups,
-    LookupConfig,
-    Scenes,
-    look,
-    make_lookups,
-    make_reader,
-    read,
-    values_read,
-)
+from training.models.lookups import Readers, read, values_read
 from training.models.modules import TrialModule, differentiate, mlp, near_zero
 
 
-class GanConfig(TrialSettings):
+class GanConfig(AdversarialConfig):
     """One WGAN-GP: generator, critic, losses and budget."""
 
     generator: Literal["torus", "means"] = Field("torus", description="means: the paper's")
     hidden: int = Field(128, ge=1, description="units of the generator's layers")
-    layers: int = Field(3, ge=1, description="hidden layers of the generator")
-    noise_dim: int = Field(2, ge=1, description="explicit noise of the torus generator")
     means: int = Field(1, ge=1, description="K of the means generator")
     sigma: float = Field(0.0, ge=0, description="standard deviation round each mean, on standardised angles")
     smooth_maximum: float | None = Field(
@@ -58,20 +46,8 @@ class GanConfig(TrialSettings):
         "torus", description="of configurations: harmonics, or standardised angles as in the paper"
     )
     critic_hidden: int = Field(128, ge=1, description="units of the critic's layers")
-    critic_layers: int = Field(3, ge=2, description="hidden layers of the critic")
-    generator_lookups: LookupConfig = LookupConfig()
-    critic_lookups: LookupConfig = LookupConfig()
-    penalty: Literal["one_sided", "two_sided"] = Field(
-        "one_sided", description="form of the gradient penalty"
-    )
-    penalty_weight: float = Field(10.0, ge=0, description="lambda of the gradient penalty")
-    critic_steps: int = Field(4, ge=1, description="critic steps before each generator step")
     generator_learning_rate: float = Field(1e-3, gt=0, description="Adam's, of the generator")
-    critic_learning_rate: float = Field(2e-3, gt=0, description="Adam's, of the critic")
-    betas: tuple[float, float] = Field((0.0, 0.9), description="Adam's")
     decay_from: float = Field(0.4, ge=0, le=1, description="share of the steps after which the rates fall")
-    batch_size: int = Field(512, ge=2, description="configurations a step")
-    steps: int = Field(1000, ge=1, description="generator steps")
 
     @model_validator(mode="after")
     def _means_need_their_generator(self) -> "GanConfig":
@@ -79,50 +55,10 @@ class GanConfig(TrialSettings):
             raise ValueError(
                 "means and sigma belong to generator=means; the torus generator takes means=1, sigma=0"
             )
-        if self.generator == "means" and self.generator_lookups.points_per_link:
-            raise ValueError("generator_lookups belong to generator=torus: the means have no base to look up")
         return self
 
 
-class WganConfig(TrainConfig):
-    """Everything that fixes a job that trains WGAN-GPs, whatever its sections of them are called."""
-
-    @property
-    def gans(self) -> Mapping[str, GanConfig]:
-        """The sections of WGAN-GPs by their keys."""
-        fields = {field.alias or name: getattr(self, name) for name, field in type(self).model_fields.items()}
-        return {key: part for key, part in fields.items() if isinstance(part, GanConfig)}
-
-    @property
-    def reads_pictures(self) -> bool:
-        """Whether a generator or a critic looks pictures up."""
-        return any(
-            part.points_per_link
-            for gan in self.gans.values()
-            for part in (gan.generator_lookups, gan.critic_lookups)
-        )
-
-    @model_validator(mode="after")
-    def _sections_fit(self) -> "WganConfig":
-        world = self.known_world
-        for key, gan in self.gans.items():
-            if self.start_from and gan.critic_condition == "projection":
-                raise ValueError(
-                    "start_from takes critic_condition=latent: projection knows scenarios by their place"
-                )
-            for part in ("generator_lookups", "critic_lookups"):
-                lookups: LookupConfig = getattr(gan, part)
-                if world is None or not lookups.points_per_link:
-                    continue
-                try:
-                    world.link_sample_points(lookups.points_per_link, lookups.side_m)
-                except ConfigError as error:
-                    text = f"{key}.{part}.points_per_link does not fit the robot: {error}"
-                    raise ValueError(text) from error
-        return self
-
-
-class PlainConfig(WganConfig):
+class PlainConfig(TrainConfig):
     """Everything that fixes a job that trains one WGAN-GP."""
 
     global_: GanConfig = Field(GanConfig(), alias="global")
@@ -388,14 +324,13 @@ class WganGpModule(AdversarialModule):
         seed: int,
         space: JointSpace,
         base: UniformBase | None = None,
-        scenes: Scenes | None = None,
+        readers: Readers = (None, None),
     ) -> None:
         super().__init__(seed)
         self.config, self.samples, self.joints = config, samples, Joints(space)
         self.decay_from, self.smooth_maximum = config.decay_from, config.smooth_maximum
         self.base = UniformBase(space) if base is None else base
-        self.generator_reader = make_reader(config.generator_lookups, scenes)
-        self.critic_reader = make_reader(config.critic_lookups, scenes)
+        self.generator_reader, self.critic_reader = readers
         scenarios, latent_dim = samples.mu.shape
         sizes = Sizes(space, latent_dim, config.hidden, config.layers, values_read(self.generator_reader))
         self.generator: Generator
@@ -445,18 +380,17 @@ class WganGpModule(AdversarialModule):
 class TorusSampler(Sampler):
     """A torus generator as a bundle holds it; its base is uniform on the torus whatever the limits are."""
 
-    def __init__(self, generator: TorusGenerator, lookups: ArmLookups | None = None) -> None:
+    def __init__(self, generator: TorusGenerator) -> None:
         super().__init__()
-        self.generator, self.lookups, self.looks_at_picture = generator, lookups, lookups is not None
+        self.generator = generator
         self.random_inputs = (
             RandomInput("base", "uniform", (generator.joints.dim,), -math.pi, math.pi),
             RandomInput("noise", "normal", (generator.noise_dim,)),
         )
 
-    def forward(self, latent: Tensor, base: Tensor, noise: Tensor, image: Tensor | None = None) -> Tensor:
+    def forward(self, latent: Tensor, base: Tensor, noise: Tensor) -> Tensor:
         """One configuration for each latent, (m, 1, d) rad."""
-        start = self.generator.joints.from_torus(base)
-        samples: Tensor = self.generator(latent, start, noise, look(self.lookups, image, start))
+        samples: Tensor = self.generator(latent, self.generator.joints.from_torus(base), noise)
         return samples
 
 
@@ -481,15 +415,12 @@ class WganGp(Family[Any]):
     def given(self, cluster: int | None, seed: int, base: UniformBase | None = None) -> tuple[Any, ...]:
         """What a module of :class:`WganGpModule` takes after its settings: one cluster's data, or all."""
         arrays = self.arrays
-        return arrays.samples(cluster), arrays.scale, seed, arrays.world.space, base, arrays.scenes()
+        return arrays.samples(cluster), arrays.scale, seed, arrays.world.space, base
 
     def sampler(self, done: Checkpoints) -> Sampler:
         """The global generator."""
-        gan = self.config.global_
-        generator = self.load(gan, done[GLOBAL], "generator")
-        if isinstance(generator, Sampler):
-            return generator
-        return TorusSampler(generator, make_lookups(gan.generator_lookups, self.arrays.world))
+        generator = self.load(self.config.global_, done[GLOBAL], "generator")
+        return generator if isinstance(generator, Sampler) else TorusSampler(generator)
 
     def load(self, config: GanConfig, checkpoint: Path, part: str) -> Any:
         """The generator or the critic of a trial's checkpoint."""

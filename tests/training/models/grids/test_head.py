@@ -34,7 +34,6 @@ WORLD = examples()["panda"]
 ARM, GRID = WORLD.body, WORLD.sensor.grid
 UR5 = shipped("ur5")
 SMALL = ValidityConfig(
-    free_share=0.6,
     hidden=8,
     steps=4,
     pictures_per_step=2,
