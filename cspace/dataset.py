@@ -12,9 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import DamagedFileError, DatasetError, StorageError
-from cspace.files import make_output_folder, map_npy, read_bounded, replacing
+from cspace.files import (
+    adapter_of,
+    json_text,
+    make_output_folder,
+    map_npy,
+    read_bounded,
+    read_json,
+    read_object,
+    replacing,
+    validated,
+)
 from cspace.space import JointSpace
-from cspace.strict_json import adapter_of, json_text, read_json, read_object, validated
 from cspace.world import Arrays, World
 from cspace.worlds import WorldField
 

@@ -20,7 +20,7 @@ from typing import Annotated
 from pydantic import NonNegativeInt, ValidationError
 
 from cspace.errors import ImageError, InputError
-from cspace.strict_json import LEFT_OUT, adapter_of, refused, validated
+from cspace.files import LEFT_OUT, adapter_of, project_error, validated
 
 MAX_PICTURES = 4
 # Of what is known beside pictures.
@@ -108,7 +108,7 @@ def unpack_view(data: bytes) -> View:
     try:
         header = adapter_of(_Line).validate_json(line)
     except ValidationError as problem:
-        raise refused(problem, ImageError, "the view") from problem
+        raise project_error(problem, ImageError, "the view") from problem
     # A picture of a plane has no camera.
     if (len(header.pictures), len(header.cameras)) != (1, 0) or header.known is None:
         check_counts(len(header.pictures), len(header.cameras))

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from pydantic import PlainSerializer, PlainValidator
 
 from cspace.errors import InputError, ScenarioError
+from cspace.files import read_object
 from cspace.simulator import Checker, Simulator
-from cspace.strict_json import read_object
 from cspace.world import Body, Image, Known, NextView, Scene, World
 
 # Each folder has ``world`` (NumPy alone) with ``read``, ``EXAMPLES`` (worlds by name), ``add_options`` and

@@ -23,9 +23,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from cspace.dataset import write_dataset
 from cspace.errors import ConfigError, CspaceError, DatasetError, ImageError, ScenarioError, StorageError
-from cspace.files import replacing
+from cspace.files import project_error, replacing
 from cspace.space import JointSpace
-from cspace.strict_json import refused
 from cspace.view_file import pack_view
 from cspace.world import Finding
 from cspace.worlds.spatial.camera import decode_depth, encode_depth, in_range, read_pinhole
@@ -514,5 +513,5 @@ def _run(options: argparse.Namespace) -> Imported:
     try:
         settings = RecordingOptions.model_validate(values)
     except ValidationError as error:
-        raise refused(error, ConfigError, "the import's options") from error
+        raise project_error(error, ConfigError, "the import's options") from error
     return import_recording(options.source, options.folder, world=described(options), options=settings)

@@ -7,8 +7,8 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, StrictBool
 
 from cspace.errors import ScenarioError
+from cspace.files import Record, read_object, validated
 from cspace.space import MIN_RANGE_RAD, JointSpace, is_range
-from cspace.strict_json import Record, read_object, validated, written
 from cspace.world import LinkSamplePoints
 from cspace.worlds.planar.camera import Camera, Length
 
@@ -68,7 +68,7 @@ class PlanarArm(Record):
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON; ``self_collision`` where it is true, as files before it have none."""
-        return {"kind": _KIND, **written(self)}
+        return {"kind": _KIND, **Record.to_dict(self)}
 
     @classmethod
     def from_dict(cls, values: object) -> "PlanarArm":

@@ -9,8 +9,7 @@ from PIL import Image
 from pydantic import Field
 
 from cspace.errors import ImageError, ScenarioError
-from cspace.files import open_png
-from cspace.strict_json import Record, validated
+from cspace.files import Record, open_png, validated
 from cspace.world import CheckCancelled
 
 MIN_SIDE = 16

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from cspace.errors import InputError, ScenarioError
+from cspace.files import Record, read_json, read_object, validated
 from cspace.simulator import Split
-from cspace.strict_json import Record, read_json, read_object, validated
 from cspace.world import CheckCancelled, Contact
 from cspace.worlds.planar.arm import PlanarArm, link_offsets_m
 from cspace.worlds.planar.camera import Camera, Length, Place

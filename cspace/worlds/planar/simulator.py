@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from cspace.errors import ScenarioError
-from cspace.files import encode_png
+from cspace.files import encode_png, validated
 from cspace.kernel_cache import njit
 from cspace.simulator import (
     Checker,
@@ -23,7 +23,6 @@ from cspace.simulator import (
     Split,
     near_contact,
 )
-from cspace.strict_json import validated
 from cspace.world import Image, Scene, World
 from cspace.worlds.planar.arm import PlanarArm
 from cspace.worlds.planar.camera import Camera, Length, Place

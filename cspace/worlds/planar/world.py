@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import ConfigError, DatasetError, ImageError, ScenarioError
-from cspace.strict_json import read_object, validated
+from cspace.files import read_object, validated
 from cspace.view_file import View, check_counts
 from cspace.world import Arrays, CheckCancelled, Contact, Examined, LinkSamplePoints, World
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, JointLimits, PlanarArm, link_sample_points

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from cspace.errors import ScenarioError
+from cspace.files import LEFT_OUT, Record, read_object, validated
 from cspace.space import JointSpace, is_range
-from cspace.strict_json import LEFT_OUT, Record, read_object, validated, written
 from cspace.worlds.spatial.poses import MAX_OFFSET_M, SAME, Frame, Offset, Vector, moved, turn
 
 _UNIT = 1e-9
@@ -236,7 +236,7 @@ class SerialArm(Record):
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
-        return {"kind": KIND, **written(self)}
+        return {"kind": KIND, **Record.to_dict(self)}
 
     @classmethod
     def from_dict(cls, values: object) -> "SerialArm":

@@ -14,9 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from cspace.errors import DatasetError, ImageError, ScenarioError
-from cspace.files import replacing
+from cspace.files import Record, parse_json, read_object, replacing, validated
 from cspace.simulator import Problem, ProblemRequest, Split, UnseenPolicy
-from cspace.strict_json import Record, parse_json, read_object, validated
 from cspace.world import Image, World
 from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.checks import CollisionChecker, seen_checkers

@@ -10,8 +10,7 @@ from PIL import Image
 from pydantic import BaseModel, Field, StrictFloat
 
 from cspace.errors import ImageError, ScenarioError
-from cspace.files import encode_png, open_png, read_yaml
-from cspace.strict_json import Record, read_object, validated
+from cspace.files import Record, encode_png, open_png, read_object, read_yaml, validated
 from cspace.world import CheckCancelled
 from cspace.worlds.spatial.poses import HERE, Pose, check_pose, make_pose, pose_of, read_pose
 

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from cspace.errors import ScenarioError
-from cspace.strict_json import Record, Share, Span, validated
+from cspace.files import Record, Share, Span, validated
 from cspace.worlds.spatial.obstacles import MAX_OBSTACLES, Box, Cylinder, Obstacles
 from cspace.worlds.spatial.poses import MAX_PLACE_M, Vector, make_pose, pose_of, turned, vector
 

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from cspace.errors import ScenarioError
 from cspace.simulator import Split, scenario_rng
-from cspace.strict_json import written
 from cspace.worlds.spatial.arm import SerialArm, ready_rad
 from cspace.worlds.spatial.camera import DepthCamera, camera_place, looking, to_mm
 from cspace.worlds.spatial.checks import CollisionChecker
@@ -266,7 +265,7 @@ class SpatialScene:
             "state": None if self.state is None else list(self.state),
             "noise": self.noise,
             "noise_seed": self.noise_seed,
-            "regions": [written(region) for region in self.regions],
+            "regions": [region.to_dict() for region in self.regions],
             "holes": self.holes,
         }
 

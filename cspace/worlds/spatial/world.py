@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cspace.errors import ConfigError, DatasetError, ImageError, InputError, ScenarioError
-from cspace.files import read_bounded
-from cspace.strict_json import read_json, read_object, validated
+from cspace.files import read_bounded, read_json, read_object, validated
 from cspace.view_file import View
 from cspace.world import (
     Arrays,
