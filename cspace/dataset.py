@@ -101,22 +101,18 @@ class Dataset:
 
     @property
     def world(self) -> World:
-        """Robot and sensor."""
         return self.manifest.world
 
     @property
     def digest(self) -> str:
-        """SHA-256 over the content."""
         return self.manifest.digest
 
     @property
     def dim(self) -> int:
-        """Number of joints."""
         return self.world.dim
 
     @property
     def scenario_count(self) -> int:
-        """S."""
         return len(self.images)
 
     @property
@@ -131,7 +127,6 @@ class Dataset:
 
     @property
     def free_offsets(self) -> NDArray[np.int64]:
-        """(S + 1,)."""
         return self.arrays["free_offsets"]
 
     @property
@@ -141,7 +136,6 @@ class Dataset:
 
     @property
     def collision_offsets(self) -> NDArray[np.int64] | None:
-        """(S + 1,)."""
         return self.arrays.get("collision_offsets")
 
     @property

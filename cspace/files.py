@@ -214,7 +214,6 @@ class Record:
     __slots__ = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
         return cast("dict[str, Any]", to_jsonable_python(self))
 
 

@@ -104,7 +104,6 @@ class BundleSpec:
 
     @property
     def dim(self) -> int:
-        """d, number of joints."""
         return self.world.dim
 
     @property

@@ -39,7 +39,6 @@ class PlanarArm(Record):
 
     @property
     def dim(self) -> int:
-        """Number of joints."""
         return len(self.link_lengths_m)
 
     @property
@@ -49,7 +48,6 @@ class PlanarArm(Record):
 
     @property
     def space(self) -> JointSpace:
-        """The arm's joint space."""
         limits = self.joint_limits_rad or (None,) * self.dim
         return JointSpace(
             tuple(-np.pi if lim is None else lim[0] for lim in limits),

@@ -88,17 +88,14 @@ class Camera(Record):
 
     @property
     def picture_shape(self) -> tuple[int, ...]:
-        """(P, P, 3): RGB."""
         return (self.pixels, self.pixels, 3)
 
     @property
     def convention(self) -> dict[str, Any]:
-        """What a bundle says of its pictures."""
         return {"pixels": self.pixels, "channels": "RGB", "range": [-1, 1]}
 
     @property
     def extent_m(self) -> tuple[float, float, float, float]:
-        """Left, right, bottom and top of the picture."""
         return (self.x_min_m, self.x_max_m, self.y_min_m, self.y_max_m)
 
     def to_network(self, images: NDArray[np.uint8]) -> NDArray[np.float32]:

@@ -68,7 +68,6 @@ class FreeGrid:
 
     @cached_property
     def free(self) -> NDArray[np.bool_]:
-        """Which cells are free, (cells,) * d."""
         found = CollisionChecker(self.scenario).valid_batch(self.centres)
         return np.reshape(found, (self.cells,) * self.scenario.robot.dim)
 

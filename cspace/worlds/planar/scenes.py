@@ -48,7 +48,6 @@ class DiscScenes(Record):
 
     @property
     def words(self) -> str:
-        """For readers."""
         counts, radii = (
             f"{low}" if low == high else f"{low} to {high}" for low, high in (self.count, self.radius_m)
         )
@@ -91,7 +90,6 @@ class GivenScenes(Record):
 
     @property
     def words(self) -> str:
-        """For readers."""
         return f"{len(self.held_out)} held-out scenes that were given"
 
     def part(self, split: Split) -> tuple[Rows, ...]:
@@ -161,7 +159,6 @@ class KnownDiscs:
 
     @property
     def size_bytes(self) -> int:
-        """See :class:`cspace.world.Known`."""
         return self.discs.nbytes + self.seen.nbytes + sum(map(len, self.names))
 
     def free(

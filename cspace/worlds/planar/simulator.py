@@ -152,7 +152,6 @@ class PlanarSimulator(Simulator):
         )
 
     def scene(self, rng: np.random.Generator, split: Split, index: int) -> Scenario:
-        """Discs about the arm."""
         discs = self._scenes.draw(rng, split, index)
         return Scenario.from_array(self.world.body, discs, self.world.sensor)
 
@@ -162,15 +161,12 @@ class PlanarSimulator(Simulator):
         return {"discs": np.pad(discs, ((0, max(0, self._most - len(discs))), (0, 0)), mode="edge")}
 
     def render(self, scene: Scene) -> Image:
-        """See :func:`cspace.worlds.planar.simulator.render`."""
         return render(cast("Scenario", scene))
 
     def picture_file(self, scene: Scene) -> bytes:
-        """PNG."""
         return encode_png(self.render(scene))
 
     def checker(self, scene: Scene) -> Checker:
-        """See :class:`cspace.worlds.planar.checks.CollisionChecker`."""
         return CollisionChecker(cast("Scenario", scene))
 
     def proposals(self, scene: Scene, rng: np.random.Generator, count: int) -> Proposals:
@@ -185,7 +181,6 @@ class PlanarSimulator(Simulator):
         )
 
     def narrow_pairs(self, scene: Scene, configurations: NDArray[np.float64]) -> NDArray[np.int64]:
-        """See :func:`cspace.worlds.planar.problems.narrow_pairs`."""
         return narrow_pairs(cast("Scenario", scene), configurations)
 
     def ends(
@@ -196,11 +191,9 @@ class PlanarSimulator(Simulator):
         return free[rng.integers(len(free), size=(count, 2))]
 
     def path_search(self, scene: Scene) -> PathSearch:
-        """See :mod:`cspace.worlds.planar.problems`."""
         return PathFinder(cast("Scenario", scene)).path
 
     def problem(self, family: str, split: Split, seed: int, index: int = 0) -> Problem:
-        """See :func:`cspace.worlds.planar.problems.draw_problem`."""
         self.require(family)
         found = draw_problem(Family(family), split, seed, index, self.world.body, self._scenes)
         scenario = replace(cast("Scenario", found.scenario), camera=self.world.sensor)
@@ -216,12 +209,10 @@ class PlanarSimulator(Simulator):
         return len(self._scenes.part(split)) if isinstance(self._scenes, GivenScenes) else None
 
     def draw_picture(self, axes: Any, picture: Image) -> None:
-        """As it is."""
         axes.imshow(picture, extent=self.world.sensor.extent_m)
         axes.set(xlabel="x [m]", ylabel="y [m]")
 
     def draw_scene(self, axes: Any, scene: Scene, colour: str) -> None:
-        """Discs in the camera's frame."""
         scenario = cast("Scenario", scene)
         for x_m, y_m, radius_m in scenario.disc_array:
             axes.add_patch(Circle((x_m, y_m), radius_m, facecolor=colour, edgecolor="none", zorder=1))
@@ -229,7 +220,6 @@ class PlanarSimulator(Simulator):
         axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xlabel="x (m)", ylabel="y (m)")
 
     def draw_robot(self, axes: Any, configuration: ArrayLike, colour: str, order: int) -> None:
-        """Links as capsules."""
         arm, turn = self.world.body, np.linspace(-np.pi / 2.0, np.pi / 2.0, 12)
         for base, tip in pairwise(arm.joint_positions_m(configuration)[0]):
             heading = np.arctan2(tip[1] - base[1], tip[0] - base[0])
@@ -239,7 +229,6 @@ class PlanarSimulator(Simulator):
             axes.add_patch(outline)
 
     def drawn_joints_m(self, configurations: ArrayLike) -> NDArray[np.float64]:
-        """In the arm's plane."""
         return self.world.body.joint_positions_m(configurations)
 
     @property

@@ -47,11 +47,9 @@ class PlanarWorld(World):
         return known.contact(configuration) if isinstance(known, KnownDiscs) else None
 
     def link_sample_points(self, points_per_link: int, side_m: float) -> LinkSamplePoints:
-        """See :func:`cspace.worlds.planar.arm.link_sample_points`."""
         return link_sample_points(self.body, self.sensor, points_per_link, side_m)
 
     def check_scenes(self, arrays: Arrays, count: int) -> None:
-        """See :meth:`cspace.world.World.check_scenes`."""
         discs = arrays.get("discs")
         if discs is None:
             return
@@ -66,14 +64,12 @@ class PlanarWorld(World):
             raise DatasetError("discs.npy holds a radius that is none", got=str(discs[~right][0]))
 
     def held_out(self, arrays: Arrays) -> GivenScenes | None:
-        """See :meth:`cspace.world.World.held_out`."""
         if "discs" not in arrays:
             return None
         rows = tuple(tuple(tuple(disc) for disc in scene) for scene in arrays["discs"].tolist())
         return GivenScenes((), rows[:MAX_GIVEN])
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
         values: dict[str, Any] = {"kind": self.kind}
         values |= {"robot": self.body.to_dict(), "camera": self.sensor.to_dict()}
         if self.scenes != DiscScenes():
@@ -131,7 +127,6 @@ class Scenario:
 
     @property
     def world(self) -> PlanarWorld:
-        """Arm and camera."""
         return PlanarWorld(self.robot, self.camera)
 
     @property
@@ -145,7 +140,6 @@ class Scenario:
         return cls(robot, tuple(Disc(float(x), float(y), float(r)) for x, y, r in discs), camera or Camera())
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
         return {
             "robot": self.robot.to_dict(),
             "discs": self.disc_array.tolist(),

@@ -112,7 +112,6 @@ class SerialArm(Record):
 
     @property
     def space(self) -> JointSpace:
-        """The arm's joint space."""
         limits = [joint.limits_rad for joint in self.joints]
         return JointSpace(
             tuple(-np.pi if lim is None else lim[0] for lim in limits),
@@ -235,7 +234,6 @@ class SerialArm(Record):
         return np.concatenate([self.sphere_centres_m(row[None])[0], self.spheres_m()[:, 3:]], axis=1)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
         return {"kind": KIND, **Record.to_dict(self)}
 
     @classmethod

@@ -159,7 +159,6 @@ class SpatialPartlySeen:
         return _GRASPING if has_problems(self.world.body) else ()
 
     def count(self, family: str, split: Split) -> int | None:
-        """Of MotionBenchMaker's sets."""
         return len(NUMBERS[split]) if family.startswith(PREFIX) else None
 
     def problem(self, request: ProblemRequest, family: str, index: int, pictures: int) -> Problem | None:

@@ -45,12 +45,10 @@ class DepthCamera(Record):
 
     @property
     def matrix(self) -> NDArray[np.float64]:
-        """(4, 4): the pose."""
         return np.array(self.pose, dtype=np.float64)
 
     @property
     def picture_shape(self) -> tuple[int, int]:
-        """(H, W) of its pictures."""
         return (self.height, self.width)
 
     def rays(self) -> NDArray[np.float64]:

@@ -68,7 +68,6 @@ class Obstacles(Record):
 
     @property
     def shapes(self) -> tuple[Box | Cylinder, ...]:
-        """Boxes, then cylinders."""
         return (*self.boxes, *self.cylinders)
 
     @classmethod

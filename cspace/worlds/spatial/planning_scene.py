@@ -91,7 +91,6 @@ class Body(Record):
 
     @property
     def matrix(self) -> NDArray[np.float64]:
-        """(4, 4) of the pose."""
         return np.asarray(self.pose, dtype=np.float64)
 
 

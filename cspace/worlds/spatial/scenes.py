@@ -257,7 +257,6 @@ class SpatialScene:
         return DepthView(tuple(pictures), self.cameras, self.state, known=self.known)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
         return {
             "robot": self.world.body.to_dict(),
             "obstacles": self.obstacles.to_dict(),

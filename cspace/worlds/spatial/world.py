@@ -64,15 +64,12 @@ class SpatialWorld(World):
     scenes: SpatialScenes | None
 
     def view(self, data: bytes | View) -> DepthView:
-        """See :func:`cspace.worlds.spatial.view.read_view`."""
         return read_view(data, self.body)
 
     def examine_picture(self, data: bytes | View, check_cancelled: CheckCancelled | None = None) -> Examined:
-        """See :meth:`cspace.world.World.examine_picture`."""
         return self.examined(read_view(data, self.body, check_cancelled), check_cancelled)
 
     def least_novelty(self, image: NDArray[np.uint8]) -> float:
-        """See :func:`cspace.worlds.spatial.diagnosis.least_novelty`."""
         return least_novelty(self.body, self.sensor.grid, image)
 
     def state_findings(
@@ -82,7 +79,6 @@ class SpatialWorld(World):
         start: ArrayLike | None = None,
         colliding: float = 0.0,
     ) -> tuple[Finding, ...]:
-        """See :meth:`cspace.world.World.state_findings`."""
         found = colliding_findings(colliding)
         if image is not None and start is not None:
             found += start_findings(self.body, self.sensor.grid, image, start)
@@ -122,12 +118,10 @@ class SpatialWorld(World):
     def contact(
         self, configuration: NDArray[np.floating], image: NDArray[np.uint8], known: Known | None
     ) -> Contact | None:
-        """See :meth:`cspace.world.World.contact`."""
         found: Any = self.scene_checker(PlanningScene()) if known is None else known
         return cast("Contact | None", found.contact(configuration, image, self.sensor.grid))
 
     def diagnosis(self, data: bytes | View, check_cancelled: CheckCancelled | None = None) -> Diagnosis:
-        """See :func:`cspace.worlds.spatial.diagnosis.diagnose`."""
         return self.diagnosed(read_view(data, self.body, check_cancelled), check_cancelled)
 
     def diagnosed(self, view: DepthView, check_cancelled: CheckCancelled | None = None) -> Diagnosis:
@@ -158,7 +152,6 @@ class SpatialWorld(World):
         ]
 
     def grid_arm(self, groups: int) -> GridArm:
-        """See :meth:`cspace.world.World.grid_arm`."""
         found, arm, grid = grouped(self.body, groups), self.body, self.sensor.grid
         if any(count % NETWORK_MULTIPLE for count in grid.counts):
             raise ScenarioError(
@@ -184,7 +177,6 @@ class SpatialWorld(World):
         )
 
     def check_scenes(self, arrays: Arrays, count: int) -> None:
-        """See :meth:`cspace.world.World.check_scenes`."""
         for name, values in (("boxes", BOX_VALUES), ("cylinders", CYLINDER_VALUES)):
             array = arrays.get(name)
             if array is None:
@@ -201,7 +193,6 @@ class SpatialWorld(World):
                 )
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
         scenes = None if self.scenes is None else self.scenes.to_dict()
         return {
             "kind": self.kind,
