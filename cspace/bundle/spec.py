@@ -107,11 +107,6 @@ class BundleSpec:
         return self.world.dim
 
     @property
-    def pixels(self) -> int:
-        """P, side of the picture that the encoder takes."""
-        return self.world.sensor.pixels
-
-    @property
     def conditions(self) -> tuple[str, ...]:
         """What the generator takes beside the latent: the picture, its map, start and goal, or nothing."""
         seen = {PICTURE: self.looks_at_picture, MAP: self.looks_at_map}

@@ -9,8 +9,7 @@ from cspace.kernel_cache import njit
 from cspace.planning.kernels import SceneKernels
 from cspace.simulator import Checker
 from cspace.worlds.planar.arm import PlanarArm, link_offsets_m
-from cspace.worlds.planar.scenes import KnownDiscs
-from cspace.worlds.planar.world import PlanarWorld, Scenario
+from cspace.worlds.planar.world import KnownDiscs, PlanarWorld, Scenario
 
 # Sine of the angle up to which two lines count as parallel.
 _PARALLEL = 1e-9

@@ -18,8 +18,7 @@ from cspace.errors import ScenarioError
 from cspace.simulator import NARROW, UNIFORM, Problem, Split, scenario_rng
 from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
 from cspace.worlds.planar.checks import CollisionChecker
-from cspace.worlds.planar.scenes import DiscScenes, Scenes
-from cspace.worlds.planar.world import Scenario
+from cspace.worlds.planar.world import DiscScenes, Scenario, Scenes
 
 
 def distance_to_false(

@@ -35,8 +35,7 @@ from cspace.worlds.planar.problems import (
     narrow_pairs,
     resolves_narrow,
 )
-from cspace.worlds.planar.scenes import MAX_DISCS, DiscScenes, GivenScenes, Scenes
-from cspace.worlds.planar.world import Disc, PlanarWorld, Scenario
+from cspace.worlds.planar.world import MAX_DISCS, Disc, DiscScenes, GivenScenes, PlanarWorld, Scenario, Scenes
 
 SUBSAMPLES = 8
 WHITE = (255, 255, 255)
@@ -291,6 +290,6 @@ def read_scene(world: PlanarWorld, values: Values) -> Scenario:
 
 
 def given(scenes: list[Scenario]) -> GivenScenes:
-    """Scenes as those of a world; see :meth:`cspace.worlds.planar.scenes.GivenScenes.of`."""
+    """Scenes as those of a world; see :meth:`cspace.worlds.planar.world.GivenScenes.of`."""
     rows = [tuple((disc.x_m, disc.y_m, disc.radius_m) for disc in scene.discs) for scene in scenes]
     return GivenScenes.of(tuple(rows))
