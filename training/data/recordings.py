@@ -27,11 +27,10 @@ from cspace.files import project_error, replacing
 from cspace.space import JointSpace
 from cspace.view_file import pack_view
 from cspace.world import Finding
-from cspace.worlds.spatial.camera import decode_depth, encode_depth, in_range, read_pinhole
+from cspace.worlds.spatial.camera import decode_depth, encode_depth, in_range, read_pinhole, to_mm
 from cspace.worlds.spatial.diagnosis import ELSEWHERE
 from cspace.worlds.spatial.hypotheses import HYPOTHESES
 from cspace.worlds.spatial.poses import quaternion_pose
-from cspace.worlds.spatial.view import METRES, rounded_mm
 from cspace.worlds.spatial.world import SpatialWorld, add_options, described
 from services.commands import Progress, finite
 
@@ -472,7 +471,7 @@ def depth_mm(message: Any) -> NDArray[np.uint16]:
         )
     rows = message.data.reshape(message.height, message.step)[:, :size]
     depth = np.ascontiguousarray(rows).view((">" if message.is_bigendian else "<") + kind)
-    return rounded_mm(depth, METRES) if kind == "f4" else depth.astype(np.uint16)
+    return to_mm(depth) if kind == "f4" else depth.astype(np.uint16)
 
 
 def camera_info(info: Any, *, rectified: bool) -> dict[str, Any]:

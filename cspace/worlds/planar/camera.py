@@ -54,7 +54,10 @@ def _to_rgb(picture: Image.Image) -> NDArray[np.uint8]:
 def _average(picture: Image.Image, pixels: int, check_cancelled: CheckCancelled | None) -> NDArray[np.uint8]:
     """Area averaging: every target pixel is the mean of the source area that it covers."""
     side = picture.width
-    weights = _overlap(side, pixels)
+    # (pixels, side) shares: how much of each source pixel a target pixel covers, rows summing to one.
+    edges, cells = np.arange(pixels + 1) * (side / pixels), np.arange(side)
+    covered = np.minimum(edges[1:, None], cells + 1) - np.maximum(edges[:-1, None], cells)
+    weights = np.asarray(np.clip(covered, 0.0, None) * (pixels / side), dtype=np.float32)
     rows = np.empty((pixels, side, 3), dtype=np.float32)
     # In widths about equal: a narrow rest might round otherwise.
     count = -(-side // _BAND)
@@ -65,15 +68,6 @@ def _average(picture: Image.Image, pixels: int, check_cancelled: CheckCancelled 
             check_cancelled()
     both = np.tensordot(weights, rows, axes=(1, 1)).transpose(1, 0, 2)
     return np.asarray(np.clip(np.floor(both + np.float32(0.5)), 0, 255), dtype=np.uint8)
-
-
-def _overlap(source: int, target: int) -> NDArray[Any]:
-    """(target, source) shares: how much of each source pixel a target pixel covers, rows summing to one."""
-    edges = np.arange(target + 1) * (source / target)
-    left, right = edges[:-1, None], edges[1:, None]
-    cells = np.arange(source)[None, :]
-    shares = np.clip(np.minimum(right, cells + 1) - np.maximum(left, cells), 0.0, None)
-    return np.asarray(shares * (target / source), dtype=np.float32)
 
 
 @validated(ScenarioError)

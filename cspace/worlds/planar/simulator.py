@@ -103,17 +103,7 @@ def render(scenario: Scenario) -> NDArray[np.uint8]:
     """The picture, (P, P, 3) uint8: red discs over the blue arm at angle zero, white ground, y up."""
     camera, robot = scenario.camera, scenario.robot
     joints = robot.joint_positions_m(np.zeros((1, robot.dim)))[0]
-    picture: NDArray[np.uint8] = _draw(
-        camera.pixels,
-        camera.x_min_m,
-        camera.x_max_m,
-        camera.y_min_m,
-        camera.y_max_m,
-        joints,
-        robot.half_width_m,
-        scenario.disc_array,
-    )
-    return picture
+    return np.asarray(_draw(camera.pixels, *camera.extent_m, joints, robot.half_width_m, scenario.disc_array))
 
 
 _NOTE = (

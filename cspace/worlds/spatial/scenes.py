@@ -138,7 +138,8 @@ def _surroundings(
         count = int(rng.integers(*scenes.strays, endpoint=True))
         found += floating(rng, count, (0.3, 1.3), np.radians(scenes.bearing_deg + 30.0))
     if rng.random() < scenes.floor:
-        low = min((_lowest(one) for one in regions), default=0.0)
+        poses = ((np.array(one.box.pose), np.array(one.box.half_m)) for one in regions)
+        low = min((float(pose[2, 3] - np.abs(pose[2, :3]) @ half) for pose, half in poses), default=0.0)
         top = min(-0.06, low - 0.05) - rng.uniform(0.0, 0.6) * (rng.random() < 0.5)
         found.append(block((-1.5, 1.5), (-1.5, 1.5), (top - 0.02, top)))
     if rng.random() < scenes.wall:
@@ -169,7 +170,8 @@ def _is_reached(
     places = region.draw(rng, _PLACES)
     near = np.linalg.norm(places - (0.0, 0.0, scenes.shoulder_m), axis=1) <= scenes.reach_m
     free = distance_m(obstacles, places) >= scenes.room_m
-    return bool((near & free & _off_base(places)).any())
+    off_base = np.hypot(places[:, 0], places[:, 1]) >= 2.0 * _COLUMN_RADIUS_M
+    return bool((near & free & off_base).any())
 
 
 def base_clearance_m(obstacles: Obstacles) -> float:
@@ -179,15 +181,6 @@ def base_clearance_m(obstacles: Obstacles) -> float:
 
 def _spares_base(obstacles: Obstacles) -> bool:
     return base_clearance_m(obstacles) > 0.0
-
-
-def _off_base(places: NDArray[np.float64]) -> NDArray[np.bool_]:
-    return np.asarray(np.hypot(places[:, 0], places[:, 1]) >= 2.0 * _COLUMN_RADIUS_M)
-
-
-def _lowest(region: GoalRegion) -> float:
-    pose, half = np.array(region.box.pose), np.array(region.box.half_m)
-    return float(pose[2, 3] - np.abs(pose[2, :3]) @ half)
 
 
 def draw_cameras(views: CameraViews, rng: np.random.Generator, layout: Layout) -> tuple[DepthCamera, ...]:
@@ -206,15 +199,11 @@ def _camera(views: CameraViews, rng: np.random.Generator, layout: Layout) -> Dep
             np.radians(rng.uniform(-views.roll_deg, views.roll_deg)),
             rng.uniform(*views.field_deg),
         )
-        if _has_room(views, place, layout):
+        off_base = np.hypot(place[0], place[1]) >= 0.3
+        if off_base and distance_m(layout.obstacles, place) >= views.clear_m:
             pose = looking(place, aim, float(roll))
             return DepthCamera.of_field(views.width, views.height, float(field_deg), pose)
     raise ScenarioError("no camera has room in the scene", got=str(views)[:300])
-
-
-def _has_room(views: CameraViews, place: NDArray[np.float64], layout: Layout) -> bool:
-    off_base = np.hypot(place[0], place[1]) >= 0.3
-    return bool(off_base and distance_m(layout.obstacles, place) >= views.clear_m)
 
 
 # Poses that are tried for an arm that waits, the first about the ready one, the others anywhere.

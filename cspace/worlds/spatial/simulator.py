@@ -27,7 +27,6 @@ from cspace.world import Image, Scene, World
 from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.camera import MAX_FIELD_DEG, MIN_FIELD_DEG, DepthCamera, looking
 from cspace.worlds.spatial.checks import CollisionChecker, group_hits
-from cspace.worlds.spatial.distances import distance_m
 from cspace.worlds.spatial.furniture import FAMILIES
 from cspace.worlds.spatial.obstacles import MAX_OBSTACLES, Box, Cylinder, Obstacles, obstacles_of, rows_of
 from cspace.worlds.spatial.poses import Pose, make_pose, pose_of, turned, vector
@@ -132,11 +131,6 @@ class SpatialSimulator(Simulator):
 
     def render(self, scene: Scene) -> Image:
         return self.world.observed(cast("SpatialScene", scene).view())
-
-    def unseen_places(self, scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Places in reach that no camera of a scene sees, (N, 3) m, and how far obstacles are, (N,) m."""
-        places = self.world.unseen_m(cast("SpatialScene", scene).view())
-        return places, distance_m(cast("SpatialScene", scene).obstacles, places)
 
     def picture_file(self, scene: Scene) -> bytes:
         return write_view(cast("SpatialScene", scene).view())
