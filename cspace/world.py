@@ -241,15 +241,15 @@ class World(ABC):
     def dim(self) -> int:
         return self.body.dim
 
-    def read_picture(self, data: bytes | View, check_cancelled: CheckCancelled | None = None) -> Image:
+    def read_picture(self, data: bytes | View) -> Image:
         """An untrusted picture, or several with their cameras, as the array that models take."""
-        return np.asarray(self.examine_picture(data, check_cancelled).images[0])
+        return np.asarray(self.examine_picture(data).images[0])
 
     @abstractmethod
-    def examine_picture(self, data: bytes | View, check_cancelled: CheckCancelled | None = None) -> Examined:
+    def examine_picture(self, data: bytes | View, check_cancelled: CheckCancelled = lambda: None) -> Examined:
         """:meth:`read_picture`, one image, with its findings."""
 
-    def diagnosis(self, data: bytes | View, check_cancelled: CheckCancelled | None = None) -> Diagnosis:
+    def diagnosis(self, data: bytes | View, check_cancelled: CheckCancelled = lambda: None) -> Diagnosis:
         """A closer look at a picture than :meth:`examine_picture` takes, some 100 ms."""
         self.examine_picture(data, check_cancelled)
         return Diagnosis()

@@ -55,10 +55,7 @@ WorldField = Annotated[
 
 def examples() -> dict[str, World]:
     """Worlds that commands can name, of every kind; the first one where none is named."""
-    found: dict[str, World] = {}
-    for kind in KINDS:
-        found |= _part(kind, "world").EXAMPLES
-    return found
+    return {name: world for kind in KINDS for name, world in _part(kind, "world").EXAMPLES.items()}
 
 
 def named_world(text: str) -> World:

@@ -23,7 +23,7 @@ _BAND = 128
 
 
 def decode_png(
-    data: bytes, pixels: int = 48, check_cancelled: CheckCancelled | None = None
+    data: bytes, pixels: int = 48, check_cancelled: CheckCancelled = lambda: None
 ) -> NDArray[np.uint8]:
     """An untrusted PNG as (pixels, pixels, 3) uint8: over white, as RGB, resized by area averaging."""
     picture = open_png(data, _check)
@@ -51,7 +51,7 @@ def _to_rgb(picture: Image.Image) -> NDArray[np.uint8]:
     return np.asarray(picture.convert("RGB"), dtype=np.uint8)
 
 
-def _average(picture: Image.Image, pixels: int, check_cancelled: CheckCancelled | None) -> NDArray[np.uint8]:
+def _average(picture: Image.Image, pixels: int, check_cancelled: CheckCancelled) -> NDArray[np.uint8]:
     """Area averaging: every target pixel is the mean of the source area that it covers."""
     side = picture.width
     # (pixels, side) shares: how much of each source pixel a target pixel covers, rows summing to one.
@@ -64,8 +64,7 @@ def _average(picture: Image.Image, pixels: int, check_cancelled: CheckCancelled 
     for left, right in pairwise(side * index // count for index in range(count + 1)):
         band = _to_rgb(picture.crop((left, 0, right, side))).astype(np.float32)
         rows[:, left:right] = np.tensordot(weights, band, axes=(1, 0))
-        if check_cancelled is not None:
-            check_cancelled()
+        check_cancelled()
     both = np.tensordot(weights, rows, axes=(1, 1)).transpose(1, 0, 2)
     return np.asarray(np.clip(np.floor(both + np.float32(0.5)), 0, 255), dtype=np.uint8)
 

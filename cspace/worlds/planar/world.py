@@ -228,7 +228,7 @@ class PlanarWorld(World):
     sensor: Camera = field(default_factory=Camera)
     scenes: Scenes | None = field(default_factory=DiscScenes)
 
-    def examine_picture(self, data: bytes | View, check_cancelled: CheckCancelled | None = None) -> Examined:
+    def examine_picture(self, data: bytes | View, check_cancelled: CheckCancelled = lambda: None) -> Examined:
         """The picture, into which known discs are drawn; nothing is said of it."""
         view = View.of(data)
         if view.cameras or view.state is not None or view.depth_scale_m is not None:
@@ -239,7 +239,7 @@ class PlanarWorld(World):
         if view.known is None:
             return Examined(image[None])
         known = KnownDiscs.read(view.known, self.body, image)
-        return Examined(known.drawn(self.sensor, check_cancelled or (lambda: None))[None], known=known)
+        return Examined(known.drawn(self.sensor, check_cancelled)[None], known=known)
 
     def contact(self, configuration: NDArray[np.floating], image: object, known: object) -> Contact | None:
         """With known discs alone: all else is seen."""
@@ -300,11 +300,8 @@ class PlanarWorld(World):
 PARTS = {"body": (PlanarArm,), "sensor": (Camera,), "scenes": (DiscScenes, GivenScenes)}
 
 
-def usual(arm: PlanarArm) -> PlanarWorld:
-    """An arm that is seen and stands in scenes as most are."""
-    return PlanarWorld(arm)
-
-
+# An arm that is seen and stands in scenes as most are.
+usual = PlanarWorld
 # By the names of their robots, the first where none is named.
 EXAMPLES = {"two-link": PlanarWorld(TWO_LINK), "three-link": PlanarWorld(THREE_LINK)}
 

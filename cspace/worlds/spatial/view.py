@@ -78,7 +78,9 @@ def write_view(view: DepthView) -> bytes:
     return pack_view([encode_depth(picture) for picture in view.pictures], cameras, view.state, known=known)
 
 
-def read_view(data: bytes | View, arm: SerialArm, check_cancelled: CheckCancelled | None = None) -> DepthView:
+def read_view(
+    data: bytes | View, arm: SerialArm, check_cancelled: CheckCancelled = lambda: None
+) -> DepthView:
     """Decodes and checks untrusted pictures, each once."""
     file = View.of(data)
     if not file.cameras:
@@ -90,7 +92,6 @@ def read_view(data: bytes | View, arm: SerialArm, check_cancelled: CheckCancelle
         )
     check_counts(len(file.pictures), len(file.cameras))
     known = None if file.known is None else read_planning_scene(file.known)
-    check_cancelled = check_cancelled or (lambda: None)
     pictures, cameras = [], []
     for one in file.pictures:
         pictures.append(read_depth(one, file.depth_scale_m, check_cancelled))
