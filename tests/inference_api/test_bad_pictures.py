@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from cspace.files import encode_png
 from cspace.simulator import Split
 from cspace.worlds import examples, simulator_of
+from cspace.worlds.spatial.bodies import distance_m
 from cspace.worlds.spatial.camera import DepthCamera, encode_depth, looking
-from cspace.worlds.spatial.distances import distance_m
 from cspace.worlds.spatial.poses import make_pose, pose_of, turn
 from tests.bundles import picture
 from tests.cspace.worlds.spatial.test_diagnosis import CAMERA, PICTURE, STATE, order_wxyz

@@ -18,8 +18,8 @@ from cspace.files import Record, parse_json, read_object, replacing, validated
 from cspace.simulator import Problem, ProblemRequest, Split, UnseenPolicy
 from cspace.world import Image, World
 from cspace.worlds.spatial.arm import SerialArm
+from cspace.worlds.spatial.bodies import distance_m
 from cspace.worlds.spatial.checks import CollisionChecker, seen_checkers
-from cspace.worlds.spatial.distances import distance_m
 from cspace.worlds.spatial.furniture import FAMILIES, GoalRegion, Layout
 from cspace.worlds.spatial.kinematics import arm_arrays, sphere_centres_batch
 from cspace.worlds.spatial.mesh_checker import Description, MeshChecker, RobotMeshes, panda_urdf

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from cspace.errors import ScenarioError
 from cspace.simulator import Split, scenario_rng
 from cspace.worlds.spatial.arm import SerialArm, ready_rad
+from cspace.worlds.spatial.bodies import clearance_m, distance_m
 from cspace.worlds.spatial.camera import DepthCamera, camera_place, looking, to_mm
 from cspace.worlds.spatial.checks import CollisionChecker
-from cspace.worlds.spatial.distances import clearance_m, distance_m
 from cspace.worlds.spatial.furniture import (
     FAMILIES,
     Bins,

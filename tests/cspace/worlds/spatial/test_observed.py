@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from cspace.simulator import Split
+from cspace.worlds.spatial.bodies import distance_m
 from cspace.worlds.spatial.camera import DepthCamera, looking, to_mm
 from cspace.worlds.spatial.distance_field import TRUNCATION_M
-from cspace.worlds.spatial.distances import distance_m
 from cspace.worlds.spatial.furniture import FAMILIES, SpatialScenes
 from cspace.worlds.spatial.obstacles import Box, Obstacles
 from cspace.worlds.spatial.poses import make_pose, pose_of, turned
