@@ -12,9 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cspace.errors import DamagedFileError, DatasetError, StorageError
-from cspace.files import make_output_folder, map_npy, read_bounded, replacing
+from cspace.files import (
+    adapter_of,
+    json_text,
+    make_output_folder,
+    map_npy,
+    read_bounded,
+    read_json,
+    read_object,
+    replacing,
+    validated,
+)
 from cspace.space import JointSpace
-from cspace.strict_json import adapter_of, json_text, read_json, read_object, validated
 from cspace.world import Arrays, World
 from cspace.worlds import WorldField
 
@@ -46,7 +55,6 @@ class Manifest:
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
     def to_json(self) -> str:
-        """The text of ``manifest.json``."""
         content = adapter_of(Manifest).dump_python(self)
         content |= {"schema_version": SCHEMA_VERSION, "digest": self.digest}
         return json_text(content)
@@ -92,52 +100,42 @@ class Dataset:
 
     @property
     def world(self) -> World:
-        """Robot and sensor."""
         return self.manifest.world
 
     @property
     def digest(self) -> str:
-        """SHA-256 over the content."""
         return self.manifest.digest
 
     @property
     def dim(self) -> int:
-        """Number of joints."""
         return self.world.dim
 
     @property
     def scenario_count(self) -> int:
-        """S."""
         return len(self.images)
 
     @property
-    def images(self) -> NDArray[np.uint8]:
-        """(S, P, P, 3)."""
+    def images(self) -> NDArray[np.uint8]:  # (S, P, P, 3)
         return self.arrays["images"]
 
     @property
-    def free(self) -> NDArray[np.float32]:
-        """(M, d) rad."""
+    def free(self) -> NDArray[np.float32]:  # (M, d) rad
         return self.arrays["free"]
 
     @property
-    def free_offsets(self) -> NDArray[np.int64]:
-        """(S + 1,)."""
+    def free_offsets(self) -> NDArray[np.int64]:  # (S + 1,)
         return self.arrays["free_offsets"]
 
     @property
-    def collision(self) -> NDArray[np.float32] | None:
-        """(M', d) rad."""
+    def collision(self) -> NDArray[np.float32] | None:  # (M', d) rad
         return self.arrays.get("collision")
 
     @property
     def collision_offsets(self) -> NDArray[np.int64] | None:
-        """(S + 1,)."""
         return self.arrays.get("collision_offsets")
 
     @property
-    def extra_images(self) -> NDArray[np.uint8] | None:
-        """(E, P, P, 3)."""
+    def extra_images(self) -> NDArray[np.uint8] | None:  # (E, P, P, 3)
         return self.arrays.get("extra_images")
 
     @property
@@ -207,7 +205,10 @@ def write_dataset(
     world.check_scenes(arrays, len(images))
     arrays |= {"images": images} | ({} if extra_images is None else {"extra_images": extra_images})
     for name in {"images", "extra_images"} & set(arrays):
-        _check_pictures(name, arrays[name], world.sensor.picture_shape)
+        found, shape = arrays[name], world.sensor.picture_shape
+        if found.dtype != np.uint8 or found.shape[1:] != shape or not len(found):
+            got = f"{found.dtype} {found.shape}"
+            raise DatasetError(f"{name} do not fit", expected=f"uint8 (n, *{shape}), n above 0", got=got)
     for name, parts in (("free", free), ("collision", collision)):
         if parts is not None:
             arrays |= _rows(name, parts, world.space)
@@ -242,15 +243,6 @@ def write_dataset(
         manifest = Manifest(world, counts, generator, files)
         (beside / MANIFEST_FILE).write_text(manifest.to_json(), encoding="utf-8")
     return open_dataset(folder, verify=False)
-
-
-def _check_pictures(name: str, images: NDArray[Any], shape: tuple[int, ...]) -> None:
-    if images.dtype != np.uint8 or images.shape[1:] != shape or not len(images):
-        raise DatasetError(
-            f"{name} do not fit",
-            expected=f"uint8 (n, {', '.join(map(str, shape))}), n above 0",
-            got=f"{images.dtype} {images.shape}",
-        )
 
 
 def require_room(folder: Path, needed_bytes: int) -> None:

@@ -1,4 +1,4 @@
-"""Files: bounded reads, atomic writes, lock files, and untrusted .npy, PNG and YAML files."""
+"""Files and texts from outside: bounded reads, atomic writes, locks, .npy, PNG, YAML, JSON by pydantic."""
 
 import fcntl
 import io
@@ -7,20 +7,26 @@ import re
 import secrets
 import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from functools import cache
+from dataclasses import field
+from functools import cache, wraps
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, TypeVar, cast, dataclass_transform
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
+from pydantic_core import from_json, to_jsonable_python
 
 from cspace.errors import CspaceError, ImageError, StorageError
 
 # How the names of half-written things begin and end, for those who clear up after killed processes.
 HALF_PREFIX, HALF_SUFFIX = ".write-", ".tmp"
+MAX_YAML_BYTES = 2**20
+_LOOK_EVERY_S = 0.2
 
 
 def read_bounded(
@@ -54,14 +60,8 @@ def replacing(path: Path, what: str | None = None) -> Iterator[Path]:
         discard(beside)
 
 
-def write_json(path: Path, values: Mapping[str, Any], indent: int | None = None) -> None:
-    """Write plain values as JSON, whole or not at all."""
-    with replacing(path) as beside:
-        beside.write_text(json.dumps(values, indent=indent), encoding="utf-8")
-
-
 @contextmanager
-def holding(path: Path, busy: CspaceError, wait_s: float = 0.0, look_every_s: float = 0.2) -> Iterator[None]:
+def holding(path: Path, busy: CspaceError, wait_s: float = 0.0) -> Iterator[None]:
     """Hold a lock file, which stays; the system frees it when the process ends, however it ends."""
     until_s = time.monotonic() + wait_s
     with path.open("a", encoding="utf-8") as handle:
@@ -72,7 +72,7 @@ def holding(path: Path, busy: CspaceError, wait_s: float = 0.0, look_every_s: fl
             except BlockingIOError:
                 if time.monotonic() >= until_s:
                     raise busy from None
-                time.sleep(look_every_s)
+                time.sleep(_LOOK_EVERY_S)
         yield
 
 
@@ -107,11 +107,9 @@ def read_npy(data: bytes, types: tuple[str, ...], axes: int) -> NDArray[Any]:
 def map_npy(path: Path, error: type[CspaceError]) -> NDArray[Any]:
     """A ``.npy`` file as a read-only array that is mapped, so that no shape is larger than its file."""
     try:
-        mapped: NDArray[Any] = np.lib.format.open_memmap(path, mode="r")
-    except Exception as problem:
-        # All, for there is no list of what evaluating a header raises.
-        got = str(problem)[:200] or type(problem).__name__
-        raise error(f"{path} is no array", expected="a .npy file of numbers", got=got) from problem
+        mapped: NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (OSError, ValueError, EOFError, SyntaxError, TypeError) as problem:
+        raise error(f"{path} is no array", expected="a .npy file of numbers", got=str(problem)) from problem
     return mapped
 
 
@@ -141,8 +139,22 @@ def encode_png(image: NDArray[np.uint8]) -> bytes:
     return buffer.getvalue()
 
 
-# Aliases can stand for parts with aliases: with so many, for e^(20 / e) or 1,600 times the text.
-MAX_YAML_BYTES, MAX_ALIASES = 2**20, 20
+def read_yaml(text: bytes | str, name: str, error: type[CspaceError]) -> Any:
+    """The plain values of a text, YAML or JSON, of at most 1 MiB; None where it is empty."""
+    if len(text) > MAX_YAML_BYTES:
+        raise error(f"{name} is too large", expected=f"at most {MAX_YAML_BYTES} bytes", got=f"{len(text)}")
+    # Not every installation has it.
+    import yaml  # noqa: PLC0415
+
+    class Loader(yaml.SafeLoader):
+        """Reads the numbers of JSON as such: YAML 1.1 takes 1e-3 for a text."""
+
+    number = re.compile(r"-?(?:0|[1-9]\d*)(?:\.\d+)?[eE][-+]?\d+")
+    Loader.add_implicit_resolver("tag:yaml.org,2002:float", number, list("-0123456789"))
+    try:
+        return yaml.load(text, Loader=Loader)  # noqa: S506 - a safe one
+    except (yaml.YAMLError, RecursionError, ValueError) as problem:
+        raise error(f"{name} is no YAML", expected="YAML or JSON", got=str(problem)[:200]) from problem
 
 
 def read_yaml_file(path: Path, error: type[CspaceError]) -> Any:
@@ -150,35 +162,111 @@ def read_yaml_file(path: Path, error: type[CspaceError]) -> Any:
     return read_yaml(read_bounded(path, MAX_YAML_BYTES, error), str(path), error)
 
 
-def read_yaml(text: bytes | str, name: str, error: type[CspaceError]) -> Any:
-    """The plain values of a text, YAML or JSON, of at most 1 MiB; None where it is empty."""
-    if len(text) > MAX_YAML_BYTES:
-        raise error(f"{name} is too large", expected=f"at most {MAX_YAML_BYTES} bytes", got=f"{len(text)}")
-    yaml, loader = _yaml()
+Kind = TypeVar("Kind")
+_Number = TypeVar("_Number", int, float)
+_CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True)
+_UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
+
+
+def _in_order(span: tuple[_Number, _Number]) -> tuple[_Number, _Number]:
+    if span[0] > span[1]:
+        raise ValueError("a range from low to high")
+    return span
+
+
+Span = Annotated[tuple[_Number, _Number], AfterValidator(_in_order)]
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+# Of a field that is not written where it is None, and may be missing then.
+LEFT_OUT = Field(exclude_if=lambda value: value is None)
+
+
+def parse_json(data: bytes | str) -> Any:
+    """The values of a text of a bounded size, at most 200 levels deep; a ValueError where it is no JSON."""
+    return from_json(data, allow_inf_nan=False)
+
+
+def read_json(data: bytes, where: str, error: type[CspaceError]) -> dict[str, Any]:
+    """The members of an untrusted JSON object of a bounded size."""
     try:
-        return yaml.load(text, Loader=loader)
-    except (yaml.YAMLError, RecursionError, ValueError) as problem:
-        raise error(f"{name} is no YAML", expected="YAML or JSON", got=str(problem)[:200]) from problem
+        values = parse_json(data)
+    except ValueError as problem:
+        raise error(f"{where} is not JSON", expected="UTF-8 JSON", got=str(problem)[:200]) from problem
+    return read_object(dict[str, Any], values, where, error)
+
+
+def read_object(kind: type[Kind], values: object, where: str, error: type[CspaceError]) -> Kind:
+    """A value of a type that pydantic knows, of plain values; only whole numbers and lists are converted."""
+    try:
+        text = json.dumps(values, default=repr)
+        return cast("Kind", adapter_of(kind).validate_json(text, strict=True))  # type: ignore[arg-type] # hashable
+    except ValidationError as problem:
+        raise project_error(problem, error, where) from problem
+
+
+def json_text(values: object) -> str:
+    """The text of plain values, keys in order."""
+    return json.dumps(values, indent=2, sort_keys=True, allow_nan=False) + "\n"
+
+
+class Record:
+    """Base of validated dataclasses that files hold."""
+
+    __slots__ = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        return cast("dict[str, Any]", to_jsonable_python(self))
 
 
 @cache
-def _yaml() -> tuple[Any, Any]:
-    # Not every installation has it.
-    import yaml  # noqa: PLC0415
+def adapter_of(kind: Any) -> TypeAdapter[Any]:
+    """Pydantic's adapter of a type, built once."""
+    return TypeAdapter(kind)
 
-    class Loader(yaml.SafeLoader):
-        """Safe, with few aliases, and reads the numbers of JSON as such: YAML 1.1 takes 1e-3 for a text."""
 
-        aliases = 0
+def project_error(
+    problem: ValidationError, error: type[CspaceError], where: str, remedy: str | None = None
+) -> CspaceError:
+    """The project's error for the first of pydantic's, or for the project's own that a validator raised."""
+    wrong = problem.errors(include_url=False)
+    # A missing key may be one that is misspelt.
+    first = next((one for one in wrong if one["type"] in _UNKNOWN), wrong[0])
+    own = first.get("ctx", {}).get("error")
+    if isinstance(own, error):
+        return own
+    if isinstance(own, CspaceError):
+        return error(f"{where}: {own.what}", expected=own.expected, got=own.got, remedy=own.remedy or remedy)
+    path = ".".join(map(str, first["loc"]))[:200]
+    place = f"{where}: {path}" if path else where
+    if first["type"] == "missing":
+        return error(f"{place} is missing", expected="a value", got="nothing", remedy=remedy)
+    if first["type"] in _UNKNOWN:
+        return error(f"{place} is unknown", expected="known keys alone", got=path, remedy=remedy)
+    expected = first["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
+    return error(f"{place} does not fit", expected=expected, got=repr(first["input"])[:200], remedy=remedy)
 
-        def compose_node(self, parent: Any, index: Any) -> Any:
-            if self.check_event(yaml.AliasEvent):
-                self.aliases += 1
-                whole = self.anchors.get(self.peek_event().anchor)  # type: ignore[no-untyped-call]
-                if self.aliases > MAX_ALIASES or (whole is not None and whole.end_mark is None):
-                    raise yaml.YAMLError(f"more than {MAX_ALIASES} aliases, or one within what it names")
-            return super().compose_node(parent, index)
 
-    number = re.compile(r"-?(?:0|[1-9]\d*)(?:\.\d+)?[eE][-+]?\d+")
-    Loader.add_implicit_resolver("tag:yaml.org,2002:float", number, list("-0123456789"))
-    return yaml, Loader
+@dataclass_transform(frozen_default=True, field_specifiers=(field, Field))
+def validated(error: type[CspaceError]) -> Callable[[type[Kind]], type[Kind]]:
+    """A decorator: a frozen pydantic dataclass whose constructor raises the project's error.
+
+    Lists become tuples, and whole numbers become floats where these belong, so that a value is equal to what
+    is read of the JSON that it writes.
+    """
+
+    def decorate(kind: type[Kind]) -> type[Kind]:
+        made: Any = dataclass(frozen=True, slots=True, config=_CONFIG)(kind)
+        construct, names = made.__init__, list(made.__dataclass_fields__)
+        where = "the " + re.sub("(?<=[a-z])(?=[A-Z])", " ", kind.__name__).lower()
+
+        @wraps(construct)
+        def init(self: Any, *values: Any, **named: Any) -> None:
+            try:
+                # By name, as pydantic would give the position of a value as its place.
+                construct(self, *values[len(names) :], **dict(zip(names, values, strict=False)), **named)
+            except ValidationError as problem:
+                raise project_error(problem, error, where) from problem
+
+        made.__init__ = init
+        return cast("type[Kind]", made)
+
+    return decorate

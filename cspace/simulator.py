@@ -45,7 +45,6 @@ class Problem:
 
     @property
     def space(self) -> JointSpace:
-        """The robot's joint space."""
         return self.scenario.world.space
 
 
@@ -247,13 +246,11 @@ class Simulator(ABC):
 
     @property
     @abstractmethod
-    def families(self) -> Families:
-        """Of its planning problems."""
+    def families(self) -> Families: ...
 
     @property
     @abstractmethod
-    def measures(self) -> Measures:
-        """What fits it."""
+    def measures(self) -> Measures: ...
 
     @abstractmethod
     def scene(self, rng: np.random.Generator, split: Split, index: int) -> Scene:
@@ -270,16 +267,14 @@ class Simulator(ABC):
         """A scene's geometry as rows of a data set's arrays, by their names."""
 
     @abstractmethod
-    def render(self, scene: Scene) -> Image:
-        """Its picture."""
+    def render(self, scene: Scene) -> Image: ...
 
     @abstractmethod
     def picture_file(self, scene: Scene) -> bytes:
         """The file that :meth:`cspace.world.World.read_picture` reads as its picture."""
 
     @abstractmethod
-    def checker(self, scene: Scene) -> Checker:
-        """Its collision checks."""
+    def checker(self, scene: Scene) -> Checker: ...
 
     @abstractmethod
     def proposals(self, scene: Scene, rng: np.random.Generator, count: int) -> Proposals:
@@ -314,8 +309,7 @@ class Simulator(ABC):
         """Near-optimal paths of a scene that is known in full."""
 
     @abstractmethod
-    def problem(self, family: str, split: Split, seed: int, index: int = 0) -> Problem:
-        """A planning problem."""
+    def problem(self, family: str, split: Split, seed: int, index: int = 0) -> Problem: ...
 
     def obstruction(self, problem: Problem) -> str | None:
         """Why a problem has no solution, in words; None where that is not known."""

@@ -54,7 +54,6 @@ class JointSpace:
 
     @property
     def dim(self) -> int:
-        """Number of joints."""
         return len(self.lower)
 
     def sample_uniform(self, rng: np.random.Generator, count: int) -> NDArray[np.float64]:

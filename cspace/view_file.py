@@ -17,10 +17,10 @@ from dataclasses import dataclass
 from itertools import accumulate, pairwise
 from typing import Annotated
 
-from pydantic import NonNegativeInt, ValidationError
+from pydantic import NonNegativeInt
 
 from cspace.errors import ImageError, InputError
-from cspace.strict_json import LEFT_OUT, adapter_of, refused, validated
+from cspace.files import LEFT_OUT, read_json, read_object, validated
 
 MAX_PICTURES = 4
 # Of what is known beside pictures.
@@ -105,10 +105,7 @@ def unpack_view(data: bytes) -> View:
         raise ImageError(
             "the file is no view", expected=f"one that begins with {_MAGIC!r}", got=repr(data[:20])
         )
-    try:
-        header = adapter_of(_Line).validate_json(line)
-    except ValidationError as problem:
-        raise refused(problem, ImageError, "the view") from problem
+    header = read_object(_Line, read_json(line, "the view", ImageError), "the view", ImageError)
     # A picture of a plane has no camera.
     if (len(header.pictures), len(header.cameras)) != (1, 0) or header.known is None:
         check_counts(len(header.pictures), len(header.cameras))

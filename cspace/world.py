@@ -63,8 +63,7 @@ class Sensor(Protocol):
     def to_network(self, images: Image) -> NDArray[np.float32]:
         """Pictures as a network takes them, their channels first: (..., H, W, C) to (..., C, H, W)."""
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
+    def to_dict(self) -> dict[str, Any]: ...
 
 
 class Body(Protocol):
@@ -74,18 +73,15 @@ class Body(Protocol):
         """Equal robots are one."""
 
     @property
-    def dim(self) -> int:
-        """d, number of joints."""
+    def dim(self) -> int: ...
 
     @property
-    def space(self) -> JointSpace:
-        """Its joint space."""
+    def space(self) -> JointSpace: ...
 
     def joint_positions_m(self, configurations: ArrayLike) -> NDArray[np.float64]:
         """Forward kinematics: (N, d) rad to the joints' places, the base first, the tip last, m."""
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
+    def to_dict(self) -> dict[str, Any]: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +114,6 @@ class Contact:
 
     @property
     def text(self) -> str:
-        """In words."""
         place = ", ".join(f"{value:.3f}" for value in self.position_m)
         what = {
             "seen": "touches a surface that a picture shows",
@@ -144,8 +139,7 @@ class Known(Protocol):
         """Which of (N, d) rad are free by what is known alone, so that there is nothing to predict."""
 
     @property
-    def size_bytes(self) -> int:
-        """Of what it holds, nearly."""
+    def size_bytes(self) -> int: ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -241,23 +235,21 @@ class World(ABC):
 
     @property
     def space(self) -> JointSpace:
-        """The robot's joint space."""
         return self.body.space
 
     @property
     def dim(self) -> int:
-        """d, number of joints."""
         return self.body.dim
 
-    def read_picture(self, data: bytes | View, check_cancelled: CheckCancelled | None = None) -> Image:
+    def read_picture(self, data: bytes | View) -> Image:
         """An untrusted picture, or several with their cameras, as the array that models take."""
-        return np.asarray(self.examine_picture(data, check_cancelled).images[0])
+        return np.asarray(self.examine_picture(data).images[0])
 
     @abstractmethod
-    def examine_picture(self, data: bytes | View, check_cancelled: CheckCancelled | None = None) -> Examined:
+    def examine_picture(self, data: bytes | View, check_cancelled: CheckCancelled = lambda: None) -> Examined:
         """:meth:`read_picture`, one image, with its findings."""
 
-    def diagnosis(self, data: bytes | View, check_cancelled: CheckCancelled | None = None) -> Diagnosis:
+    def diagnosis(self, data: bytes | View, check_cancelled: CheckCancelled = lambda: None) -> Diagnosis:
         """A closer look at a picture than :meth:`examine_picture` takes, some 100 ms."""
         self.examine_picture(data, check_cancelled)
         return Diagnosis()
@@ -314,16 +306,13 @@ class World(ABC):
         del arrays
 
     @abstractmethod
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON, the kind among them."""
+    def to_dict(self) -> dict[str, Any]: ...
 
 
 class Scene(Protocol):
     """A robot among obstacles, seen by a sensor."""
 
     @property
-    def world(self) -> World:
-        """Robot and sensor."""
+    def world(self) -> World: ...
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
+    def to_dict(self) -> dict[str, Any]: ...

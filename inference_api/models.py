@@ -151,7 +151,7 @@ class ShippedModels:
             if found is None:
                 try:
                     # It comes with the program, or the operator chose it: its graphs are trusted.
-                    bundle = Bundle.load(self._folders[name], check=False, replay=True)
+                    bundle = Bundle.load(self._folders[name], check=False)
                 except BundleError as error:
                     what = f"the shipped model {name} cannot be served"
                     raise ModelNotReadyError(what, expected="a sound bundle", got=error.what) from error
@@ -575,7 +575,7 @@ class ModelStore:
                 require_signature(folder, version, self._trusted_key)
         except ServiceError as error:
             raise RegistryUnavailableError(f"{version} cannot be verified", got=error.got) from None
-        return Bundle.load(folder, digest=version.digest, check=False)
+        return Bundle.load(folder, digest=version.digest, check=False, replay=False)
 
     def _download(self, version: ModelVersion, folder: Path) -> Path:
         if self._registry is None:

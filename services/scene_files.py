@@ -17,9 +17,8 @@ from pydantic import ValidationError
 from pydantic.json_schema import GenerateJsonSchema
 
 from cspace.errors import InputError, ScenarioError
-from cspace.files import read_yaml_file
+from cspace.files import project_error, read_yaml_file
 from cspace.simulator import Problem
-from cspace.strict_json import refused
 from cspace.world import Scene, World
 from cspace.worlds import FIRST, KINDS, named_world
 
@@ -65,7 +64,7 @@ def read_scene_file(path: Path) -> SceneFile:
         try:
             parsed = part.Values.model_validate_json(json.dumps(values, default=repr), strict=True)
         except ValidationError as error:
-            raise refused(error, ScenarioError, "the file") from error
+            raise project_error(error, ScenarioError, "the file") from error
         world: World = part.read_world(parsed)
         scene = part.read_scene(world, parsed) if "obstacles" in parsed.model_fields_set else None
         ends = [_end(world, getattr(parsed, name), name) for name in ("start", "goal")]

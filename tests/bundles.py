@@ -93,7 +93,7 @@ def _encoder(spec: BundleSpec, scale: float) -> bytes:
         helper.make_node("Sigmoid", ["mu"], ["sigma"]),
     ]
     weights = {"weights": scale * _weights(3, spec.latent_dim)}
-    pixels = spec.pixels
+    pixels = spec.world.sensor.pixels
     sizes = {"mu": ("b", spec.latent_dim), "sigma": ("b", spec.latent_dim)}
     return _model(nodes, {"image": ("b", 3, pixels, pixels)}, sizes, weights)
 
@@ -127,7 +127,7 @@ def _validity(spec: BundleSpec) -> bytes:
         helper.make_node("Sub", ["brightest", "distance"], ["score"]),
         helper.make_node("Sigmoid", ["score"], ["confidence"]),
     ]
-    pixels = spec.pixels
+    pixels = spec.world.sensor.pixels
     inputs = {"image": (1, 3, pixels, pixels), "configurations": ("n", spec.dim)}
     return _model(nodes, inputs, {"confidence": ("n",)}, {"axis": np.array([1])})
 
@@ -145,7 +145,7 @@ def _novelty(spec: BundleSpec) -> bytes:
         helper.make_node("Reshape", ["brightest", "one"], ["second"]),
         helper.make_node("Concat", ["first", "second"], ["scores"], axis=0),
     ]
-    pixels = spec.pixels
+    pixels = spec.world.sensor.pixels
     inputs = {"image": (1, 3, pixels, pixels), "mu": (1, spec.latent_dim)}
     weights = {"zero": np.float32(0.0), "one": np.array([1])}
     return _model(nodes, inputs, {"scores": (2,)}, weights)
@@ -154,7 +154,7 @@ def _novelty(spec: BundleSpec) -> bytes:
 def _map(spec: BundleSpec) -> bytes:
     """The brightest red, green and blue."""
     node = helper.make_node("ReduceMax", ["image", "axes"], ["map"], keepdims=0)
-    inputs = {"image": (1, 3, spec.pixels, spec.pixels)}
+    inputs = {"image": (1, 3, spec.world.sensor.pixels, spec.world.sensor.pixels)}
     return _model([node], inputs, {"map": (3,)}, {"axes": np.array([0, 2, 3])})
 
 

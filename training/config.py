@@ -9,8 +9,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 
 from cspace.dataset import Manifest
 from cspace.errors import ConfigError, InputError
-from cspace.files import read_yaml, read_yaml_file
-from cspace.strict_json import refused
+from cspace.files import project_error, read_yaml, read_yaml_file
 from cspace.world import World
 from services.names import model_name
 from services.registry.entities import ModelReference
@@ -68,7 +67,9 @@ class JobConfig(Section):
             return cls.from_dict(values)
         except ValidationError as error:
             remedy = f"{cls.SCRIPT} --help lists presets, --print-config the keys"
-            raise refused(error, ConfigError, f"the configuration {values.get('preset')}", remedy) from error
+            raise project_error(
+                error, ConfigError, f"the configuration {values.get('preset')}", remedy
+            ) from error
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> Self:

@@ -25,7 +25,7 @@ from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from cspace.errors import ImageError, ScenarioError
 from cspace.simulator import Split, scenario_rng
-from cspace.worlds.spatial.distances import distance_m
+from cspace.worlds.spatial.bodies import distance_m
 from cspace.worlds.spatial.obstacles import Obstacles
 from cspace.worlds.spatial.scenes import draw_layout, scenes_of, seen, waiting
 from cspace.worlds.spatial.world import SpatialWorld

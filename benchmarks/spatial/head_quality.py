@@ -30,8 +30,8 @@ from cspace.bundle.runtime import Graph
 from cspace.simulator import Split
 from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.benchmark import LIMITS_RAD, BenchProblem, problems
+from cspace.worlds.spatial.bodies import clearance_m
 from cspace.worlds.spatial.checks import CollisionChecker
-from cspace.worlds.spatial.distances import clearance_m
 from cspace.worlds.spatial.furniture import FAMILIES, Layout, SpatialScenes
 from cspace.worlds.spatial.obstacles import Obstacles
 from cspace.worlds.spatial.problems import SpatialProblem, draw_problem

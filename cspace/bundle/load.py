@@ -88,13 +88,12 @@ class Bundle:
         *,
         digest: str | None = None,
         check: bool = True,
-        replay: bool | None = None,
+        replay: bool = True,
     ) -> "Bundle":
         """Read a bundle, verify its sums, schema and graphs, and replay its golden case.
 
         Open untrusted bundles with :func:`load_verified`. ``digest``: that the bundle has to have; any when
         None. ``check``: False where the graphs of this digest were checked, or come with the program.
-        ``replay``: whether the golden case is replayed; as ``check`` when None.
         """
         files = read_files(Path(folder))
         if digest not in (None, files.digest):
@@ -106,7 +105,7 @@ class Bundle:
                 if name.endswith(".onnx"):
                     check_graph(name, data)
         bundle = cls(Path(folder), files)
-        if check if replay is None else replay:
+        if replay:
             bundle._replay(GoldenCase.from_npz(files.contents[GOLDEN_FILE]))
         return bundle
 
@@ -177,10 +176,10 @@ class Bundle:
         seed: int,
         *,
         report_confidence: bool = True,
-        check_cancelled: CheckCancelled | None = None,
+        check_cancelled: CheckCancelled = lambda: None,
         **options: Unpack[QueryOptions],
     ) -> SampleSet:
-        """:meth:`answer` to the query of these arguments, a :class:`cspace.query.SampleQuery`."""
+        """:meth:`answer` to the query of these arguments."""
         query = SampleQuery.checked(n, seed, **options)
         return self.answer(image, query, report_confidence=report_confidence, check_cancelled=check_cancelled)
 
@@ -190,7 +189,7 @@ class Bundle:
         query: SampleQuery,
         *,
         report_confidence: bool = True,
-        check_cancelled: CheckCancelled | None = None,
+        check_cancelled: CheckCancelled = lambda: None,
     ) -> SampleSet:
         """Configurations for a picture; the same query gives bit-equal samples on one machine.
 
@@ -203,31 +202,26 @@ class Bundle:
         picture = self._prepared(image)
         encoded = time.perf_counter()
 
-        stop = check_cancelled or (lambda: None)
         found = self._sampler.sample(
-            picture, request, report_confidence=report_confidence, check_cancelled=stop
+            picture, request, report_confidence=report_confidence, check_cancelled=check_cancelled
         )
         if picture.known is not None:
             # Where all are wanted, those that nothing has replaced are still among them.
-            found = found.only(picture.known.free(found.samples, stop))
-        columns = found.scores.shape[1]
-        return SampleSet(
-            found.samples,
-            confidence=found.scores[:, 0] if columns > 0 else None,
+            free = picture.known.free(found.samples, check_cancelled)
+            ways = None if found.ways is None else found.ways[free]
+            found = replace(found, samples=found.samples[free], scores=found.scores[free], ways=ways)
+        return replace(
+            found,
             shortfall=request.n - len(found.samples),
-            acceptance=found.acceptance,
             encode_ms=0.0 if picture is image else 1e3 * (encoded - began),
             generate_ms=1e3 * (time.perf_counter() - encoded),
-            unseen=found.scores[:, 1] if columns > 1 else None,
-            ways=found.ways,
-            proposals=found.proposals,
         )
 
     def plan(
         self,
         image: NDArray[np.uint8] | Picture,
         query: PlanQuery,
-        check_cancelled: CheckCancelled | None = None,
+        check_cancelled: CheckCancelled = lambda: None,
         calibration: tuple[float, float] | None = None,
     ) -> Plan:
         """The path from start to goal of lowest cost; ``calibration`` (a, b) is in place of the bundle's."""
@@ -245,14 +239,13 @@ class Bundle:
             return self.answer(image, query)
         rng, space = np.random.default_rng(query.seed), self.spec.world.space
         rows = space.to_float32(space.sample_uniform(rng, query.n))
-        confidence, unseen = self.predict(image, rows)
-        return SampleSet(rows, confidence, 0, 1.0, 0.0, 0.0, unseen)
+        return SampleSet(rows, self._head().scores(self.prepare(image), rows, lambda: None))
 
     def score(
         self,
         image: NDArray[np.uint8] | Picture,
         configurations: NDArray[np.float32],
-        check_cancelled: CheckCancelled | None = None,
+        check_cancelled: CheckCancelled = lambda: None,
     ) -> NDArray[np.float32]:
         """The first of what :meth:`predict` gives, float32 (n,)."""
         return self.predict(image, configurations, check_cancelled)[0]
@@ -261,7 +254,7 @@ class Bundle:
         self,
         image: NDArray[np.uint8] | Picture,
         configurations: NDArray[np.float32],
-        check_cancelled: CheckCancelled | None = None,
+        check_cancelled: CheckCancelled = lambda: None,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
         """P(free | picture, configuration) of (n, d) rad, (n,), and the robot's share in unknown space, (n,).
 
@@ -382,4 +375,4 @@ def checked_digest(folder: str, digest: str | None) -> str:
 
 def load_verified(folder: Path, digest: str | None = None) -> Bundle:
     """Verify a bundle in a worker process, then open it here."""
-    return Bundle.load(folder, digest=verify(folder, digest), check=False)
+    return Bundle.load(folder, digest=verify(folder, digest), check=False, replay=False)

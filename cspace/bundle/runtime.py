@@ -86,13 +86,13 @@ CHUNK_ROWS, PATH_CHUNK_ROWS = 512, 4096
 def chunked(
     run: Callable[[slice], NDArray[np.float32]],
     rows: int,
-    check_cancelled: CheckCancelled | None,
+    check_cancelled: CheckCancelled,
     chunk_rows: int = CHUNK_ROWS,
 ) -> NDArray[np.float32]:
     """What ``run`` gives for all rows, in their order; ``rows`` is at least 1."""
     parts = []
     for at in range(0, rows, chunk_rows):
-        if at and check_cancelled is not None:
+        if at:
             check_cancelled()
         parts.append(run(slice(at, at + chunk_rows)))
     return np.concatenate(parts)

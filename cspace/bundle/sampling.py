@@ -1,6 +1,6 @@
 """Samples for a request: a seed's random numbers, rejection sampling, and the two samplers.
 
-What is random comes from one generator in one fixed order, which decides what a seed means:
+What is random comes from one generator in a fixed order, which decides what a seed means:
 
 1. ``rng = Generator(PCG64(SeedSequence(seed)))``; for a further turn, which samples what the ones before left
    missing or put outside the robot's limits, ``SeedSequence(seed, spawn_key=(turn,))`` with turn = 1, 2, ...
@@ -96,36 +96,27 @@ class ProposalCounts:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sampled:
-    """What a sampler gives."""
-
-    samples: NDArray[np.float32]  # (n', d) rad
-    # (n', k), the validity head's confidence, then the unseen share where it gives that; no columns
-    # where the head was not asked
-    scores: NDArray[np.float32]
-    acceptance: float = 1.0
-    ways: NDArray[np.int64] | None = None  # (n',), see :class:`SampleSet`
-    proposals: ProposalCounts | None = None
-
-    def only(self, kept: NDArray[np.bool_]) -> "Sampled":
-        """The samples of which ``kept`` (n',) is true."""
-        ways = None if self.ways is None else self.ways[kept]
-        return Sampled(self.samples[kept], self.scores[kept], self.acceptance, ways, self.proposals)
-
-
-@dataclass(frozen=True, slots=True)
 class SampleSet:
-    """Configurations for one picture."""
+    """Configurations for one picture, n' of the n that were asked for."""
 
     samples: NDArray[np.float32]  # (n', d) rad, circles in [-pi, pi), others within their limits
-    confidence: NDArray[np.float32] | None  # (n',), None without a validity head
-    shortfall: int
-    acceptance: float  # share of what was drawn that reached the confidence asked for; 1 where none was
-    encode_ms: float  # time in the encoder; 0 for a picture that was prepared
-    generate_ms: float
-    unseen: NDArray[np.float32] | None = None  # (n',), share of the robot that no picture shows
+    # (n', k), the validity head's confidence, then the share of the robot that no picture shows where the
+    # head gives that; no columns where the head was not asked
+    scores: NDArray[np.float32]
+    acceptance: float = 1.0  # share of what was drawn that reached the confidence asked for; 1 where none was
     ways: NDArray[np.int64] | None = None  # (n',), the path that each sample lies along, 0 for the best
     proposals: ProposalCounts | None = None  # by kind; None for samples along paths
+    shortfall: int = 0
+    encode_ms: float = 0.0  # time in the encoder; 0 for a picture that was prepared
+    generate_ms: float = 0.0
+
+    @property
+    def confidence(self) -> NDArray[np.float32] | None:
+        return self.scores[:, 0] if self.scores.shape[1] > 0 else None
+
+    @property
+    def unseen(self) -> NDArray[np.float32] | None:
+        return self.scores[:, 1] if self.scores.shape[1] > 1 else None
 
 
 class Head:
@@ -137,13 +128,13 @@ class Head:
         self._outputs = (CONFIDENCE, UNSEEN) if self.reports_unseen else (CONFIDENCE,)
 
     def scores(
-        self, picture: Picture, configurations: NDArray[np.float32], check_cancelled: CheckCancelled | None
+        self, picture: Picture, configurations: NDArray[np.float32], check_cancelled: CheckCancelled
     ) -> NDArray[np.float32]:
         """Confidence in (n, d) rad, and the unseen share where the head gives that, (n, 1) or (n, 2)."""
         fixed = {PICTURE: picture.pixels}
         if picture.map is not None and self.looks_at_map:
             fixed[MAP] = picture.map
-        known, stop = picture.known, check_cancelled or (lambda: None)
+        known = picture.known
 
         def predicted(part: NDArray[np.float32]) -> NDArray[np.float32]:
             shapes = dict.fromkeys(self._outputs, (len(part),))
@@ -155,12 +146,12 @@ class Head:
             if known is None:
                 return predicted(part)
             # What is known is not predicted.
-            certain = known.certain(part, stop)
+            certain = known.certain(part, check_cancelled)
             columns = np.zeros((len(part), len(self._outputs)), dtype=np.float32)
             columns[certain, 0] = 1.0
             if not certain.all():
                 columns[~certain] = predicted(part[~certain])
-            columns[~known.free(part, stop), 0] = 0.0
+            columns[~known.free(part, check_cancelled), 0] = 0.0
             return columns
 
         chunk_rows = CACHED_ROWS if self.reports_unseen else CHUNK_ROWS
@@ -170,13 +161,13 @@ class Head:
         return found
 
     def predict(
-        self, picture: Picture, configurations: NDArray[np.float32], check_cancelled: CheckCancelled | None
+        self, picture: Picture, configurations: NDArray[np.float32], check_cancelled: CheckCancelled
     ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
         """The confidence, and the unseen share; None where the head does not give that."""
         found = self.scores(picture, configurations, check_cancelled)
         return found[:, 0], found[:, 1] if self.reports_unseen else None
 
-    def seen(self, spec: BundleSpec, picture: Picture, check_cancelled: CheckCancelled | None) -> Seen:
+    def seen(self, spec: BundleSpec, picture: Picture, check_cancelled: CheckCancelled) -> Seen:
         """A picture of the bundle's as the search for paths takes it."""
         return Seen(
             spec.world,
@@ -187,6 +178,16 @@ class Head:
         )
 
 
+def uniform_proposals(
+    spec: BundleSpec, counts: Sequence[int], seed: int, turn: int
+) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+    """Which of a turn's samples are uniform, (m,), and these, (u, d) rad. ``turn``: 0 for the first."""
+    total, space = sum(counts), spec.world.space
+    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(turn, 1))))
+    uniform = rng.random(total) < (0.0 if spec.kind == "path" else UNIFORM_SHARE)
+    return uniform, space.to_float32(space.sample_uniform(rng, int(uniform.sum())))
+
+
 @dataclass(frozen=True, slots=True)
 class RandomNumbers:
     """The random part of one request."""
@@ -194,31 +195,6 @@ class RandomNumbers:
     latents: NDArray[np.float32]  # z = mu + (sigma + epsilon) * eta, float32 (m, L)
     random_inputs: dict[str, NDArray[np.float32]]  # name to float32 (m, *shape)
     kept: NDArray[np.bool_]  # (m, K), which samples of each latent belong to the answer
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class UniformProposals:
-    """Which samples of a turn are uniform, and these."""
-
-    learned: list[int]  # how many the generator makes, by value of the schedule
-    uniform: NDArray[np.bool_]  # (m,), the samples in their order
-    angles: NDArray[np.float32]  # (u, d) rad, the uniform ones
-
-
-def propose(spec: BundleSpec, counts: Sequence[int], seed: int, turn: int) -> UniformProposals:
-    """The uniform samples of one turn of a request that filters. ``turn``: 0 for the first."""
-    total, space = sum(counts), spec.world.space
-    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(turn, 1))))
-    uniform = rng.random(total) < (0.0 if spec.kind == "path" else UNIFORM_SHARE)
-    angles = space.to_float32(space.sample_uniform(rng, int(uniform.sum())))
-    by_value = np.split(uniform, np.cumsum(counts)[:-1])
-    return UniformProposals([len(part) - int(part.sum()) for part in by_value], uniform, angles)
-
-
-def shares(count: int, parts: int) -> list[int]:
-    """``count`` split into equal parts, the remainder to the first."""
-    share = count // parts
-    return [share + count % parts, *[share] * (parts - 1)]
 
 
 def random_numbers(
@@ -268,17 +244,16 @@ def rejection_sample(
     propose_scored: Propose,
     shares: Sequence[int],
     threshold: float,
-    expected: float = 1.0,
-    check_cancelled: Callable[[], None] | None = None,
-) -> Sampled:
+    expected: float,
+    check_cancelled: CheckCancelled,
+) -> SampleSet:
     """As many samples of each share as are wanted, or as many as the budget finds.
 
     Further turns propose what is missing by the share that passed so far. Surplus samples are left out from
     the end, so what is accepted does not depend on its score beyond having reached the threshold.
 
     ``propose_scored``: counts by share and the turn's number to samples (m, d), those of the first share
-    first, and (m, k) whose first column is their confidence. ``threshold``: the least confidence, 0 to 1.
-    ``expected``: share that is likely to pass, above 0 to 1; a further turn costs more than a few too many.
+    first, and (m, k) whose first column is their confidence. ``expected``: share that is likely to pass.
     """
     left = max(BUDGET * sum(shares), BUDGET_AT_LEAST)
     found: list[tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.intp]]] = []
@@ -286,7 +261,7 @@ def rejection_sample(
     sampled = passed = turn = 0
     wanted = [math.ceil(share * (1 + EXTRA) / expected) for share in shares]
     while True:
-        if turn and check_cancelled is not None:
+        if turn:
             check_cancelled()
         counts = np.diff(np.minimum(np.cumsum(wanted), left), prepend=0).tolist()
         samples, confidence = propose_scored(counts, turn)
@@ -302,7 +277,7 @@ def rejection_sample(
         wanted = [math.ceil(share * (1 + EXTRA) / passing) for share in missing.tolist()]
     samples, confidence, belongs = (np.concatenate(parts) for parts in zip(*found, strict=True))
     kept = np.concatenate([np.flatnonzero(belongs == share)[:count] for share, count in enumerate(shares)])
-    return Sampled(samples[kept], confidence[kept], passed / sampled)
+    return SampleSet(samples[kept], confidence[kept], passed / sampled)
 
 
 # Share of a first turn's proposals that is likely to pass. Samples about a path are close to contact where it
@@ -323,7 +298,7 @@ class GeneratorSampler:
         *,
         report_confidence: bool,
         check_cancelled: CheckCancelled,
-    ) -> Sampled:
+    ) -> SampleSet:
         """Samples for a picture; ``report_confidence`` scores those that are not filtered, too."""
         spec, head, space = self._spec, self._head, self._spec.world.space
 
@@ -332,7 +307,8 @@ class GeneratorSampler:
             draws = random_numbers(spec, mu, sigma, counts, request.seed, request.epsilon_sigma, turn)
             return self._generate(draws, request, picture, check_cancelled)
 
-        wanted = shares(request.n, len(request.epsilon_sigma))
+        share, rest = divmod(request.n, len(request.epsilon_sigma))
+        wanted = [share + rest, *[share] * (len(request.epsilon_sigma) - 1)]
         if head is None or not request.min_confidence:
             known = picture.known
 
@@ -342,7 +318,7 @@ class GeneratorSampler:
 
             samples = space.to_float32(_inside(generate, wanted, keeps, check_cancelled))
             scored = head is not None and report_confidence
-            return Sampled(
+            return SampleSet(
                 samples,
                 _scores(head if scored else None, picture, samples, check_cancelled),
                 proposals=ProposalCounts(generator=request.n, generator_kept=len(samples)),
@@ -351,38 +327,30 @@ class GeneratorSampler:
         counted = np.zeros(2, dtype=np.int64)
 
         def proposed(counts: Sequence[int], turn: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-            proposals = propose(spec, counts, request.seed, turn)
-            rows = np.empty((len(proposals.uniform), spec.dim), dtype=np.float32)
-            rows[proposals.uniform] = proposals.angles
+            uniform, angles = uniform_proposals(spec, counts, request.seed, turn)
+            rows = np.empty((len(uniform), spec.dim), dtype=np.float32)
+            rows[uniform] = angles
+            learned = [int((~part).sum()) for part in np.split(uniform, np.cumsum(counts)[:-1])]
             # Of a few all may be uniform.
-            if any(proposals.learned):
-                rows[~proposals.uniform] = generate(proposals.learned, turn)
+            if any(learned):
+                rows[~uniform] = generate(learned, turn)
             samples, inside = space.to_float32(rows), space.keeps_pose(rows)
             # What lies outside reaches no confidence, and is not scored. The last column tells uniform ones.
             scores = np.full((len(rows), 2 + head.reports_unseen), -1.0, dtype=np.float32)
             if inside.any():
                 scores[inside, :-1] = head.scores(picture, samples[inside], check_cancelled)
-            scores[:, -1] = proposals.uniform
-            counted[:] += np.bincount(proposals.uniform, minlength=2)
+            scores[:, -1] = uniform
+            counted[:] += np.bincount(uniform, minlength=2)
             return samples, scores
 
         passes = PATHS_PASS if spec.kind == "path" else PROPOSALS_PASS
         found = rejection_sample(proposed, wanted, request.min_confidence, passes, check_cancelled)
         kept = int(found.scores[:, -1].sum())
-        proposals = ProposalCounts(
-            generator=int(counted[0]),
-            generator_kept=len(found.samples) - kept,
-            uniform=int(counted[1]),
-            uniform_kept=kept,
-        )
+        proposals = ProposalCounts(int(counted[0]), len(found.samples) - kept, int(counted[1]), kept)
         return replace(found, scores=found.scores[:, :-1], proposals=proposals)
 
     def _generate(
-        self,
-        draws: RandomNumbers,
-        request: SampleQuery,
-        picture: Picture,
-        check_cancelled: CheckCancelled | None,
+        self, draws: RandomNumbers, request: SampleQuery, picture: Picture, check_cancelled: CheckCancelled
     ) -> NDArray[np.float32]:
         spec = self._spec
         seen = {PICTURE: picture.pixels} if spec.looks_at_picture else {}
@@ -408,7 +376,7 @@ def _inside(
     draw_rows: Callable[[Sequence[int], int], NDArray[np.float32]],
     wanted: Sequence[int],
     is_kept: Callable[[NDArray[np.float32]], NDArray[np.bool_]],
-    check_cancelled: CheckCancelled | None,
+    check_cancelled: CheckCancelled,
 ) -> NDArray[np.float32]:
     """Rows (n, d) of a first turn, where further ones replace what is not kept, as far as the budget goes."""
     rows = draw_rows(wanted, 0)
@@ -430,7 +398,7 @@ def _inside(
 
 
 def _scores(
-    head: Head | None, picture: Picture, samples: NDArray[np.float32], check_cancelled: CheckCancelled | None
+    head: Head | None, picture: Picture, samples: NDArray[np.float32], check_cancelled: CheckCancelled
 ) -> NDArray[np.float32]:
     """What a head gives for samples (n, d) rad, (n, k); no columns without one."""
     if head is None:
@@ -460,7 +428,7 @@ class PathSampler:
         *,
         report_confidence: bool,
         check_cancelled: CheckCancelled,
-    ) -> Sampled:
+    ) -> SampleSet:
         """As :meth:`GeneratorSampler.sample`; no time ends the search, its effort does."""
         spec, head, space = self._spec, self._head, self._spec.world.space
         ends = np.asarray([request.start, request.goal], dtype=np.float64)
@@ -474,7 +442,7 @@ class PathSampler:
         if not searched.paths:
             none = np.empty((0, 1 + head.reports_unseen), dtype=np.float32)
             rows = space.to_float32(np.empty((0, space.dim)))
-            return Sampled(rows, none, ways=np.empty(0, dtype=np.int64))
+            return SampleSet(rows, none, ways=np.empty(0, dtype=np.int64))
         along = AlongPaths(
             [one.path for one in searched.paths], space, np.random.default_rng([request.seed, 1])
         )
@@ -490,7 +458,7 @@ class PathSampler:
         if request.min_confidence:
             found = rejection_sample(proposed, [request.n], request.min_confidence, _PASS, check_cancelled)
         else:
-            found = Sampled(*proposed([request.n], 0))
+            found = SampleSet(*proposed([request.n], 0))
         # The last column is the path that a sample lies along.
         numbers = found.scores[:, -1].astype(np.int64)
-        return Sampled(found.samples, found.scores[:, :-1], found.acceptance, numbers)
+        return SampleSet(found.samples, found.scores[:, :-1], found.acceptance, numbers)

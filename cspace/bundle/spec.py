@@ -11,10 +11,10 @@ from pydantic import Field, PositiveInt
 
 from cspace.bundle.files import SPEC_FILE
 from cspace.errors import BundleIntegrityError, InputError, OtherRobotError
+from cspace.files import Share, adapter_of, json_text, read_json, read_object, validated
 from cspace.plan import planning_space
 from cspace.query import PlanQuery, SampleQuery
 from cspace.space import LIMIT_TOLERANCE_RAD, NEAR_LIMIT_RAD, JointSpace, Standardisation
-from cspace.strict_json import Share, adapter_of, json_text, read_json, read_object, validated
 from cspace.view_file import MAX_PICTURES
 from cspace.worlds import WorldField, robot_digest, tool_constraints
 
@@ -104,13 +104,7 @@ class BundleSpec:
 
     @property
     def dim(self) -> int:
-        """d, number of joints."""
         return self.world.dim
-
-    @property
-    def pixels(self) -> int:
-        """P, side of the picture that the encoder takes."""
-        return self.world.sensor.pixels
 
     @property
     def conditions(self) -> tuple[str, ...]:

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from pydantic import PlainSerializer, PlainValidator
 
 from cspace.errors import InputError, ScenarioError
+from cspace.files import read_object
 from cspace.simulator import Checker, Simulator
-from cspace.strict_json import read_object
 from cspace.world import Body, Image, Known, NextView, Scene, World
 
 # Each folder has ``world`` (NumPy alone) with ``read``, ``EXAMPLES`` (worlds by name), ``add_options`` and
@@ -55,10 +55,7 @@ WorldField = Annotated[
 
 def examples() -> dict[str, World]:
     """Worlds that commands can name, of every kind; the first one where none is named."""
-    found: dict[str, World] = {}
-    for kind in KINDS:
-        found |= _part(kind, "world").EXAMPLES
-    return found
+    return {name: world for kind in KINDS for name, world in _part(kind, "world").EXAMPLES.items()}
 
 
 def named_world(text: str) -> World:

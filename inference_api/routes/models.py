@@ -8,8 +8,8 @@ from fastapi.responses import PlainTextResponse, Response
 from pydantic import Field
 
 from cspace.errors import InputError, ScenarioError
+from cspace.files import parse_json
 from cspace.query import is_digest
-from cspace.strict_json import parse_json
 from cspace.world import World
 from cspace.worlds import read_world, robot_digest
 from cspace_client.wire import Answer, JointSpaceInfo, ModelInfo

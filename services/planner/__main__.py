@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from cspace.errors import CspaceError
+from cspace.files import parse_json
 from cspace.query import DEFAULT_PATHS, PlanQuery, SampleQuery
 from cspace.simulator import Problem, Split
-from cspace.strict_json import parse_json
 from cspace.world import World
 from cspace.worlds import examples, named_world, simulator_of
 from cspace_client import DEFAULT_TIMEOUT_S, OutcomeSender

@@ -9,13 +9,14 @@ from pathlib import Path
 import pytest
 
 from cspace.errors import JobError, StorageError
-from cspace.files import holding, replacing, write_json
+from cspace.files import holding, replacing
 
 
 def test_a_file_takes_the_place_of_the_one_that_was_there(tmp_path: Path) -> None:
     target = tmp_path / "record.json"
     for number in (1, 2):
-        write_json(target, {"number": number})
+        with replacing(target) as beside:
+            beside.write_text(json.dumps({"number": number}))
         assert json.loads(target.read_text()) == {"number": number}
     assert list(tmp_path.iterdir()) == [target]
 
@@ -68,6 +69,6 @@ def test_whoever_waits_for_a_lock_gets_it_when_it_is_free(tmp_path: Path) -> Non
     thread = threading.Thread(target=hold)
     thread.start()
     held.wait(60)
-    with holding(path, JobError("held"), wait_s=60.0, look_every_s=0.01):
+    with holding(path, JobError("held"), wait_s=60.0):
         pass
     thread.join()

@@ -1,7 +1,6 @@
 """Kernels that are compiled, kept and found again; each step is a process of its own."""
 
 import os
-import pickle
 import shutil
 import subprocess
 import sys
@@ -52,19 +51,6 @@ def test_a_kernel_is_found_again_until_one_that_it_calls_changes(folder: Path) -
     assert call(folder, kernels) == [2, 1, 4]
     (folder / "cspace/inner.py").write_text(INNER.format(number=20))
     assert call(folder, kernels)[:2] == [21, 0]
-
-
-@pytest.mark.slow
-def test_an_index_that_names_what_has_moved_is_made_again(folder: Path) -> None:
-    kernels = folder / "kernels"
-    call(folder, kernels)
-    for index in kernels.rglob("*.nbi"):
-        with index.open("rb") as file:
-            pickle.load(file)  # noqa: S301 - Numba's version
-            version = file.tell()
-        index.write_bytes(index.read_bytes()[:version] + b"cgone\nThing\n.")
-    assert call(folder, kernels)[:2] == [2, 0]
-    assert call(folder, kernels)[:2] == [2, 1]
 
 
 @pytest.mark.slow

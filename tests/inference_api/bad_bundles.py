@@ -66,7 +66,11 @@ def _write(folder: Path, nodes: list[onnx.NodeProto], weights: dict[str, NDArray
     graph = helper.make_graph(
         nodes,
         "bad",
-        [helper.make_tensor_value_info("image", TensorProto.FLOAT, ["b", 3, spec.pixels, spec.pixels])],
+        [
+            helper.make_tensor_value_info(
+                "image", TensorProto.FLOAT, ["b", 3, *spec.world.sensor.picture_shape[:2]]
+            )
+        ],
         [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["b", 4]) for name in ("mu", "sigma")],
         [numpy_helper.from_array(array, name) for name, array in weights.items()],
     )

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from cspace.files import encode_png
 from cspace.simulator import Split
 from cspace.worlds import examples, simulator_of
+from cspace.worlds.spatial.bodies import distance_m
 from cspace.worlds.spatial.camera import DepthCamera, encode_depth, looking
 from cspace.worlds.spatial.poses import make_pose, pose_of, turn
 from tests.bundles import picture
@@ -187,7 +188,8 @@ def test_what_is_there_is_expected_also_where_no_camera_looks(api: ApiClient) ->
     occupied = np.frombuffer(base64.b64decode(answer["occupied"]), np.uint8).reshape(answer["counts"]) / 255.0
     low, cell = np.array(answer["low_m"]), answer["cell_m"]
     assert (answer["counts"], cell, low.tolist()) == ([40, 40, 40], 0.05, [-1.0, -1.0, -0.667])
-    places, distances = simulator.unseen_places(scene)
+    places = simulator.world.unseen_m(scene.view())
+    distances = distance_m(scene.obstacles, places)
     expected = occupied[tuple(np.floor((places - low) / cell).astype(int).T)]
     within, off = distances < 0.0, distances > 0.1
     assert expected[within].mean() > 10.0 * expected[off].mean()

@@ -13,8 +13,7 @@ from cspace.query import SampleQuery
 from cspace.simulator import OWN
 from cspace.worlds.planar.arm import PlanarArm
 from cspace.worlds.planar.camera import Camera
-from cspace.worlds.planar.scenes import DiscScenes, GivenScenes
-from cspace.worlds.planar.world import Disc, PlanarWorld, Scenario
+from cspace.worlds.planar.world import Disc, DiscScenes, GivenScenes, PlanarWorld, Scenario
 from services.planner.__main__ import main
 from services.planner.planning import SampleRequest, plan, plan_scene
 from services.planner.result import PlannerSettings

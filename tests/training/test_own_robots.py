@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from cspace.errors import DatasetError, ScenarioError
 from cspace.simulator import Split
 from cspace.worlds import read_world, simulator_of
-from cspace.worlds.planar.scenes import DiscScenes
+from cspace.worlds.planar.world import DiscScenes
 from services.planner.ompl_planner import solve
 from services.planner.result import PlannerSettings
 from services.scene_files import SceneFile, read_scene_file

@@ -19,7 +19,7 @@ from pydantic import ValidationError
 from cspace import bounded
 from cspace.dataset import Dataset, open_dataset
 from cspace.errors import ConfigError, CspaceError, DatasetError, ScenarioError
-from cspace.strict_json import refused
+from cspace.files import project_error
 from cspace.worlds import add_world_options, described_world
 from services.commands import report_error
 from services.registry import tracking_uri
@@ -171,7 +171,7 @@ def _generate(options: argparse.Namespace) -> Dataset:
     try:
         config = DatasetConfig.model_validate(values)
     except ValidationError as error:
-        raise refused(error, ConfigError, "the data set") from error
+        raise project_error(error, ConfigError, "the data set") from error
     # A Ray that this command starts for itself reports no use; its token mode is that of all the services.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     os.environ.setdefault("RAY_AUTH_MODE", "token")

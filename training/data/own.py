@@ -10,9 +10,8 @@ from pydantic import AfterValidator, Field
 
 from cspace.dataset import Dataset, require_room, write_dataset
 from cspace.errors import DatasetError, ImageError
-from cspace.files import map_npy, read_bounded
+from cspace.files import LEFT_OUT, map_npy, parse_json, read_bounded, read_object, validated
 from cspace.space import JointSpace
-from cspace.strict_json import LEFT_OUT, parse_json, read_object, validated
 from cspace.view_file import MAX_PICTURES, pack_view
 from cspace.world import World
 

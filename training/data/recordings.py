@@ -23,16 +23,14 @@ from rosbags.typesys import Stores, get_typestore
 
 from cspace.dataset import write_dataset
 from cspace.errors import ConfigError, CspaceError, DatasetError, ImageError, ScenarioError, StorageError
-from cspace.files import replacing
+from cspace.files import project_error, replacing
 from cspace.space import JointSpace
-from cspace.strict_json import refused
 from cspace.view_file import pack_view
 from cspace.world import Finding
-from cspace.worlds.spatial.camera import decode_depth, encode_depth, in_range, read_pinhole
+from cspace.worlds.spatial.camera import decode_depth, encode_depth, in_range, read_pinhole, to_mm
 from cspace.worlds.spatial.diagnosis import ELSEWHERE
 from cspace.worlds.spatial.hypotheses import HYPOTHESES
 from cspace.worlds.spatial.poses import quaternion_pose
-from cspace.worlds.spatial.view import METRES, rounded_mm
 from cspace.worlds.spatial.world import SpatialWorld, add_options, described
 from services.commands import Progress, finite
 
@@ -443,7 +441,7 @@ def depth_mm(message: Any) -> NDArray[np.uint16]:
         )
     rows = message.data.reshape(message.height, message.step)[:, :size]
     depth = np.ascontiguousarray(rows).view((">" if message.is_bigendian else "<") + kind)
-    return rounded_mm(depth, METRES) if kind == "f4" else depth.astype(np.uint16)
+    return to_mm(depth) if kind == "f4" else depth.astype(np.uint16)
 
 
 def camera_info(info: Any, *, rectified: bool) -> dict[str, Any]:
@@ -484,5 +482,5 @@ def _run(options: argparse.Namespace) -> Imported:
     try:
         settings = RecordingOptions.model_validate(values)
     except ValidationError as error:
-        raise refused(error, ConfigError, "the import's options") from error
+        raise project_error(error, ConfigError, "the import's options") from error
     return import_recording(options.source, options.folder, world=described(options), options=settings)

@@ -16,8 +16,7 @@ from pydantic import ValidationError
 from cspace.bundle import Bundle
 from cspace.dataset import require_room
 from cspace.errors import BundleError, ConfigError, JobError, StorageError
-from cspace.files import HALF_SUFFIX, discard, holding, replacing
-from cspace.strict_json import refused
+from cspace.files import HALF_SUFFIX, discard, holding, project_error, replacing
 from cspace.world import World
 from cspace.worlds import robot_digest
 from services.commands import numbers
@@ -164,7 +163,7 @@ class Job(Generic[Config]):
                 remedy="take the id of the line `run: ...` at the start of the job's log",
             ) from error
         except ValidationError as error:
-            raise refused(error, ConfigError, f"the job is no {kind.__name__}") from error
+            raise project_error(error, ConfigError, f"the job is no {kind.__name__}") from error
         tracking = Tracking(environment.tracking_uri, wait_s=environment.patience_s)
         run, tags = tracking.resume(run_id), tracking.run(run_id).tags
         trials = retry("looking at the trials", partial(tracking.children, run_id), environment.patience_s)

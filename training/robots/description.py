@@ -23,8 +23,7 @@ from yourdfpy import URDF
 
 from cspace import bounded
 from cspace.errors import ScenarioError
-from cspace.files import read_yaml_file
-from cspace.strict_json import refused
+from cspace.files import project_error, read_yaml_file
 
 XACRO = bounded.Limits(cpu_s=10, wall_s=30.0)
 _UNUSED = ("inertial", "material", "dynamics", "calibration")
@@ -167,7 +166,7 @@ def read_joint_limits(beside: Path, joints: Collection[str]) -> dict[str, tuple[
         rows = _JointLimits.model_validate(read_yaml_file(path, ScenarioError)).joint_limits
     except ValidationError as error:
         remedy = "move the file away, and give --limit JOINT=LOW,HIGH"
-        raise refused(error, ScenarioError, str(path), remedy) from error
+        raise project_error(error, ScenarioError, str(path), remedy) from error
     return {
         name: (row.min_position, row.max_position)
         for name, row in rows.items()

@@ -7,10 +7,9 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, StrictBool
 
 from cspace.errors import ScenarioError
+from cspace.files import Record, read_object, validated
 from cspace.space import MIN_RANGE_RAD, JointSpace, is_range
-from cspace.strict_json import Record, read_object, validated, written
-from cspace.world import LinkSamplePoints
-from cspace.worlds.planar.camera import Camera, Length
+from cspace.worlds.planar.camera import Length
 
 _KIND = "planar_arm"
 JointLimits = tuple[tuple[float, float] | None, ...]
@@ -39,7 +38,6 @@ class PlanarArm(Record):
 
     @property
     def dim(self) -> int:
-        """Number of joints."""
         return len(self.link_lengths_m)
 
     @property
@@ -49,7 +47,6 @@ class PlanarArm(Record):
 
     @property
     def space(self) -> JointSpace:
-        """The arm's joint space."""
         limits = self.joint_limits_rad or (None,) * self.dim
         return JointSpace(
             tuple(-np.pi if lim is None else lim[0] for lim in limits),
@@ -68,7 +65,7 @@ class PlanarArm(Record):
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON; ``self_collision`` where it is true, as files before it have none."""
-        return {"kind": _KIND, **written(self)}
+        return {"kind": _KIND, **Record.to_dict(self)}
 
     @classmethod
     def from_dict(cls, values: object) -> "PlanarArm":
@@ -92,28 +89,3 @@ def link_offsets_m(joints: NDArray[np.float64], places: NDArray[np.float64]) -> 
 
 TWO_LINK = PlanarArm()
 THREE_LINK = PlanarArm(link_lengths_m=(1.6, 1.4, 1.0))
-
-
-def link_sample_points(
-    robot: PlanarArm, camera: Camera, points_per_link: int, side_m: float
-) -> LinkSamplePoints:
-    """See :meth:`cspace.world.World.link_sample_points`."""
-    sides = np.asarray([-side_m, 0.0, side_m] if side_m > 0.0 else [0.0], dtype=np.float32)
-    lengths = np.asarray(robot.link_lengths_m, dtype=np.float32)
-    links = len(lengths)
-    # What each link adds to each point along its own direction and across it, m.
-    reaches = np.zeros((2, links, links, len(sides), points_per_link), dtype=np.float32)
-    for link in range(links):
-        reaches[0, :link, link] = lengths[:link, None, None]
-        reaches[0, link, link] = lengths[link] * np.linspace(0.0, 1.0, points_per_link, dtype=np.float32)
-        reaches[1, link, link] = sides[:, None]
-    along, beside = reaches.reshape(2, links, -1)
-    width = np.float32(camera.x_max_m - camera.x_min_m)
-    height = np.float32(camera.y_max_m - camera.y_min_m)
-    across = np.concatenate([along, -beside]) / width
-    # Row 0 of a picture is its top.
-    down = -np.concatenate([beside, along]) / height
-    left = -camera.x_min_m / (camera.x_max_m - camera.x_min_m)
-    top = camera.y_max_m / (camera.y_max_m - camera.y_min_m)
-    origin = np.repeat(np.asarray([left, top], dtype=np.float32), along.shape[1])
-    return LinkSamplePoints(np.concatenate([across, down], axis=1), origin)

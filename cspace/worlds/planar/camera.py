@@ -9,8 +9,7 @@ from PIL import Image
 from pydantic import Field
 
 from cspace.errors import ImageError, ScenarioError
-from cspace.files import open_png
-from cspace.strict_json import Record, validated
+from cspace.files import Record, open_png, validated
 from cspace.world import CheckCancelled
 
 MIN_SIDE = 16
@@ -24,7 +23,7 @@ _BAND = 128
 
 
 def decode_png(
-    data: bytes, pixels: int = 48, check_cancelled: CheckCancelled | None = None
+    data: bytes, pixels: int = 48, check_cancelled: CheckCancelled = lambda: None
 ) -> NDArray[np.uint8]:
     """An untrusted PNG as (pixels, pixels, 3) uint8: over white, as RGB, resized by area averaging."""
     picture = open_png(data, _check)
@@ -52,29 +51,22 @@ def _to_rgb(picture: Image.Image) -> NDArray[np.uint8]:
     return np.asarray(picture.convert("RGB"), dtype=np.uint8)
 
 
-def _average(picture: Image.Image, pixels: int, check_cancelled: CheckCancelled | None) -> NDArray[np.uint8]:
+def _average(picture: Image.Image, pixels: int, check_cancelled: CheckCancelled) -> NDArray[np.uint8]:
     """Area averaging: every target pixel is the mean of the source area that it covers."""
     side = picture.width
-    weights = _overlap(side, pixels)
+    # (pixels, side) shares: how much of each source pixel a target pixel covers, rows summing to one.
+    edges, cells = np.arange(pixels + 1) * (side / pixels), np.arange(side)
+    covered = np.minimum(edges[1:, None], cells + 1) - np.maximum(edges[:-1, None], cells)
+    weights = np.asarray(np.clip(covered, 0.0, None) * (pixels / side), dtype=np.float32)
     rows = np.empty((pixels, side, 3), dtype=np.float32)
     # In widths about equal: a narrow rest might round otherwise.
     count = -(-side // _BAND)
     for left, right in pairwise(side * index // count for index in range(count + 1)):
         band = _to_rgb(picture.crop((left, 0, right, side))).astype(np.float32)
         rows[:, left:right] = np.tensordot(weights, band, axes=(1, 0))
-        if check_cancelled is not None:
-            check_cancelled()
+        check_cancelled()
     both = np.tensordot(weights, rows, axes=(1, 1)).transpose(1, 0, 2)
     return np.asarray(np.clip(np.floor(both + np.float32(0.5)), 0, 255), dtype=np.uint8)
-
-
-def _overlap(source: int, target: int) -> NDArray[Any]:
-    """(target, source) shares: how much of each source pixel a target pixel covers, rows summing to one."""
-    edges = np.arange(target + 1) * (source / target)
-    left, right = edges[:-1, None], edges[1:, None]
-    cells = np.arange(source)[None, :]
-    shares = np.clip(np.minimum(right, cells + 1) - np.maximum(left, cells), 0.0, None)
-    return np.asarray(shares * (target / source), dtype=np.float32)
 
 
 @validated(ScenarioError)
@@ -89,17 +81,14 @@ class Camera(Record):
 
     @property
     def picture_shape(self) -> tuple[int, ...]:
-        """(P, P, 3): RGB."""
         return (self.pixels, self.pixels, 3)
 
     @property
     def convention(self) -> dict[str, Any]:
-        """What a bundle says of its pictures."""
         return {"pixels": self.pixels, "channels": "RGB", "range": [-1, 1]}
 
     @property
     def extent_m(self) -> tuple[float, float, float, float]:
-        """Left, right, bottom and top of the picture."""
         return (self.x_min_m, self.x_max_m, self.y_min_m, self.y_max_m)
 
     def to_network(self, images: NDArray[np.uint8]) -> NDArray[np.float32]:

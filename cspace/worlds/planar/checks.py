@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 from cspace.kernel_cache import njit
 from cspace.planning.kernels import SceneKernels
 from cspace.simulator import Checker
-from cspace.worlds.planar.arm import PlanarArm, link_offsets_m
-from cspace.worlds.planar.scenes import KnownDiscs
-from cspace.worlds.planar.world import PlanarWorld, Scenario
+from cspace.worlds.planar.arm import link_offsets_m
+from cspace.worlds.planar.world import KnownDiscs, PlanarWorld, Scenario
 
 # Sine of the angle up to which two lines count as parallel.
 _PARALLEL = 1e-9
@@ -126,24 +125,18 @@ class CollisionChecker(Checker):
 
     def __init__(self, scenario: Scenario) -> None:
         space, robot = scenario.robot.space, scenario.robot
+        pairs = np.argwhere(np.triu(np.ones((robot.dim, robot.dim)), 2)).astype(np.int64)
         arrays = SceneArrays(
             np.asarray(robot.link_lengths_m, dtype=np.float64),
             float(robot.half_width_m),
             scenario.disc_array,
-            _pairs(robot),
+            pairs if robot.self_collision and robot.dim > 2 else None,
             np.asarray(space.lower, dtype=np.float64),
             np.asarray(space.upper, dtype=np.float64),
             np.asarray(space.periodic, dtype=np.bool_),
         )
         super().__init__(space, arrays, KERNELS)
         self.scenario = scenario
-
-
-def _pairs(robot: PlanarArm) -> NDArray[np.int64] | None:
-    """The links that collide with each other, (K, 2); None where none do."""
-    if not robot.self_collision or robot.dim < 3:
-        return None
-    return np.argwhere(np.triu(np.ones((robot.dim, robot.dim)), 2)).astype(np.int64)
 
 
 def seen_checkers(
@@ -158,7 +151,10 @@ def seen_checkers(
         picture = known.seen
     # Red discs lie over the blue arm and the white ground.
     covered = 1.0 - picture[..., 2] / _GROUND
-    rows, columns = np.nonzero(_outline(covered >= _COVERED))
+    # An arm that touches a pixel surrounded by others touches these before.
+    framed = np.pad(covered >= _COVERED, 1)
+    inner = framed[:-2, 1:-1] & framed[2:, 1:-1] & framed[1:-1, :-2] & framed[1:-1, 2:]
+    rows, columns = np.nonzero(framed[1:-1, 1:-1] & ~inner)
     left, right, bottom, top = camera.extent_m
     height, width = (top - bottom) / camera.pixels, (right - left) / camera.pixels
     places = np.stack([left + (columns + 0.5) * width, top - (rows + 0.5) * height], axis=1)
@@ -175,10 +171,3 @@ def seen_checkers(
         discs = np.column_stack([places, sizes])[sizes > 0.0]
         found.append(CollisionChecker(Scenario.from_array(arm, discs, camera)))
     return found
-
-
-def _outline(covered: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Those that are not surrounded by others: an arm that touches an inner one touches these before."""
-    framed = np.pad(covered, 1, constant_values=False)
-    inner = framed[:-2, 1:-1] & framed[2:, 1:-1] & framed[1:-1, :-2] & framed[1:-1, 2:]
-    return covered & ~inner

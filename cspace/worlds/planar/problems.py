@@ -18,8 +18,7 @@ from cspace.errors import ScenarioError
 from cspace.simulator import NARROW, UNIFORM, Problem, Split, scenario_rng
 from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
 from cspace.worlds.planar.checks import CollisionChecker
-from cspace.worlds.planar.scenes import DiscScenes, Scenes
-from cspace.worlds.planar.world import Scenario
+from cspace.worlds.planar.world import DiscScenes, Scenario, Scenes
 
 
 def distance_to_false(
@@ -68,7 +67,6 @@ class FreeGrid:
 
     @cached_property
     def free(self) -> NDArray[np.bool_]:
-        """Which cells are free, (cells,) * d."""
         found = CollisionChecker(self.scenario).valid_batch(self.centres)
         return np.reshape(found, (self.cells,) * self.scenario.robot.dim)
 
@@ -282,19 +280,14 @@ def narrow_pairs(scenario: Scenario, configurations: NDArray[np.float64]) -> NDA
     low, high = NARROW_RAD
     for cells in _SCREEN_CELLS:
         grid = FreeGrid(scenario, cells)
-        if not _passages(grid, configurations, 0.0, high + float(grid.spacing_rad.max()) / 2.0):
+        sides, whole = _sides(grid, configurations, 0.0, high + float(grid.spacing_rad.max()) / 2.0)
+        kinds = np.unique(np.stack([whole, sides])[:, sides > 0], axis=1)
+        if len(np.unique(kinds[0])) == kinds.shape[1]:
             return np.empty((0, 2), dtype=np.int64)
     sides, whole = _sides(_fine(scenario), configurations, low, high)
     return np.argwhere(
         (sides[:, None] != sides) & (whole[:, None] == whole) & (sides[:, None] > 0) & (sides > 0)
     )
-
-
-def _passages(grid: FreeGrid, free: NDArray[np.float64], low: float, high: float) -> bool:
-    """Whether some two of ``free`` are joined at clearance ``low`` and apart at ``high``."""
-    sides, whole = _sides(grid, free, low, high)
-    kinds = np.unique(np.stack([whole, sides])[:, sides > 0], axis=1)
-    return bool(len(np.unique(kinds[0])) < kinds.shape[1])
 
 
 def _sides(

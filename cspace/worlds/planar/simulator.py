@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from cspace.errors import ScenarioError
-from cspace.files import encode_png
+from cspace.files import encode_png, validated
 from cspace.kernel_cache import njit
 from cspace.simulator import (
     Checker,
@@ -23,7 +23,6 @@ from cspace.simulator import (
     Split,
     near_contact,
 )
-from cspace.strict_json import validated
 from cspace.world import Image, Scene, World
 from cspace.worlds.planar.arm import PlanarArm
 from cspace.worlds.planar.camera import Camera, Length, Place
@@ -36,8 +35,7 @@ from cspace.worlds.planar.problems import (
     narrow_pairs,
     resolves_narrow,
 )
-from cspace.worlds.planar.scenes import MAX_DISCS, DiscScenes, GivenScenes, Scenes
-from cspace.worlds.planar.world import Disc, PlanarWorld, Scenario
+from cspace.worlds.planar.world import MAX_DISCS, Disc, DiscScenes, GivenScenes, PlanarWorld, Scenario, Scenes
 
 SUBSAMPLES = 8
 WHITE = (255, 255, 255)
@@ -105,17 +103,7 @@ def render(scenario: Scenario) -> NDArray[np.uint8]:
     """The picture, (P, P, 3) uint8: red discs over the blue arm at angle zero, white ground, y up."""
     camera, robot = scenario.camera, scenario.robot
     joints = robot.joint_positions_m(np.zeros((1, robot.dim)))[0]
-    picture: NDArray[np.uint8] = _draw(
-        camera.pixels,
-        camera.x_min_m,
-        camera.x_max_m,
-        camera.y_min_m,
-        camera.y_max_m,
-        joints,
-        robot.half_width_m,
-        scenario.disc_array,
-    )
-    return picture
+    return np.asarray(_draw(camera.pixels, *camera.extent_m, joints, robot.half_width_m, scenario.disc_array))
 
 
 _NOTE = (
@@ -153,7 +141,6 @@ class PlanarSimulator(Simulator):
         )
 
     def scene(self, rng: np.random.Generator, split: Split, index: int) -> Scenario:
-        """Discs about the arm."""
         discs = self._scenes.draw(rng, split, index)
         return Scenario.from_array(self.world.body, discs, self.world.sensor)
 
@@ -163,15 +150,12 @@ class PlanarSimulator(Simulator):
         return {"discs": np.pad(discs, ((0, max(0, self._most - len(discs))), (0, 0)), mode="edge")}
 
     def render(self, scene: Scene) -> Image:
-        """See :func:`cspace.worlds.planar.simulator.render`."""
         return render(cast("Scenario", scene))
 
     def picture_file(self, scene: Scene) -> bytes:
-        """PNG."""
         return encode_png(self.render(scene))
 
     def checker(self, scene: Scene) -> Checker:
-        """See :class:`cspace.worlds.planar.checks.CollisionChecker`."""
         return CollisionChecker(cast("Scenario", scene))
 
     def proposals(self, scene: Scene, rng: np.random.Generator, count: int) -> Proposals:
@@ -186,7 +170,6 @@ class PlanarSimulator(Simulator):
         )
 
     def narrow_pairs(self, scene: Scene, configurations: NDArray[np.float64]) -> NDArray[np.int64]:
-        """See :func:`cspace.worlds.planar.problems.narrow_pairs`."""
         return narrow_pairs(cast("Scenario", scene), configurations)
 
     def ends(
@@ -197,11 +180,9 @@ class PlanarSimulator(Simulator):
         return free[rng.integers(len(free), size=(count, 2))]
 
     def path_search(self, scene: Scene) -> PathSearch:
-        """See :mod:`cspace.worlds.planar.problems`."""
         return PathFinder(cast("Scenario", scene)).path
 
     def problem(self, family: str, split: Split, seed: int, index: int = 0) -> Problem:
-        """See :func:`cspace.worlds.planar.problems.draw_problem`."""
         self.require(family)
         found = draw_problem(Family(family), split, seed, index, self.world.body, self._scenes)
         scenario = replace(cast("Scenario", found.scenario), camera=self.world.sensor)
@@ -217,12 +198,10 @@ class PlanarSimulator(Simulator):
         return len(self._scenes.part(split)) if isinstance(self._scenes, GivenScenes) else None
 
     def draw_picture(self, axes: Any, picture: Image) -> None:
-        """As it is."""
         axes.imshow(picture, extent=self.world.sensor.extent_m)
         axes.set(xlabel="x [m]", ylabel="y [m]")
 
     def draw_scene(self, axes: Any, scene: Scene, colour: str) -> None:
-        """Discs in the camera's frame."""
         scenario = cast("Scenario", scene)
         for x_m, y_m, radius_m in scenario.disc_array:
             axes.add_patch(Circle((x_m, y_m), radius_m, facecolor=colour, edgecolor="none", zorder=1))
@@ -230,7 +209,6 @@ class PlanarSimulator(Simulator):
         axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xlabel="x (m)", ylabel="y (m)")
 
     def draw_robot(self, axes: Any, configuration: ArrayLike, colour: str, order: int) -> None:
-        """Links as capsules."""
         arm, turn = self.world.body, np.linspace(-np.pi / 2.0, np.pi / 2.0, 12)
         for base, tip in pairwise(arm.joint_positions_m(configuration)[0]):
             heading = np.arctan2(tip[1] - base[1], tip[0] - base[0])
@@ -240,7 +218,6 @@ class PlanarSimulator(Simulator):
             axes.add_patch(outline)
 
     def drawn_joints_m(self, configurations: ArrayLike) -> NDArray[np.float64]:
-        """In the arm's plane."""
         return self.world.body.joint_positions_m(configurations)
 
     @property
@@ -303,6 +280,6 @@ def read_scene(world: PlanarWorld, values: Values) -> Scenario:
 
 
 def given(scenes: list[Scenario]) -> GivenScenes:
-    """Scenes as those of a world; see :meth:`cspace.worlds.planar.scenes.GivenScenes.of`."""
+    """Scenes as those of a world; see :meth:`cspace.worlds.planar.world.GivenScenes.of`."""
     rows = [tuple((disc.x_m, disc.y_m, disc.radius_m) for disc in scene.discs) for scene in scenes]
     return GivenScenes.of(tuple(rows))

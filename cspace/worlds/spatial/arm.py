@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from cspace.errors import ScenarioError
+from cspace.files import LEFT_OUT, Record, read_object, validated
 from cspace.space import JointSpace, is_range
-from cspace.strict_json import LEFT_OUT, Record, read_object, validated, written
 from cspace.worlds.spatial.poses import MAX_OFFSET_M, SAME, Frame, Offset, Vector, moved, turn
 
 _UNIT = 1e-9
@@ -112,7 +112,6 @@ class SerialArm(Record):
 
     @property
     def space(self) -> JointSpace:
-        """The arm's joint space."""
         limits = [joint.limits_rad for joint in self.joints]
         return JointSpace(
             tuple(-np.pi if lim is None else lim[0] for lim in limits),
@@ -235,8 +234,7 @@ class SerialArm(Record):
         return np.concatenate([self.sphere_centres_m(row[None])[0], self.spheres_m()[:, 3:]], axis=1)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return {"kind": KIND, **written(self)}
+        return {"kind": KIND, **Record.to_dict(self)}
 
     @classmethod
     def from_dict(cls, values: object) -> "SerialArm":

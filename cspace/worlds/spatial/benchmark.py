@@ -14,13 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from cspace.errors import DatasetError, ImageError, ScenarioError
-from cspace.files import replacing
+from cspace.files import Record, parse_json, read_object, replacing, validated
 from cspace.simulator import Problem, ProblemRequest, Split, UnseenPolicy
-from cspace.strict_json import Record, parse_json, read_object, validated
 from cspace.world import Image, World
 from cspace.worlds.spatial.arm import SerialArm
+from cspace.worlds.spatial.bodies import distance_m
 from cspace.worlds.spatial.checks import CollisionChecker, seen_checkers
-from cspace.worlds.spatial.distances import distance_m
 from cspace.worlds.spatial.furniture import FAMILIES, GoalRegion, Layout
 from cspace.worlds.spatial.kinematics import arm_arrays, sphere_centres_batch
 from cspace.worlds.spatial.mesh_checker import Description, MeshChecker, RobotMeshes, panda_urdf
@@ -160,7 +159,6 @@ class SpatialPartlySeen:
         return _GRASPING if has_problems(self.world.body) else ()
 
     def count(self, family: str, split: Split) -> int | None:
-        """Of MotionBenchMaker's sets."""
         return len(NUMBERS[split]) if family.startswith(PREFIX) else None
 
     def problem(self, request: ProblemRequest, family: str, index: int, pictures: int) -> Problem | None:

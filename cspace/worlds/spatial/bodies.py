@@ -1,4 +1,4 @@
-"""Signed distances to known bodies, compiled: boxes, cylinders, spheres and triangle meshes.
+"""Signed distances, compiled, to obstacles and to known bodies: boxes, cylinders, spheres and meshes.
 
 A mesh is looked up in a tree of bounding boxes; a closed one is solid, an open one is its surface alone.
 Source of the point's distance to a triangle: Ericson, Real-Time Collision Detection (2005), section 5.1.5.
@@ -7,10 +7,10 @@ Source of the point's distance to a triangle: Ericson, Real-Time Collision Detec
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from cspace.kernel_cache import njit
-from cspace.worlds.spatial.distances import box_distance, cylinder_distance
+from cspace.worlds.spatial.obstacles import Obstacles
 from cspace.worlds.spatial.sensor import BEHIND_STEP_M, DISTANCE_STEP_M, FARTHEST, FREE, MOST_BEHIND
 
 # What counts as farther than a bound is so much farther at least.
@@ -19,6 +19,77 @@ _LEAF = 4
 _STACK = 96
 # Of a ray that meets no edge of usual meshes.
 _RAY = (0.5298129428260175, 0.6324555320336759, 0.5651003626478917)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _outside_and_in(one, two, three):  # type: ignore[no-untyped-def]
+    """From how far a point is beyond each pair of faces, negative between them."""
+    inside = min(max(one, two, three), 0.0)
+    one, two, three = max(one, 0.0), max(two, 0.0), max(three, 0.0)
+    return inside + np.sqrt(one * one + two * two + three * three)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def box_distance(x, y, z, row):  # type: ignore[no-untyped-def]
+    """Of a point to a row of :class:`ObstacleArrays` ``boxes``, m."""
+    px, py, pz = x - row[0], y - row[1], z - row[2]
+    along_x = abs(row[3] * px + row[6] * py + row[9] * pz) - row[12]
+    along_y = abs(row[4] * px + row[7] * py + row[10] * pz) - row[13]
+    along_z = abs(row[5] * px + row[8] * py + row[11] * pz) - row[14]
+    return _outside_and_in(along_x, along_y, along_z)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def cylinder_distance(x, y, z, row):  # type: ignore[no-untyped-def]
+    """Of a point to a row of :class:`ObstacleArrays` ``cylinders``, m."""
+    px, py, pz = x - row[0], y - row[1], z - row[2]
+    along = row[5] * px + row[8] * py + row[11] * pz
+    # Never below zero but by rounding.
+    square = max(px * px + py * py + pz * pz - along * along, 0.0)
+    return _outside_and_in(np.sqrt(square) - row[12], abs(along) - row[13], -np.inf)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def is_beyond(x, y, z, row, bound):  # type: ignore[no-untyped-def]
+    """Whether the sphere round a shape is at least ``bound`` away, and so is the shape."""
+    reach = bound + row[row.shape[0] - 1]
+    px, py, pz = x - row[0], y - row[1], z - row[2]
+    return reach < 0.0 or px * px + py * py + pz * pz >= reach * reach
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def point_distance(x, y, z, boxes, cylinders, bound):  # type: ignore[no-untyped-def]
+    """Least signed distance of a point to all obstacles, m, or ``bound`` where none is nearer."""
+    for index in range(boxes.shape[0]):
+        if not is_beyond(x, y, z, boxes[index], bound):
+            bound = min(bound, box_distance(x, y, z, boxes[index]))
+    for index in range(cylinders.shape[0]):
+        if not is_beyond(x, y, z, cylinders[index], bound):
+            bound = min(bound, cylinder_distance(x, y, z, cylinders[index]))
+    return bound
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def points_distance(points, boxes, cylinders):  # type: ignore[no-untyped-def]
+    """Of points (N, 3) m, (N,) m; inf without obstacles."""
+    out = np.empty(points.shape[0])
+    for at in range(points.shape[0]):
+        out[at] = point_distance(points[at, 0], points[at, 1], points[at, 2], boxes, cylinders, np.inf)
+    return out
+
+
+def distance_m(obstacles: Obstacles, points_m: ArrayLike) -> NDArray[np.float64]:
+    """Signed distance of points (..., 3) m to the nearest obstacle, (...) m; inf where there is none."""
+    points = np.asarray(points_m, dtype=np.float64)
+    arrays = obstacles.arrays
+    flat = np.ascontiguousarray(points.reshape(-1, 3))
+    found: NDArray[np.float64] = points_distance(flat, arrays.boxes, arrays.cylinders)
+    return found.reshape(points.shape[:-1])
+
+
+def clearance_m(obstacles: Obstacles, centres_m: ArrayLike, radii_m: ArrayLike) -> NDArray[np.float64]:
+    """Least clearance of sets of spheres, (N,) m: (N, S, 3) centres, (S,) radii; inf without obstacles."""
+    return np.asarray((distance_m(obstacles, centres_m) - np.asarray(radii_m)).min(axis=1, initial=np.inf))
 
 
 class BodyArrays(NamedTuple):

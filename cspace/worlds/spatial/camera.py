@@ -10,8 +10,7 @@ from PIL import Image
 from pydantic import BaseModel, Field, StrictFloat
 
 from cspace.errors import ImageError, ScenarioError
-from cspace.files import encode_png, open_png, read_yaml
-from cspace.strict_json import Record, read_object, validated
+from cspace.files import Record, encode_png, open_png, read_object, read_yaml, validated
 from cspace.world import CheckCancelled
 from cspace.worlds.spatial.poses import HERE, Pose, check_pose, make_pose, pose_of, read_pose
 
@@ -46,12 +45,10 @@ class DepthCamera(Record):
 
     @property
     def matrix(self) -> NDArray[np.float64]:
-        """(4, 4): the pose."""
         return np.array(self.pose, dtype=np.float64)
 
     @property
     def picture_shape(self) -> tuple[int, int]:
-        """(H, W) of its pictures."""
         return (self.height, self.width)
 
     def rays(self) -> NDArray[np.float64]:
@@ -336,13 +333,12 @@ def encode_depth(depth_mm: NDArray[np.uint16]) -> bytes:
     return encode_png(np.asarray(depth_mm, dtype="<u2"))
 
 
-def to_mm(depth_m: ArrayLike) -> NDArray[np.uint16]:
-    """Depths (...) m as uint16 mm, rounded; 0 where that is no whole number from 1 to 65535."""
-    depth = np.asarray(depth_m, dtype=np.float64)
+def to_mm(depth: ArrayLike, unit_m: float = 1.0) -> NDArray[np.uint16]:
+    """Depths (...) in a unit as uint16 mm, 65535 for all beyond; 0 for what is no number above 0.5 mm."""
     with np.errstate(invalid="ignore", over="ignore"):
-        rounded = np.floor(depth * 1000.0 + 0.5)
-        held = (rounded >= 1.0) & (rounded <= MAX_MM)
-    return np.where(held, rounded, 0.0).astype(np.uint16)
+        rounded = np.floor(np.asarray(depth, dtype=np.float64) * (1000.0 * unit_m) + 0.5)
+    read = (rounded >= 1.0) & np.isfinite(rounded)
+    return np.where(read, np.minimum(rounded, MAX_MM), 0.0).astype(np.uint16)
 
 
 def to_m(depth_mm: NDArray[np.uint16]) -> NDArray[np.float32]:

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from cspace.errors import InputError
+from cspace.files import read_object, validated
 from cspace.simulator import Checker
 from cspace.space import JointSpace
-from cspace.strict_json import read_object, validated
 from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.kinematics import Solving, aligned, solve_pose
 from cspace.worlds.spatial.poses import nearest_rotation, read_pose

@@ -9,13 +9,13 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from cspace.errors import ScenarioError
-from cspace.strict_json import Record, Share, Span, validated
+from cspace.files import Record, Share, Span, validated
 from cspace.worlds.spatial.obstacles import MAX_OBSTACLES, Box, Cylinder, Obstacles
 from cspace.worlds.spatial.poses import MAX_PLACE_M, Vector, make_pose, pose_of, turned, vector
 
 
 @validated(ScenarioError)
-class GoalRegion:
+class GoalRegion(Record):
     """Where goals of the hand are: places within a box, and the way in."""
 
     box: Box
@@ -153,7 +153,6 @@ class Shelves:
             raise ScenarioError("a shelf has too few boards", expected="2 or more", got=str(self.boards[0]))
 
     def draw(self, rng: np.random.Generator) -> Piece:
-        """A shelf."""
         width, depth, thick = (rng.uniform(*one) for one in (self.width_m, self.depth_m, self.thickness_m))
         gaps = rng.uniform(*self.gap_m, int(rng.integers(*self.boards, endpoint=True)) - 1)
         heights = rng.uniform(*self.lowest_m) + np.concatenate(([0.0], np.cumsum(gaps)))
@@ -247,7 +246,6 @@ class Bins:
     objects: _Counts = (0, 4)
 
     def draw(self, rng: np.random.Generator) -> Piece:
-        """A bin."""
         half, thick = rng.uniform(*self.side_m, 3) / 2, rng.uniform(*self.thickness_m)
         opening = _OPENINGS[int(rng.integers(len(_OPENINGS)))]
         shapes = [_wall(half, thick, 2, -1)]
@@ -282,7 +280,6 @@ class Cages:
     solid: Annotated[Share, Field(exclude_if=lambda share: share == 0.0)] = 0.0
 
     def draw(self, rng: np.random.Generator) -> Piece:
-        """A cage."""
         half, thick, low = (
             rng.uniform(*self.side_m, 3) / 2,
             rng.uniform(*self.thickness_m),

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from cspace.errors import ScenarioError
-from cspace.strict_json import Record, validated
+from cspace.files import Record, validated
 from cspace.worlds.spatial.poses import MAX_PLACE_M, Pose, check_pose, make_pose, pose_of, vector
 
 MAX_OBSTACLES = 1000
@@ -68,7 +68,6 @@ class Obstacles(Record):
 
     @property
     def shapes(self) -> tuple[Box | Cylinder, ...]:
-        """Boxes, then cylinders."""
         return (*self.boxes, *self.cylinders)
 
     @classmethod

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
 from cspace.errors import InputError
-from cspace.strict_json import Record, adapter_of, refused, validated
+from cspace.files import Record, adapter_of, project_error, validated
 from cspace.view_file import (
     MAX_ATTACHED,
     MAX_BODIES,
@@ -91,7 +91,6 @@ class Body(Record):
 
     @property
     def matrix(self) -> NDArray[np.float64]:
-        """(4, 4) of the pose."""
         return np.asarray(self.pose, dtype=np.float64)
 
 
@@ -142,7 +141,7 @@ def read_planning_scene(values: bytes) -> PlanningScene:
     try:
         return cast("PlanningScene", adapter_of(PlanningScene).validate_json(values, strict=True))
     except ValidationError as problem:
-        raise refused(problem, InputError, where) from problem
+        raise project_error(problem, InputError, where) from problem
 
 
 def read_stl(data: bytes, name: str) -> NDArray[np.float64]:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, StrictFloat
 
 from cspace.errors import CspaceError, ScenarioError
-from cspace.strict_json import validated
+from cspace.files import validated
 
 Row = tuple[StrictFloat, StrictFloat, StrictFloat, StrictFloat]
 Pose = tuple[Row, Row, Row, Row]

@@ -11,8 +11,8 @@ from cspace.planning.paths import length_rad, spaced
 from cspace.planning.rrt_connect import Growth, grow_connect
 from cspace.simulator import Proposals, Split, near_contact, scenario_rng
 from cspace.worlds.spatial.arm import SerialArm, ready_rad
+from cspace.worlds.spatial.bodies import distance_m
 from cspace.worlds.spatial.checks import CollisionChecker
-from cspace.worlds.spatial.distances import distance_m
 from cspace.worlds.spatial.furniture import GoalRegion, Layout, SpatialScenes
 from cspace.worlds.spatial.kinematics import Solving, solve_pose
 from cspace.worlds.spatial.obstacles import Obstacles
@@ -162,7 +162,10 @@ class Ends:
             return None
         home = self.home if state is None else lambda: state
         start = {"reach_in": home, "between": self.reaching, "carry": self.elsewhere}[kind]()
-        if start is None or not self.are_distant(start, goal):
+        if start is None:
+            return None
+        first, second = self.arm.tool_frames(np.stack([start, goal]))[:, :3, 3]
+        if np.linalg.norm(first - second) < _MIN_DISTANCE_M:
             return None
         if kind == "carry":
             start, goal = goal, start
@@ -194,11 +197,6 @@ class Ends:
         away, height = self.rng.uniform((0.3, 0.0), (0.8, 0.8), (_PLACES, 2)).T * self.arm.reach_m
         places = np.stack([away * np.cos(bearing), away * np.sin(bearing), height], axis=1)
         return self._with_tool_at(places, np.array([0.0, 0.0, -1.0]))
-
-    def are_distant(self, start: NDArray[np.float64], goal: NDArray[np.float64]) -> bool:
-        """Whether the tool has some way to go."""
-        first, second = self.arm.tool_frames(np.stack([start, goal]))[:, :3, 3]
-        return bool(np.linalg.norm(first - second) >= _MIN_DISTANCE_M)
 
     def _with_tool_at(
         self, places: NDArray[np.float64], approach: NDArray[np.float64]
@@ -251,35 +249,20 @@ def draw_proposals(
     counts = [int(share * count) for share in ORIGIN_SHARES]
     anywhere = space.sample_uniform(rng, count - sum(counts))
     near = near_contact(checker, rng, counts[0], NEAR_M, NEAR_SIGMA_RAD)
-    ends = _ends(checker, regions, start, rng)
+    sampler = Ends(checker, regions, rng)
+    found = [sampler.home() if start is None else start, *(sampler.reaching() for _ in range(GOALS))]
+    known = [one for one in found if one is not None]
+    ends = np.stack(known) if known else space.sample_uniform(rng, 1)
     sigmas = np.asarray(END_SIGMAS_RAD)[rng.integers(len(END_SIGMAS_RAD), size=counts[1])]
     about = _about(checker, ends, sigmas, rng)
-    beside = _about(checker, _along(checker, ends, rng), np.full(counts[2], PATH_SIGMA_RAD), rng)
+    # The ends alone where there is no path.
+    paths = [find_path(checker, ends[0], goal, rng, _LIMITS) for goal in ends[1:]]
+    along = np.concatenate([ends, *(path for path in paths if path is not None)])
+    beside = _about(checker, along, np.full(counts[2], PATH_SIGMA_RAD), rng)
     mistaken = _about(checker, _mistaken(checker, ends, rng), np.full(counts[3], MISTAKEN_SIGMA_RAD), rng)
     rows = (anywhere, near, about, beside, mistaken)
     origins = np.repeat(np.arange(len(rows), dtype=np.uint8), [len(part) for part in rows])
     return Proposals(np.concatenate(rows), origins)
-
-
-def _ends(
-    checker: CollisionChecker,
-    regions: Sequence[GoalRegion],
-    start: NDArray[np.float64] | None,
-    rng: np.random.Generator,
-) -> NDArray[np.float64]:
-    """Where the arm waits, and goals, (k, d) rad, at least one."""
-    sampler = Ends(checker, regions, rng)
-    found = [sampler.home() if start is None else start, *(sampler.reaching() for _ in range(GOALS))]
-    known = [one for one in found if one is not None]
-    return np.stack(known) if known else checker.space.sample_uniform(rng, 1)
-
-
-def _along(
-    checker: CollisionChecker, ends: NDArray[np.float64], rng: np.random.Generator
-) -> NDArray[np.float64]:
-    """States of paths from the first end to the others, (n, d) rad; the ends where there is no path."""
-    paths = [find_path(checker, ends[0], goal, rng, _LIMITS) for goal in ends[1:]]
-    return np.concatenate([ends, *(path for path in paths if path is not None)])
 
 
 def _mistaken(
@@ -288,18 +271,12 @@ def _mistaken(
     """States of paths that are free of some of the obstacles alone, (n, d) rad, evenly spaced."""
     found = [ends]
     for share in KNOWN_SHARES:
-        known = CollisionChecker(checker.arm, _some(checker.obstacles, share, rng))
+        some = Obstacles.of(one for one in checker.obstacles.shapes if rng.random() < share)
+        known = CollisionChecker(checker.arm, some)
         first, last = ends[rng.integers(len(ends))], ends[rng.integers(len(ends))]
         path = find_path(known, first, last, rng, _LIMITS)
         found += [] if path is None else [path]
     return np.concatenate(found)
-
-
-def _some(obstacles: Obstacles, share: float, rng: np.random.Generator) -> Obstacles:
-    """Each obstacle with such a probability."""
-    boxes = tuple(one for one in obstacles.boxes if rng.random() < share)
-    cylinders = tuple(one for one in obstacles.cylinders if rng.random() < share)
-    return Obstacles(boxes, cylinders)
 
 
 def _about(

@@ -142,7 +142,6 @@ class SceneChecker:
 
     @property
     def size_bytes(self) -> int:
-        """See :class:`cspace.world.Known`."""
         arrays: list[NDArray[Any]] = [*self.bodies, *self.ignored]
         arrays += [] if self.seen is None else [self.seen]
         return sum(int(array.nbytes) for array in arrays) + sum(map(len, self.known.meshes.values()))

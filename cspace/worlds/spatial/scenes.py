@@ -8,11 +8,10 @@ from numpy.typing import NDArray
 
 from cspace.errors import ScenarioError
 from cspace.simulator import Split, scenario_rng
-from cspace.strict_json import written
 from cspace.worlds.spatial.arm import SerialArm, ready_rad
+from cspace.worlds.spatial.bodies import clearance_m, distance_m
 from cspace.worlds.spatial.camera import DepthCamera, camera_place, looking, to_mm
 from cspace.worlds.spatial.checks import CollisionChecker
-from cspace.worlds.spatial.distances import clearance_m, distance_m
 from cspace.worlds.spatial.furniture import (
     FAMILIES,
     Bins,
@@ -139,7 +138,8 @@ def _surroundings(
         count = int(rng.integers(*scenes.strays, endpoint=True))
         found += floating(rng, count, (0.3, 1.3), np.radians(scenes.bearing_deg + 30.0))
     if rng.random() < scenes.floor:
-        low = min((_lowest(one) for one in regions), default=0.0)
+        poses = ((np.array(one.box.pose), np.array(one.box.half_m)) for one in regions)
+        low = min((float(pose[2, 3] - np.abs(pose[2, :3]) @ half) for pose, half in poses), default=0.0)
         top = min(-0.06, low - 0.05) - rng.uniform(0.0, 0.6) * (rng.random() < 0.5)
         found.append(block((-1.5, 1.5), (-1.5, 1.5), (top - 0.02, top)))
     if rng.random() < scenes.wall:
@@ -170,7 +170,8 @@ def _is_reached(
     places = region.draw(rng, _PLACES)
     near = np.linalg.norm(places - (0.0, 0.0, scenes.shoulder_m), axis=1) <= scenes.reach_m
     free = distance_m(obstacles, places) >= scenes.room_m
-    return bool((near & free & _off_base(places)).any())
+    off_base = np.hypot(places[:, 0], places[:, 1]) >= 2.0 * _COLUMN_RADIUS_M
+    return bool((near & free & off_base).any())
 
 
 def base_clearance_m(obstacles: Obstacles) -> float:
@@ -180,15 +181,6 @@ def base_clearance_m(obstacles: Obstacles) -> float:
 
 def _spares_base(obstacles: Obstacles) -> bool:
     return base_clearance_m(obstacles) > 0.0
-
-
-def _off_base(places: NDArray[np.float64]) -> NDArray[np.bool_]:
-    return np.asarray(np.hypot(places[:, 0], places[:, 1]) >= 2.0 * _COLUMN_RADIUS_M)
-
-
-def _lowest(region: GoalRegion) -> float:
-    pose, half = np.array(region.box.pose), np.array(region.box.half_m)
-    return float(pose[2, 3] - np.abs(pose[2, :3]) @ half)
 
 
 def draw_cameras(views: CameraViews, rng: np.random.Generator, layout: Layout) -> tuple[DepthCamera, ...]:
@@ -207,15 +199,11 @@ def _camera(views: CameraViews, rng: np.random.Generator, layout: Layout) -> Dep
             np.radians(rng.uniform(-views.roll_deg, views.roll_deg)),
             rng.uniform(*views.field_deg),
         )
-        if _has_room(views, place, layout):
+        off_base = np.hypot(place[0], place[1]) >= 0.3
+        if off_base and distance_m(layout.obstacles, place) >= views.clear_m:
             pose = looking(place, aim, float(roll))
             return DepthCamera.of_field(views.width, views.height, float(field_deg), pose)
     raise ScenarioError("no camera has room in the scene", got=str(views)[:300])
-
-
-def _has_room(views: CameraViews, place: NDArray[np.float64], layout: Layout) -> bool:
-    off_base = np.hypot(place[0], place[1]) >= 0.3
-    return bool(off_base and distance_m(layout.obstacles, place) >= views.clear_m)
 
 
 # Poses that are tried for an arm that waits, the first about the ready one, the others anywhere.
@@ -258,7 +246,6 @@ class SpatialScene:
         return DepthView(tuple(pictures), self.cameras, self.state, known=self.known)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
         return {
             "robot": self.world.body.to_dict(),
             "obstacles": self.obstacles.to_dict(),
@@ -266,7 +253,7 @@ class SpatialScene:
             "state": None if self.state is None else list(self.state),
             "noise": self.noise,
             "noise_seed": self.noise_seed,
-            "regions": [written(region) for region in self.regions],
+            "regions": [region.to_dict() for region in self.regions],
             "holes": self.holes,
         }
 

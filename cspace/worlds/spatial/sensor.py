@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from cspace.errors import ScenarioError
-from cspace.strict_json import Record, Share, Span, validated
+from cspace.files import Record, Share, Span, validated
 from cspace.view_file import MAX_PICTURES
 from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.camera import MAX_FIELD_DEG, MIN_FIELD_DEG, Side

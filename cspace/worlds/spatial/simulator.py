@@ -27,7 +27,6 @@ from cspace.world import Image, Scene, World
 from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.camera import MAX_FIELD_DEG, MIN_FIELD_DEG, DepthCamera, looking
 from cspace.worlds.spatial.checks import CollisionChecker, group_hits
-from cspace.worlds.spatial.distances import distance_m
 from cspace.worlds.spatial.furniture import FAMILIES
 from cspace.worlds.spatial.obstacles import MAX_OBSTACLES, Box, Cylinder, Obstacles, obstacles_of, rows_of
 from cspace.worlds.spatial.poses import Pose, make_pose, pose_of, turned, vector
@@ -125,33 +124,22 @@ class SpatialSimulator(Simulator):
         )
 
     def scene(self, rng: np.random.Generator, split: Split, index: int) -> SpatialScene:
-        """See :func:`cspace.worlds.spatial.scenes.draw_scene`."""
         return draw_scene(rng, self.world, split, index)
 
     def arrays_of(self, scene: Scene) -> dict[str, NDArray[Any]]:
-        """See :func:`cspace.worlds.spatial.obstacles.rows_of`."""
         return dict(rows_of(cast("SpatialScene", scene).obstacles))
 
     def render(self, scene: Scene) -> Image:
-        """See :meth:`cspace.worlds.spatial.world.SpatialWorld.observed`."""
         return self.world.observed(cast("SpatialScene", scene).view())
 
-    def unseen_places(self, scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Places in reach that no camera of a scene sees, (N, 3) m, and how far obstacles are, (N,) m."""
-        places = self.world.unseen_m(cast("SpatialScene", scene).view())
-        return places, distance_m(cast("SpatialScene", scene).obstacles, places)
-
     def picture_file(self, scene: Scene) -> bytes:
-        """See :mod:`cspace.worlds.spatial.view`."""
         return write_view(cast("SpatialScene", scene).view())
 
     def checker(self, scene: Scene) -> Checker:
-        """See :class:`cspace.worlds.spatial.checks.CollisionChecker`."""
         found = cast("SpatialScene", scene)
         return CollisionChecker(found.arm, found.obstacles)
 
     def proposals(self, scene: Scene, rng: np.random.Generator, count: int) -> Proposals:
-        """See :func:`cspace.worlds.spatial.problems.draw_proposals`."""
         found = cast("SpatialScene", scene)
         start = None if found.state is None else np.asarray(found.state)
         checker = CollisionChecker(found.world.body, found.obstacles)
@@ -160,7 +148,6 @@ class SpatialSimulator(Simulator):
     def group_hits(
         self, arrays: Mapping[str, NDArray[Any]], configurations: ArrayLike, groups: int
     ) -> NDArray[np.bool_]:
-        """See :func:`cspace.worlds.spatial.checks.group_hits`."""
         obstacles = obstacles_of(arrays["boxes"], arrays["cylinders"])
         return group_hits(self.world.body, obstacles, configurations, groups)
 
@@ -175,7 +162,6 @@ class SpatialSimulator(Simulator):
         return Ends(checker, found.regions, rng).pairs(count, state)
 
     def path_search(self, scene: Scene) -> PathSearch:
-        """See :func:`cspace.worlds.spatial.problems.find_path`."""
         checker = cast("CollisionChecker", self.checker(scene))
 
         def search(start: NDArray[np.float64], goal: NDArray[np.float64]) -> NDArray[np.float64] | None:
@@ -194,19 +180,15 @@ class SpatialSimulator(Simulator):
         return Problem(scene, found.start, found.goal, family, seed=seed, rejected=found.rejected)
 
     def draw_picture(self, axes: Any, picture: Image) -> None:
-        """See :func:`cspace.worlds.spatial.simulator.draw_seen`."""
         draw_seen(axes, picture, self.world.sensor.grid)
 
     def draw_scene(self, axes: Any, scene: Scene, colour: str) -> None:
-        """Obstacles, from the side."""
         draw_obstacles(axes, cast("SpatialScene", scene).obstacles, colour)
 
     def draw_robot(self, axes: Any, configuration: ArrayLike, colour: str, order: int) -> None:
-        """Spheres, from the side."""
         draw_arm(axes, self.world.body, configuration, colour, order)
 
     def drawn_joints_m(self, configurations: ArrayLike) -> NDArray[np.float64]:
-        """From the side."""
         return self.world.body.joint_positions_m(np.atleast_2d(configurations))[..., SIDE]
 
 

@@ -19,7 +19,6 @@ from cspace.world import CheckCancelled
 from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.camera import (
     FARTHEST_MM,
-    MAX_MM,
     MAX_SCALE_M,
     MIN_SCALE_M,
     NEAREST_MM,
@@ -32,6 +31,7 @@ from cspace.worlds.spatial.camera import (
     in_range,
     read_number,
     read_pinhole,
+    to_mm,
     undistorted,
 )
 from cspace.worlds.spatial.planning_scene import PlanningScene, read_planning_scene
@@ -78,7 +78,9 @@ def write_view(view: DepthView) -> bytes:
     return pack_view([encode_depth(picture) for picture in view.pictures], cameras, view.state, known=known)
 
 
-def read_view(data: bytes | View, arm: SerialArm, check_cancelled: CheckCancelled | None = None) -> DepthView:
+def read_view(
+    data: bytes | View, arm: SerialArm, check_cancelled: CheckCancelled = lambda: None
+) -> DepthView:
     """Decodes and checks untrusted pictures, each once."""
     file = View.of(data)
     if not file.cameras:
@@ -90,7 +92,6 @@ def read_view(data: bytes | View, arm: SerialArm, check_cancelled: CheckCancelle
         )
     check_counts(len(file.pictures), len(file.cameras))
     known = None if file.known is None else read_planning_scene(file.known)
-    check_cancelled = check_cancelled or (lambda: None)
     pictures, cameras = [], []
     for one in file.pictures:
         pictures.append(read_depth(one, file.depth_scale_m, check_cancelled))
@@ -175,7 +176,6 @@ def _configuration(values: object, space: JointSpace) -> State | None:
     return tuple(angles)
 
 
-METRES = 1.0
 _PNG, _NPY = b"\x89PNG", b"\x93NUMPY"
 _BYTE_ORDERS = {b"II*\0": "<", b"MM\0*": ">"}
 _MOST_FIELDS, _MOST_VALUES = 64, 8192
@@ -193,18 +193,10 @@ def read_depth(
     scale_m = None if depth_scale_m is None else _read_scale(depth_scale_m)
     if data.startswith(_PNG):
         units = decode_depth(data, check_cancelled)
-        return units if scale_m is None else rounded_mm(units, scale_m)
+        return units if scale_m is None else to_mm(units, scale_m)
     depth = _read_npy(data) if data.startswith(_NPY) else _read_tiff(data)
     check_cancelled()
-    return rounded_mm(depth, METRES if scale_m is None else scale_m)
-
-
-def rounded_mm(depth: NDArray[np.float32] | NDArray[np.uint16], depth_scale_m: float) -> NDArray[np.uint16]:
-    """Depths (...) in a unit as uint16 mm, out of range beyond 16 bits; 0 for what is no number above 0.5."""
-    with np.errstate(invalid="ignore", over="ignore"):
-        scaled = np.floor(depth.astype(np.float64) * (1000.0 * depth_scale_m) + 0.5)
-    read = (scaled >= 1.0) & np.isfinite(scaled)
-    return np.where(read, np.minimum(scaled, MAX_MM), 0.0).astype(np.uint16)
+    return to_mm(depth, 1.0 if scale_m is None else scale_m)
 
 
 def _read_scale(depth_scale_m: object) -> float:

@@ -281,9 +281,8 @@ def observe(
     camera: DepthCamera,
     grid: GridBox,
     spheres: ArrayLike | None = None,
-    *,
     is_explained: Callable[[NDArray[np.float64]], NDArray[np.bool_]] | None = None,
-    check_cancelled: CheckCancelled | None = None,
+    check_cancelled: CheckCancelled = lambda: None,
 ) -> NDArray[np.uint8]:
     """What a depth picture says of the space round an arm; see :func:`fused` for several.
 
@@ -294,7 +293,6 @@ def observe(
     uint8. Channel 0 is the distance from a voxel's centre to the nearest surface seen, see
     :func:`distances_m`; channel 1 is the code of :func:`sight`.
     """
-    check_cancelled = check_cancelled or (lambda: None)
     smaller, camera = reduced(np.where(in_range(picture), picture, np.uint16(0)), camera)
     check_cancelled()
     kept = self_filter(
@@ -348,7 +346,11 @@ def lookup(observed: NDArray[np.uint8], grid: GridBox, points_m: ArrayLike) -> V
     Outside of the grid all is unseen, and far from what is seen.
     """
     points = np.asarray(points_m)
-    cell, inside, place = _cells(grid, points.reshape(-1, 3))
+    place = ((points.reshape(-1, 3) - np.array(grid.low_m)) / grid.voxel_m).astype(np.float32).T
+    inside = ((place >= 0.0) & (place < np.array(grid.counts, dtype=np.float32)[:, None])).all(axis=0)
+    place = np.where(inside, place, np.float32(0.0))
+    x, y, z = place.astype(np.intp)
+    cell = (x * grid.counts[1] + y) * grid.counts[2] + z
     flat = observed.reshape(-1)
     codes = np.where(inside, flat.take(2 * cell + 1), np.uint8(OUT_OF_VIEW))
     low, share, steps = [], [], []
@@ -360,33 +362,21 @@ def lookup(observed: NDArray[np.uint8], grid: GridBox, points_m: ArrayLike) -> V
         steps.append(1 if count > 1 else 0)
     strides = 2 * np.array((grid.counts[1] * grid.counts[2], grid.counts[2], 1))
     start = low[0] * strides[0] + low[1] * strides[1] + low[2] * strides[2]
-    x, y, z = (int(one) for one in strides * steps)
+    across, down, up = (int(one) for one in strides * steps)
 
     def along_z(at: int) -> NDArray[np.float32]:
         one = flat.take(start + at).astype(np.float32)
-        return np.asarray(one + share[2] * (flat.take(start + (at + z)).astype(np.float32) - one))
+        return np.asarray(one + share[2] * (flat.take(start + (at + up)).astype(np.float32) - one))
 
     def along_y(at: int) -> NDArray[np.float32]:
         one = along_z(at)
-        return np.asarray(one + share[1] * (along_z(at + y) - one))
+        return np.asarray(one + share[1] * (along_z(at + down) - one))
 
     near = along_y(0)
-    near = (near + share[0] * (along_y(x) - near)) * np.float32(DISTANCE_STEP_M)
+    near = (near + share[0] * (along_y(across) - near)) * np.float32(DISTANCE_STEP_M)
     distance = np.where(inside, near, np.float32(TRUNCATION_M))
     shape = points.shape[:-1]
     return VoxelValues(distance.reshape(shape), codes.reshape(shape))
-
-
-def _cells(
-    grid: GridBox, points: NDArray[np.floating]
-) -> tuple[NDArray[np.intp], NDArray[np.bool_], NDArray[np.float32]]:
-    """Numbers of the voxels that points (N, 3) are in, which are inside, and where, (3, N) in voxels."""
-    place = ((points - np.array(grid.low_m)) / grid.voxel_m).astype(np.float32).T
-    counts = np.array(grid.counts, dtype=np.float32)[:, None]
-    inside = ((place >= 0.0) & (place < counts)).all(axis=0)
-    place = np.where(inside, place, np.float32(0.0))
-    x, y, z = place.astype(np.intp)
-    return (x * grid.counts[1] + y) * grid.counts[2] + z, inside, place
 
 
 def reduced(picture: NDArray[np.uint16], camera: DepthCamera) -> tuple[NDArray[np.uint16], DepthCamera]:

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cspace.errors import ConfigError, DatasetError, ImageError, InputError, ScenarioError
-from cspace.files import read_bounded
-from cspace.strict_json import read_json, read_object, validated
+from cspace.files import read_bounded, read_json, read_object, validated
 from cspace.view_file import View
 from cspace.world import (
     Arrays,
@@ -65,15 +64,12 @@ class SpatialWorld(World):
     scenes: SpatialScenes | None
 
     def view(self, data: bytes | View) -> DepthView:
-        """See :func:`cspace.worlds.spatial.view.read_view`."""
         return read_view(data, self.body)
 
-    def examine_picture(self, data: bytes | View, check_cancelled: CheckCancelled | None = None) -> Examined:
-        """See :meth:`cspace.world.World.examine_picture`."""
+    def examine_picture(self, data: bytes | View, check_cancelled: CheckCancelled = lambda: None) -> Examined:
         return self.examined(read_view(data, self.body, check_cancelled), check_cancelled)
 
     def least_novelty(self, image: NDArray[np.uint8]) -> float:
-        """See :func:`cspace.worlds.spatial.diagnosis.least_novelty`."""
         return least_novelty(self.body, self.sensor.grid, image)
 
     def state_findings(
@@ -83,13 +79,12 @@ class SpatialWorld(World):
         start: ArrayLike | None = None,
         colliding: float = 0.0,
     ) -> tuple[Finding, ...]:
-        """See :meth:`cspace.world.World.state_findings`."""
         found = colliding_findings(colliding)
         if image is not None and start is not None:
             found += start_findings(self.body, self.sensor.grid, image, start)
         return found
 
-    def observed(self, view: DepthView, check_cancelled: CheckCancelled | None = None) -> NDArray[np.uint8]:
+    def observed(self, view: DepthView, check_cancelled: CheckCancelled = lambda: None) -> NDArray[np.uint8]:
         """What a view says of the space about the arm, (X, Y, Z, 2); pauses as :meth:`read_picture`."""
         return fused(self._each(view, check_cancelled))
 
@@ -97,14 +92,14 @@ class SpatialWorld(World):
         """(N, 3): centres of the voxels in the arm's reach that no camera of the view sees, m."""
         return unseen_m(self.body, self.sensor.grid, self.observed(view))
 
-    def examined(self, view: DepthView, check_cancelled: CheckCancelled | None = None) -> Examined:
+    def examined(self, view: DepthView, check_cancelled: CheckCancelled = lambda: None) -> Examined:
         """:meth:`observed`, (1, X, Y, Z, 2), with what is to be said of the view."""
         known = None if view.known is None else self.scene_checker(view.known)
         posed = pose_findings(self.body if known is None else known.arm, view)
         single = self._each(view, check_cancelled, known)
         image = fused(single)
         if known is not None:
-            known.complete(image, self.sensor.grid, check_cancelled or (lambda: None))
+            known.complete(image, self.sensor.grid, check_cancelled)
         findings = (*picture_findings(self.body, self.sensor, view, single, image, posed), *posed)
         return Examined(image[None], findings, None in view.states, known, len(view.pictures))
 
@@ -123,15 +118,13 @@ class SpatialWorld(World):
     def contact(
         self, configuration: NDArray[np.floating], image: NDArray[np.uint8], known: Known | None
     ) -> Contact | None:
-        """See :meth:`cspace.world.World.contact`."""
         found: Any = self.scene_checker(PlanningScene()) if known is None else known
         return cast("Contact | None", found.contact(configuration, image, self.sensor.grid))
 
-    def diagnosis(self, data: bytes | View, check_cancelled: CheckCancelled | None = None) -> Diagnosis:
-        """See :func:`cspace.worlds.spatial.diagnosis.diagnose`."""
+    def diagnosis(self, data: bytes | View, check_cancelled: CheckCancelled = lambda: None) -> Diagnosis:
         return self.diagnosed(read_view(data, self.body, check_cancelled), check_cancelled)
 
-    def diagnosed(self, view: DepthView, check_cancelled: CheckCancelled | None = None) -> Diagnosis:
+    def diagnosed(self, view: DepthView, check_cancelled: CheckCancelled = lambda: None) -> Diagnosis:
         """:meth:`diagnosis` of a view that was read."""
         try:
             cheap = self.examined(view, check_cancelled).findings
@@ -139,27 +132,21 @@ class SpatialWorld(World):
             seen, remedy = f"{error.what}: {error.got}", str(error.remedy)
             blind = Finding("nothing-in-reach", seen, "it is refused", remedy)
             cheap = (blind, *view_findings(self.body, self.sensor, view))
-        return diagnose(self.body, self.sensor, view, cheap, check_cancelled or (lambda: None))
+        return diagnose(self.body, self.sensor, view, cheap, check_cancelled)
 
     def _each(
-        self, view: DepthView, check_cancelled: CheckCancelled | None, known: Any = None
+        self, view: DepthView, check_cancelled: CheckCancelled, known: Any = None
     ) -> list[NDArray[np.uint8]]:
         """What each picture of a view says alone."""
-        arm = self.body if known is None else known.arm
+        arm, explained = (self.body, None) if known is None else (known.arm, known.explains)
+        # Several pictures may share a state.
+        spheres = {one: None if one is None else arm.spheres_at(one) for one in set(view.states)}
         return [
-            observe(
-                picture,
-                camera,
-                self.sensor.grid,
-                spheres,
-                is_explained=None if known is None else known.explains,
-                check_cancelled=check_cancelled,
-            )
-            for picture, camera, spheres in zip(view.pictures, view.cameras, _spheres(arm, view), strict=True)
+            observe(picture, camera, self.sensor.grid, spheres[state], explained, check_cancelled)
+            for picture, camera, state in zip(view.pictures, view.cameras, view.states, strict=True)
         ]
 
     def grid_arm(self, groups: int) -> GridArm:
-        """See :meth:`cspace.world.World.grid_arm`."""
         found, arm, grid = grouped(self.body, groups), self.body, self.sensor.grid
         if any(count % NETWORK_MULTIPLE for count in grid.counts):
             raise ScenarioError(
@@ -185,24 +172,13 @@ class SpatialWorld(World):
         )
 
     def check_scenes(self, arrays: Arrays, count: int) -> None:
-        """See :meth:`cspace.world.World.check_scenes`."""
         for name, values in (("boxes", BOX_VALUES), ("cylinders", CYLINDER_VALUES)):
-            array = arrays.get(name)
-            if array is None:
-                continue
-            if (
-                array.dtype != np.float64
-                or array.ndim != 3
-                or (len(array), array.shape[2]) != (count, values)
-            ):
-                raise DatasetError(
-                    f"{name}.npy does not fit",
-                    expected=f"float64 ({count}, any, {values})",
-                    got=f"{array.dtype} {array.shape}",
-                )
+            array = arrays.get(name, np.empty((count, 0, values)))
+            if array.dtype != np.float64 or array.ndim != 3 or array.shape[::2] != (count, values):
+                expected, got = f"float64 ({count}, any, {values})", f"{array.dtype} {array.shape}"
+                raise DatasetError(f"{name}.npy does not fit", expected=expected, got=got)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
         scenes = None if self.scenes is None else self.scenes.to_dict()
         return {
             "kind": self.kind,
@@ -210,12 +186,6 @@ class SpatialWorld(World):
             "cameras": self.sensor.to_dict(),
             "scenes": scenes,
         }
-
-
-def _spheres(arm: SerialArm, view: DepthView) -> list[NDArray[np.float64] | None]:
-    """Those of an arm at the state of each picture, (S, 4) m; None where it has none."""
-    known = {state: None if state is None else arm.spheres_at(state) for state in set(view.states)}
-    return [known[state] for state in view.states]
 
 
 def usual(arm: SerialArm) -> SpatialWorld:

@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from cspace.errors import ConfigError, StorageError
-from cspace.files import make_output_folder, write_json
+from cspace.files import make_output_folder, replacing
 from cspace.plan import load_kernels
 from cspace.planning.paths import length_rad, spaced
 from cspace.planning.search import find_paths
@@ -304,7 +304,8 @@ class RunStore:
             make_output_folder(request.out)
             old = json.loads(manifest.read_text("utf-8")) if manifest.is_file() else {}
             self._join(old)
-            write_json(manifest, self.manifest, indent=1)
+            with replacing(manifest) as beside:
+                beside.write_text(json.dumps(self.manifest, indent=1), encoding="utf-8")
             if self._path.is_file():
                 # A killed process leaves half a line.
                 os.truncate(self._path, self._path.read_bytes().rfind(b"\n") + 1)

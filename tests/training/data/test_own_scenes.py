@@ -12,8 +12,7 @@ from cspace.dataset import open_dataset
 from cspace.simulator import Split
 from cspace.worlds import simulator_of
 from cspace.worlds.planar.checks import CollisionChecker
-from cspace.worlds.planar.scenes import DiscScenes, GivenScenes
-from cspace.worlds.planar.world import Scenario
+from cspace.worlds.planar.world import DiscScenes, GivenScenes, Scenario
 from training.data.__main__ import main
 
 ROBOT = """\

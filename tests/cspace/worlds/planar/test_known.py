@@ -11,9 +11,8 @@ from cspace.plan import Seen, search_paths
 from cspace.view_file import pack_view
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
 from cspace.worlds.planar.checks import CollisionChecker, seen_checkers
-from cspace.worlds.planar.scenes import KnownDiscs
 from cspace.worlds.planar.simulator import render
-from cspace.worlds.planar.world import Disc, PlanarWorld, Scenario
+from cspace.worlds.planar.world import Disc, KnownDiscs, PlanarWorld, Scenario
 
 DISCS = (Disc(1.5, 1.0, 0.3), Disc(-2.0, 0.5, 0.8), Disc(0.3, -2.5, 0.05))
 SHOWN = Disc(-3.0, -3.0, 1.0)

@@ -9,8 +9,7 @@ from cspace.errors import ScenarioError
 from cspace.simulator import Split, scenario_rng
 from cspace.worlds import read_world, simulator_of
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
-from cspace.worlds.planar.scenes import DiscScenes, GivenScenes
-from cspace.worlds.planar.world import PlanarWorld
+from cspace.worlds.planar.world import DiscScenes, GivenScenes, PlanarWorld
 
 SCENES = tuple(((float(number), 2.0, 0.4), (-2.0, 2.0, 0.4)) for number in range(1, 12))
 

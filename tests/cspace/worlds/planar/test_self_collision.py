@@ -4,8 +4,6 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from cspace.errors import ScenarioError
 from cspace.simulator import Problem
@@ -17,17 +15,6 @@ from services.planner.ompl_planner import solve
 from services.planner.result import RRT_CONNECT, SAMPLED_CONNECT, PlannerSettings
 from tests.capsules import self_clearance_by_hand
 from tests.cspace.worlds.planar.test_collision import FOLDING
-
-angles = st.floats(-7.0, 7.0) | st.sampled_from([0.0, np.pi / 2, np.pi, -np.pi])
-
-
-@given(angles, st.integers(3, 6))
-@settings(deadline=None, max_examples=60)
-def test_a_stretched_arm_is_clear_of_itself_whatever_rounding_makes_of_its_line(heading, count):
-    arm = PlanarArm((1.0, 0.7, 1.1, 0.6, 0.9, 0.8)[:count], 0.1, self_collision=True)
-    q = np.concatenate([[heading], np.zeros(count - 1)])
-    least = min(arm.link_lengths_m[1:-1]) - 0.2
-    assert CollisionChecker(Scenario(arm, ())).clearance([q])[0] == pytest.approx(least, abs=1e-9)
 
 
 @pytest.mark.parametrize("links", [(1.0, 0.2, 1.0), (1.0, 1.0, 0.1, 1.0)])

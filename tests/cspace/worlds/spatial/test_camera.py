@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from cspace.errors import ScenarioError
-from cspace.strict_json import parse_json
+from cspace.files import parse_json
 from cspace.worlds.spatial.camera import DepthCamera, looking, read_camera
 from cspace.worlds.spatial.poses import HERE, pose_of
 

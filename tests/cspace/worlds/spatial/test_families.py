@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from cspace.errors import ScenarioError
+from cspace.files import parse_json, read_object
 from cspace.simulator import Split
-from cspace.strict_json import parse_json, read_object
-from cspace.worlds.spatial.distances import distance_m
+from cspace.worlds.spatial.bodies import distance_m
 from cspace.worlds.spatial.furniture import (
     FAMILIES,
     Bins,

@@ -14,7 +14,7 @@ from cspace.worlds.spatial.benchmark import (
     problems,
     write_problems,
 )
-from cspace.worlds.spatial.distances import clearance_m
+from cspace.worlds.spatial.bodies import clearance_m
 from cspace.worlds.spatial.kinematics import arm_arrays, self_distance_batch
 from tests.cspace.worlds.spatial.test_robots import PANDA
 

@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 
 from cspace.simulator import Split
+from cspace.worlds.spatial.bodies import distance_m
 from cspace.worlds.spatial.camera import DepthCamera, looking, to_mm
 from cspace.worlds.spatial.distance_field import TRUNCATION_M
-from cspace.worlds.spatial.distances import distance_m
 from cspace.worlds.spatial.furniture import FAMILIES, SpatialScenes
-from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles
+from cspace.worlds.spatial.obstacles import Box, Obstacles
 from cspace.worlds.spatial.poses import make_pose, pose_of, turned
 from cspace.worlds.spatial.rendering import render_depth
 from cspace.worlds.spatial.scenes import draw_cameras, draw_layout
@@ -75,20 +75,6 @@ def test_before_a_plane_is_free_and_behind_it_unseen_and_how_deep():
     assert np.abs(code[hidden] - (1.0 + np.floor(deep))).max() <= 1.0
     assert code[hidden].max() > 25
     assert not (code[shown & (height <= FREE_MARGIN_M - 0.002)] == FREE).any()
-
-
-def test_two_cameras_know_at_least_what_each_knows():
-    obstacles = Obstacles.of(
-        (*slab(0.1).boxes, Cylinder(pose_of(make_pose(np.eye(3), (0, 0, 0.3))), 0.1, 0.2))
-    )
-    cameras = [
-        DepthCamera.of_field(64, 64, 60.0, looking((1.0, side, 0.9), (0.0, 0.0, 0.3))) for side in (-0.9, 0.9)
-    ]
-    one, other = (seen(obstacles, camera) for camera in cameras)
-    both = seen(obstacles, *cameras)
-    np.testing.assert_array_equal(both, np.minimum(one, other))
-    free = [(found[..., 1] == FREE).mean() for found in (one, other, both)]
-    assert free[2] > 1.05 * max(free[:2])
 
 
 def test_the_arm_is_no_surface_and_hides_what_is_behind_it():

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from cspace.worlds.spatial.bodies import distance_m
 from cspace.worlds.spatial.camera import DepthCamera, looking
-from cspace.worlds.spatial.distances import distance_m
 from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles
 from cspace.worlds.spatial.poses import make_pose, pose_of, turned
 from cspace.worlds.spatial.rendering import render_depth

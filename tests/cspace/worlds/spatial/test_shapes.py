@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cspace.errors import ScenarioError
-from cspace.strict_json import parse_json, read_object
+from cspace.files import parse_json, read_object
 from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles
 from cspace.worlds.spatial.poses import HERE, make_pose, pose_of, turned
 

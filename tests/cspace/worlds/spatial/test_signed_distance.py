@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cspace.worlds.spatial.distances import distance_m
+from cspace.worlds.spatial.bodies import distance_m
 from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles
 from cspace.worlds.spatial.poses import HERE, make_pose, pose_of, turned
 

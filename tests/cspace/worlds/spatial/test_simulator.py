@@ -8,8 +8,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from cspace.errors import ScenarioError
+from cspace.files import parse_json
 from cspace.simulator import UNIFORM, Simulator, Split
-from cspace.strict_json import parse_json
 from cspace.world import World
 from cspace.worlds import read_world
 from cspace.worlds.planar.world import PlanarWorld

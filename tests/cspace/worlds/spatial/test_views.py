@@ -1,7 +1,7 @@
 import numpy as np
 
 from cspace.simulator import Split
-from cspace.worlds.spatial.distances import distance_m
+from cspace.worlds.spatial.bodies import distance_m
 from cspace.worlds.spatial.furniture import SpatialScenes
 from cspace.worlds.spatial.scenes import draw_cameras, draw_layout
 from cspace.worlds.spatial.sensor import CameraViews
