@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, cast
 
@@ -27,6 +28,7 @@ from services.evaluator.evaluation import (
     Unit,
     UnitResult,
     deciding,
+    headline,
     run_unit,
     table_of,
     units,
@@ -42,7 +44,7 @@ from services.evaluator.gate import (
     gated_metrics,
 )
 from services.evaluator.recalibrate import predicted_reports
-from services.evaluator.report import comparison_note, log_evaluation, scenes_text, shown_of
+from services.evaluator.report import comparison_note, log_evaluation, scenes_text
 from services.evaluator.scenes import PackedBundle, bundle_sampler
 from services.names import (
     ALIAS_CHAMPION,
@@ -248,12 +250,19 @@ def _record(
     progress: Progress,
 ) -> None:
     """Append the decision to the version's log, move the alias if it is a promotion, show the figures."""
-    metrics, digest = gated_metrics(evaluation), robot_digest(evaluation.setting.world)
+    setting, metrics = evaluation.setting, gated_metrics(evaluation)
+    digest = robot_digest(setting.world)
     moment_ms = time.time_ns() // 1_000_000
     decided = (verdict.promoted, verdict.reasons, metrics, verdict.bar.against, moment_ms, digest)
     record_decision(registry, Decision(version.name, version.number, *decided))
     try:
-        registry.show(version, shown_of(evaluation, comparison_note(evaluation, verdict)))
+        registry.show(
+            version,
+            headline(evaluation),
+            comparison_note(evaluation, verdict),
+            f"{setting.world.kind} scenes, seed {setting.seed}",
+            sha256(scenes_text(setting).encode()).hexdigest(),
+        )
     except RegistryUnavailableError:
         raise
     except RegistryError as error:

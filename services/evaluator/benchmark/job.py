@@ -321,7 +321,6 @@ def _log(tracking: Tracking, results: Results, request: Request, plots: Mapping[
             run.artifact(out / part)
         for name, figure in plots.items():
             run.figure(figure, name)
-        run.flush()
         return run.run_id
 
 
