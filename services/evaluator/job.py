@@ -12,7 +12,6 @@ from typing import Any, cast
 import pandas as pd
 
 from cspace.bundle import Bundle, load_verified
-from cspace.dataset import open_dataset
 from cspace.errors import (
     BundleError,
     ModelNotFoundError,
@@ -70,16 +69,12 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """One evaluation; ``promote`` records the decision and moves the alias.
-
-    ``data`` is a data set whose held-out scenes replace those of the version's own data.
-    """
+    """One evaluation; ``promote`` records the decision and moves the alias."""
 
     model: ModelReference
     budget: Budget
     seed: int = 0
     promote: bool = True
-    data: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -183,11 +178,7 @@ def evaluate_version(
             spec = bundle.spec
             robot = shown_name(spec.world, recorded_name(spec.provenance.config))
             run.tags({TAG_WORLD: f"{spec.world.kind}, {robot}"})
-            world = spec.world
-            if request.data is not None:
-                data = open_dataset(request.data, verify=False)
-                world = world.among(data.world, data.arrays)
-            setting = Setting(world, request.seed, request.budget, spec.kind == "path")
+            setting = Setting(spec.world, request.seed, request.budget, spec.kind == "path")
             progress(f"evaluating {version}, digest {bundle.digest[:12]}")
             progress(scenes_text(setting))
             champion, bar = find_champion(registry, version, bundle, Path(folder) / "champion")
