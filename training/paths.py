@@ -58,7 +58,6 @@ def run_job(job: Job[PathTrainConfig]) -> JobResult:
         samples = path_samples(source, dataset, config.points)
         _LOG.info("path model: %d paths", len(samples.ids))
         (trial,) = run_trials(job, "models", [MODEL], path_trial, samples=samples, space=dataset.world.space)
-        run.flush()
         _LOG.info("bundle: exporting %s", MODEL)
         folder = job.folder / BUNDLE_FOLDER
         bundle = kept_bundle(folder) or trained_bundle(folder, job, trial, source, dataset)

@@ -50,7 +50,6 @@ def make_request(options: argparse.Namespace) -> Request:
         budget if options.scenarios is None else replace(budget, scenarios=options.scenarios),
         options.seed,
         promote=not options.no_promote,
-        data=options.data,
     )
 
 
@@ -95,8 +94,6 @@ def _parser() -> argparse.ArgumentParser:
     add("--budget", choices=sorted(BUDGETS), default="quick", help="how much is evaluated")
     add("--scenarios", type=COUNT, help="per split, instead of the budget's")
     add("--seed", type=ANY_SEED, default=0, help="of scenarios, samples and problems")
-    data = "a data set: evaluate on its scenes, not on the version's own"
-    add("--data", type=Path, metavar="FOLDER", help=data)
     add("--no-promote", action="store_true", help="record no decision, move no alias")
     return parser
 

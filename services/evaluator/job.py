@@ -5,13 +5,13 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, cast
 
 import pandas as pd
 
 from cspace.bundle import Bundle, load_verified
-from cspace.dataset import open_dataset
 from cspace.errors import (
     BundleError,
     ModelNotFoundError,
@@ -27,6 +27,7 @@ from services.evaluator.evaluation import (
     Unit,
     UnitResult,
     deciding,
+    headline,
     run_unit,
     table_of,
     units,
@@ -42,7 +43,7 @@ from services.evaluator.gate import (
     gated_metrics,
 )
 from services.evaluator.recalibrate import predicted_reports
-from services.evaluator.report import comparison_note, log_evaluation, scenes_text, shown_of
+from services.evaluator.report import comparison_note, log_evaluation, scenes_text
 from services.evaluator.scenes import PackedBundle, bundle_sampler
 from services.names import (
     ALIAS_CHAMPION,
@@ -68,16 +69,12 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """One evaluation; ``promote`` records the decision and moves the alias.
-
-    ``data`` is a data set whose held-out scenes replace those of the version's own data.
-    """
+    """One evaluation; ``promote`` records the decision and moves the alias."""
 
     model: ModelReference
     budget: Budget
     seed: int = 0
     promote: bool = True
-    data: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -181,11 +178,7 @@ def evaluate_version(
             spec = bundle.spec
             robot = shown_name(spec.world, recorded_name(spec.provenance.config))
             run.tags({TAG_WORLD: f"{spec.world.kind}, {robot}"})
-            world = spec.world
-            if request.data is not None:
-                data = open_dataset(request.data, verify=False)
-                world = world.among(data.world, data.arrays)
-            setting = Setting(world, request.seed, request.budget, spec.kind == "path")
+            setting = Setting(spec.world, request.seed, request.budget, spec.kind == "path")
             progress(f"evaluating {version}, digest {bundle.digest[:12]}")
             progress(scenes_text(setting))
             champion, bar = find_champion(registry, version, bundle, Path(folder) / "champion")
@@ -248,12 +241,19 @@ def _record(
     progress: Progress,
 ) -> None:
     """Append the decision to the version's log, move the alias if it is a promotion, show the figures."""
-    metrics, digest = gated_metrics(evaluation), robot_digest(evaluation.setting.world)
+    setting, metrics = evaluation.setting, gated_metrics(evaluation)
+    digest = robot_digest(setting.world)
     moment_ms = time.time_ns() // 1_000_000
     decided = (verdict.promoted, verdict.reasons, metrics, verdict.bar.against, moment_ms, digest)
     record_decision(registry, Decision(version.name, version.number, *decided))
     try:
-        registry.show(version, shown_of(evaluation, comparison_note(evaluation, verdict)))
+        registry.show(
+            version,
+            headline(evaluation),
+            comparison_note(evaluation, verdict),
+            f"{setting.world.kind} scenes, seed {setting.seed}",
+            sha256(scenes_text(setting).encode()).hexdigest(),
+        )
     except RegistryUnavailableError:
         raise
     except RegistryError as error:

@@ -3,7 +3,6 @@
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, astuple, replace
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,6 @@ from services.evaluator.evaluation import (
     VALIDATION,
     Evaluation,
     Setting,
-    headline,
     learned_samples,
     planned,
     planner_of,
@@ -39,7 +37,6 @@ from services.names import NOTE as DESCRIPTION
 from services.planner.ompl_planner import solve
 from services.planner.plotting import plot_plan
 from services.planner.samples import SampleSource
-from services.registry.entities import Shown
 from services.registry.tracking import RunLog
 
 MEASURES_TABLE, COMPARISONS, NOTE = "measures", "comparisons", "comparison.md"
@@ -110,13 +107,6 @@ def comparison_note(evaluation: Evaluation, verdict: Verdict) -> str:
     return "\n\n".join([*parts, f"{scenes[0].upper()}{scenes[1:]}."]) + "\n"
 
 
-def shown_of(evaluation: Evaluation, note: str) -> Shown:
-    """What a version's page shows, its run and its logged model."""
-    setting = evaluation.setting
-    name, digest = f"{setting.world.kind} scenes, seed {setting.seed}", sha256(scenes_text(setting).encode())
-    return Shown(headline(evaluation), note, name, digest.hexdigest())
-
-
 def _tables(evaluation: Evaluation, *, everything: bool) -> Iterator[tuple[str, Task, pd.DataFrame]]:
     """Split, task and a table with a row for each family and sampler, of all or of the main estimates."""
     rows = evaluation.estimates
@@ -181,7 +171,6 @@ def log_evaluation(
         (folder / NOTE).write_text(note, encoding="utf-8")
         evaluation.table.to_parquet(folder / "evaluation.parquet")
         run.artifact(folder, REPORT_FOLDER)
-        run.flush()
     if sampler.with_ends:
         return _log_plans(run, evaluation, sampler)
     return _log_scenes(run, evaluation, sampler)

@@ -14,7 +14,7 @@ from cspace.query import PlanQuery, SampleQuery
 from cspace.simulator import OWN, Problem
 from cspace.world import World
 from cspace.worlds import checker_of, default_world, picture_file_of, robot_digest, simulator_of
-from cspace_client import FoundPlan, OutcomeSender, PictureWarning
+from cspace_client import FoundPlan, PictureWarning
 from services.names import label, model_name
 from services.planner.ompl_planner import DEFAULT_UNIFORM_SHARE, solve
 from services.planner.result import CHECK_FACTOR, RRT_CONNECT, PlannerSettings, PlanResult, Reason
@@ -147,10 +147,9 @@ def compare(
     source: SampleSource,
     settings: PlannerSettings,
     request: SampleRequest | None = None,
-    uniform_share: float = DEFAULT_UNIFORM_SHARE,
 ) -> Comparison:
     """Solves the problem in all three ways and keeps the trees."""
-    learned = plan(problem, source, settings, request, uniform_share, keep_tree=True)
+    learned = plan(problem, source, settings, request, keep_tree=True)
     uniform = solve(problem, settings, keep_tree=True)
     connect = solve(problem, replace(settings, planner=RRT_CONNECT), keep_tree=True)
     return Comparison(problem, settings.planner, learned, uniform, connect)
@@ -186,14 +185,6 @@ def comparison_text(comparison: Comparison) -> str:
     return "\n".join([*head, *warning_lines(() if batch is None else batch.warnings), "", table])
 
 
-def report_samples(comparison: Comparison, sender: OutcomeSender) -> None:
-    """Checks all samples of the API and reports how many are free."""
-    batch = comparison.learned.batch
-    if batch is not None and len(batch.samples):
-        free = np.count_nonzero(checker_of(comparison.problem.scenario).valid_batch(batch.samples))
-        sender.samples(batch, checked=len(batch.samples), free=int(free))
-
-
 def problem_line(problem: Problem) -> str:
     """A problem in a few words."""
     if problem.family == OWN:
@@ -219,16 +210,6 @@ class WholePlan:
     def free(self) -> bool:
         """Whether there is a path that touches nothing."""
         return self.clearance_m > 0.0
-
-    def report(self, sender: OutcomeSender) -> None:
-        """Reports whether the path is free; nothing moved along it."""
-        sender.plan(
-            self.found,
-            success=self.free,
-            executed=False,
-            collided=not self.free if len(self.found.path) else None,
-            time_s=self.found.round_trip_s,
-        )
 
     @property
     def result(self) -> PlanResult:

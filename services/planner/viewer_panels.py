@@ -15,7 +15,7 @@ from cspace.planning.paths import spread_points
 from services.planner.viewer_state import EXAMPLES, Floats
 
 GREY, START, GOAL = (150, 150, 155), (70, 120, 200), (60, 160, 90)
-UNSEEN, EXPECTED = (200, 190, 230), (120, 60, 200)
+EXPECTED = (120, 60, 200)
 LOW, HIGH = np.array([200, 40, 40]), np.array([40, 170, 80])
 SAMPLES_AT_MOST = 200
 NOVEL = 0.95
@@ -50,7 +50,6 @@ class ScenePanel:
             self.shares = gui.add_html("")
             self.message = gui.add_html("")
             gui.add_html(as_text("Click an obstacle or a camera to move it."))
-            self.unseen: Any = gui.add_checkbox("show unknown space", initial_value=False)
             self.expected: Any = gui.add_checkbox("show what the model expects", initial_value=False)
         self.sliders = {name: self._joint_sliders(name) for name in ("start", "goal")}
         self.expected.on_update(lambda _: guarded(self._show_expected))
@@ -58,7 +57,6 @@ class ScenePanel:
         for handle in (self.family, self.seed):
             handle.on_update(partial(self._by_hand, self._draw))
         self.count.on_update(lambda _: guarded(self.show_samples))
-        self.unseen.on_update(lambda _: guarded(self._show_unseen))
 
     def _joint_sliders(self, name: str) -> list[Any]:
         gui, space = self.server.gui, self.state.world.space
@@ -147,7 +145,6 @@ class ScenePanel:
         self.show_arm("/scene/start", state.problem.start, START)
         self.show_arm("/scene/goal", state.problem.goal, GOAL, opacity=0.4)
         scene.add_point_cloud("/scene/cloud", state.points_m(), (40, 40, 40), point_size=0.004)
-        self._show_unseen()
         # An API that fails leaves no figures of another scene.
         self.shares.content = ""
         found = state.sample(int(self.count.value))
@@ -170,10 +167,6 @@ class ScenePanel:
         self.message.content = ""
         # Last, for not every model can tell.
         self._show_expected()
-
-    def _show_unseen(self) -> None:
-        points = self.state.unseen_m() if self.unseen.value else np.empty((0, 3))
-        self.server.scene.add_point_cloud("/scene/unseen", points, UNSEEN, point_size=0.004)
 
     def _show_expected(self) -> None:
         """Translucent cells, the more probable the less so."""

@@ -79,11 +79,8 @@ class SceneState:
             camera.points_m(depth / 1000.0).reshape(-1, 3)[(depth > 0).reshape(-1)]
             for camera, depth in zip(view.cameras, view.pictures, strict=True)
         ]
-        return _thinned(np.concatenate(clouds))
-
-    def unseen_m(self) -> Floats:
-        """The unknown space in reach, (N, 3) m in the base frame, thinned out."""
-        return _thinned(cast("Any", self.world).unseen_m(self.scene.view()))
+        points = np.concatenate(clouds)
+        return points[:: max(1, len(points) // POINTS_AT_MOST)]
 
     def expected(self) -> tuple[Floats, NDArray[np.float32], float]:
         """Centres (N, 3) m of cells in which something is expected, its probability (N,), a cell's side."""
@@ -115,8 +112,3 @@ class SceneState:
     def blocked(self, path: Floats) -> NDArray[np.bool_]:
         """Which edges (M - 1,) of a path (M, d) collide in the true scene."""
         return ~self.simulator.checker(self.scene).edge_batch(path[:-1], path[1:], CHECK_RAD)
-
-
-def _thinned(points: Floats) -> Floats:
-    """At most twice as many points (N, 3) as are shown."""
-    return points[:: max(1, len(points) // POINTS_AT_MOST)]

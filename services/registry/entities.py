@@ -54,16 +54,6 @@ class ModelVersion:
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
-    """What people see of an evaluated version: metrics, a note in Markdown, the data and their digest."""
-
-    metrics: Mapping[str, float]
-    note: str
-    data: str
-    data_digest: str
-
-
-@dataclass(frozen=True, slots=True)
 class ModelReference:
     """A model as users name it: ``name``, ``name@alias``, ``name/version`` or ``pretrained``."""
 

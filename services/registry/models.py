@@ -8,7 +8,7 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +23,7 @@ from cspace.bundle import BundleSpec
 from cspace.bundle.files import SPEC_FILE, read_files
 from cspace.errors import BundleIntegrityError, ModelNotFoundError, RegistryError, StorageError
 from services.names import ALIAS_CHAMPION, ARTIFACT_STORE, TAG_DIGEST, world_tags
-from services.registry.entities import ModelReference, ModelVersion, Shown
+from services.registry.entities import ModelReference, ModelVersion
 from services.registry.errors import check_reachable, mapped, without_user_info
 from services.registry.tracking import MAX_BATCH, MAX_DIGEST, all_pages, ignored
 
@@ -68,58 +68,29 @@ class ModelRegistry:
         spec = BundleSpec.from_json(files.contents[SPEC_FILE])
         all_tags = {**tags, **world_tags(spec.world), TAG_DIGEST: digest}
 
-        def create(run: Run) -> None:
-            model = _logged_model(self._client, name, bundle_folder, run, all_tags)
-            _create_model(self._client, name)
-            # The UI links a version to its logged model by the short form, which only a server can resolve.
-            is_server = self._client.tracking_uri.startswith("http")
-            source = f"models:/{model.model_id}" if is_server else str(model.artifact_location)
-            self._client.create_model_version(
-                name, source, run_id=run_id, tags=all_tags, await_creation_for=0, model_id=model.model_id
-            )
-
-        return self._once(name, run_id, all_tags, alias, create)
-
-    def record(
-        self, name: str, run_id: str, tags: Mapping[str, str], *, alias: str | None = None
-    ) -> ModelVersion:
-        """Make what a run found the next version of a model without a bundle: its tags are all there is.
-
-        A run makes one version for a digest: a second call returns it, with the tags and the alias set again.
-        """
-
-        def create(run: Run) -> None:
-            _create_model(self._client, name)
-            self._client.create_model_version(
-                name, str(run.info.artifact_uri), run_id=run_id, tags=dict(tags), await_creation_for=0
-            )
-
-        return self._once(name, run_id, tags, alias, create)
-
-    def _once(
-        self,
-        name: str,
-        run_id: str,
-        tags: Mapping[str, str],
-        alias: str | None,
-        create: Callable[[Run], None],
-    ) -> ModelVersion:
-        """The version of a run and a digest, created where there is none."""
         with self._asking(f"registering {name} for run {run_id}"):
             run = self._client.get_run(run_id)
-            if not (made := self._made(name, run_id, tags.get(TAG_DIGEST))):
-                create(run)
-                made = self._made(name, run_id, tags.get(TAG_DIGEST))
+            if not (made := self._made(name, run_id, digest)):
+                model = _logged_model(self._client, name, bundle_folder, run, all_tags)
+                with ignored("RESOURCE_ALREADY_EXISTS"):
+                    self._client.create_registered_model(name)
+                # The UI links a version to its logged model by the short form that only a server resolves.
+                is_server = self._client.tracking_uri.startswith("http")
+                source = f"models:/{model.model_id}" if is_server else str(model.artifact_location)
+                self._client.create_model_version(
+                    name, source, run_id=run_id, tags=all_tags, await_creation_for=0, model_id=model.model_id
+                )
+                made = self._made(name, run_id, digest)
             # A call that MLflow's client repeated may have made two.
             first, *repeated = made
             for number in repeated:
                 self._client.delete_model_version(name, str(number))
-        self.set_tags(name, first, tags)
+        self.set_tags(name, first, all_tags)
         if alias is not None:
             self.set_alias(name, alias, first)
         return self.version(name, first)
 
-    def _made(self, name: str, run_id: str, digest: str | None) -> list[int]:
+    def _made(self, name: str, run_id: str, digest: str) -> list[int]:
         found = self._client.search_model_versions(f"name='{name}' AND run_id='{run_id}'")
         return sorted(int(one.version) for one in found if one.tags.get(TAG_DIGEST) == digest)
 
@@ -178,19 +149,23 @@ class ModelRegistry:
         with self._asking(f"taking a tag off {name}/{number}", lookup=True):
             self._client.delete_model_version_tag(name, str(number), tag)
 
-    def show(self, version: ModelVersion, shown: Shown) -> None:
-        """Show figures and a note of a version, on its run and logged model too, in place of earlier ones."""
+    def show(
+        self, version: ModelVersion, metrics: Mapping[str, float], note: str, data: str, data_digest: str
+    ) -> None:
+        """Show metrics and a note in Markdown of a version, on its run and logged model too.
+
+        They replace earlier ones; ``data`` names what was evaluated on.
+        """
         with self._asking(f"showing figures of {version}", lookup=True):
-            self._client.update_model_version(version.name, str(version.number), shown.note)
+            self._client.update_model_version(version.name, str(version.number), note)
         with mapped(f"showing figures of {version}"):
             run = self._client.get_run(version.run_id)
             model = next(_whole_models(self._client, version.name, run, version.digest), None)
             model_id = None if model is None else model.model_id
-            digest = shown.data_digest[:MAX_DIGEST]
-            now_ms = time.time_ns() // 1_000_000
+            digest, now_ms = data_digest[:MAX_DIGEST], time.time_ns() // 1_000_000
             points = [
-                Metric(key, value, now_ms, 0, model_id, shown.data, digest, version.run_id)
-                for key, value in shown.metrics.items()
+                Metric(key, value, now_ms, 0, model_id, data, digest, version.run_id)
+                for key, value in metrics.items()
             ]
             self._client.log_batch(version.run_id, points)
 
@@ -254,11 +229,6 @@ def _version(found: MlflowVersion) -> ModelVersion:
         tags=tags,
         created_ms=int(found.creation_timestamp),
     )
-
-
-def _create_model(client: MlflowClient, name: str) -> None:
-    with ignored("RESOURCE_ALREADY_EXISTS"):
-        client.create_registered_model(name)
 
 
 def _whole_models(client: MlflowClient, name: str, run: Run, digest: str) -> Iterator[LoggedModel]:

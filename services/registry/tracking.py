@@ -200,13 +200,12 @@ class RunLog:
     """One run that is being written; not for sharing between threads.
 
     As a context manager it finishes the run, FAILED when an exception ends the block (KILLED when the
-    exception is an interrupt). Metrics that could not be sent are sent with the next ones.
+    exception is an interrupt).
     """
 
     def __init__(self, tracking: Tracking, run_id: str) -> None:
         self.run_id = run_id
         self._tracking, self._client = tracking, tracking.client
-        self._points: list[Metric] = []
         self._is_open = False
 
     def open(self) -> None:
@@ -225,26 +224,20 @@ class RunLog:
 
     def metrics(self, metrics: Mapping[str, float], step: int, time_ms: int | None = None) -> None:
         """Send metrics of one step; points of the same step, value and ``time_ms`` (else now) are one."""
-        self._add(metrics, step, time_ms)
-        self.flush()
+        at = time.time_ns() // 1_000_000 if time_ms is None else time_ms
+        self.history([{"step": step, "time_ms": at, **metrics}])
 
     def history(self, rows: Iterable[Mapping[str, float]]) -> None:
-        """Log and send a trial's metrics, each row with its ``step`` and ``time_ms``."""
-        for row in rows:
-            values = {name: value for name, value in row.items() if name not in ("step", "time_ms")}
-            self._add(values, int(row["step"]), int(row["time_ms"]))
-        self.flush()
-
-    def _add(self, metrics: Mapping[str, float], step: int, time_ms: int | None) -> None:
-        at = time.time_ns() // 1_000_000 if time_ms is None else time_ms
-        self._points += [Metric(name, float(value), at, step) for name, value in metrics.items()]
-
-    def flush(self) -> None:
-        """Send the metrics that wait."""
-        while self._points:
-            batch = self._points[:MAX_BATCH]
+        """Send metrics in batches, each row with its ``step`` and ``time_ms``."""
+        points = [
+            Metric(name, float(value), int(row["time_ms"]), int(row["step"]))
+            for row in rows
+            for name, value in row.items()
+            if name not in ("step", "time_ms")
+        ]
+        for first in range(0, len(points), MAX_BATCH):
+            batch = points[first : first + MAX_BATCH]
             self._ask("logging metrics", partial(self._client.log_batch, self.run_id, metrics=batch))
-            del self._points[: len(batch)]
 
     def tags(self, tags: Mapping[str, str]) -> None:
         """Set tags; the last value holds."""
@@ -300,8 +293,7 @@ class RunLog:
         self._ask("logging the data set", log)
 
     def finish(self, status: RunStatus = "FINISHED") -> None:
-        """Send what waits and end the run."""
-        self.flush()
+        """End the run."""
         self._ask("ending", lambda: self._client.set_terminated(self.run_id, status))
         self._is_open = False
 

@@ -7,7 +7,7 @@ import pytest
 from mlflow import MlflowClient
 
 from cspace.bundle import Bundle
-from services.registry.entities import ModelVersion, Shown
+from services.registry.entities import ModelVersion
 from services.registry.models import ModelRegistry
 from services.registry.tracking import Tracking
 from tests.bundles import write_tiny_bundle
@@ -49,8 +49,8 @@ def test_a_version_leads_to_its_run_and_to_the_data(registered: Registered) -> N
     assert [(point.step, point.value) for point in history] == [(0, 0.7), (1, 0.84)]
 
     # What is shown later stands on the version's page and on its logged model.
-    shown = Shown({"validation/edr": 0.25}, "## promoted", "planar scenes, seed 0", DIGEST)
-    ModelRegistry(registered.uri).show(registered.version, shown)
+    shown = ({"validation/edr": 0.25}, "## promoted", "planar scenes, seed 0", DIGEST)
+    ModelRegistry(registered.uri).show(registered.version, *shown)
     page = client.get_model_version(registered.version.name, str(registered.version.number))
     assert page.description == "## promoted"
     metrics = {metric.key: metric for metric in client.get_logged_model(output.model_id).metrics}
@@ -65,7 +65,6 @@ def _register(uri: str, folder: Path, name: str) -> Registered:
         run.params({"seed": 7})
         run.metrics({"precision": 0.7}, 0)
         run.metrics({"precision": 0.84}, 1)
-        run.flush()
         run.dataset("own", DIGEST, "data/own", "training")
         made = ModelRegistry(uri).register(
             name, folder, run.run_id, bundle.digest, {"data_digest": DIGEST}, alias="challenger"

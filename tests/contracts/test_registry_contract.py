@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 
 from cspace.bundle import Bundle
-from cspace.errors import BundleIntegrityError, ModelNotFoundError, RegistryError, StorageError
+from cspace.errors import BundleIntegrityError, ModelNotFoundError, StorageError
 from cspace.worlds import robot_digest
 from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION
-from services.registry.entities import ModelVersion, Shown
+from services.registry.entities import ModelVersion
 from services.registry.models import ModelRegistry
 from services.registry.tracking import Tracking
 from tests.bundles import write_tiny_bundle
@@ -82,22 +82,6 @@ def test_another_run_or_another_bundle_is_the_next_version(
     assert [version.aliases for version in listed] == [(ALIAS_CHALLENGER,), (), ()]
 
 
-def test_what_a_run_found_is_recorded_once_as_tags_alone(
-    backend: Backend, model_name: str, tmp_path: Path
-) -> None:
-    registry, runs = backend.registry, [backend.tracking.start("contract", "fit").run_id for _ in range(2)]
-    made = registry.record(model_name, runs[0], {"offset": "0.5"}, alias=ALIAS_CHAMPION)
-    assert (made.number, made.run_id, made.digest) == (1, runs[0], "")
-    assert (made.tags, made.aliases) == ({"offset": "0.5"}, (ALIAS_CHAMPION,))
-    again = registry.record(model_name, runs[0], {"offset": "0.5", "slope": "1.0"})
-    assert (again.number, again.tags) == (1, {"offset": "0.5", "slope": "1.0"})
-    second = registry.record(model_name, runs[1], {"digest": "0" * 64})
-    assert (made.digest, second.digest, second.number) == ("", "0" * 64, 2)
-    assert registry.by_alias(model_name, ALIAS_CHAMPION).number == 1
-    with pytest.raises(RegistryError):
-        registry.record(model_name, "0" * 32, {})
-
-
 def test_a_deleted_version_is_gone_and_its_number_is_not_given_again(
     backend: Backend, first: ModelVersion, bundle: Bundle, other: Bundle
 ) -> None:
@@ -140,11 +124,11 @@ def test_figures_of_a_version_are_shown_on_the_run_that_made_it_the_last_ones_ho
     backend: Backend, first: ModelVersion
 ) -> None:
     for value in (0.5, 0.75):
-        shown = Shown({"validation/precision": value}, "## not promoted", "planar scenes", "ab" * 32)
-        backend.registry.show(first, shown)
+        shown = ({"validation/precision": value}, "## not promoted", "planar scenes", "ab" * 32)
+        backend.registry.show(first, *shown)
     assert backend.tracking.run(first.run_id).metrics["validation/precision"] == 0.75
     with pytest.raises(ModelNotFoundError):
-        backend.registry.show(replace(first, number=99), shown)
+        backend.registry.show(replace(first, number=99), *shown)
 
 
 def test_a_downloaded_bundle_is_the_registered_one_and_no_folder_is_overwritten(

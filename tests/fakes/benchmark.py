@@ -2,11 +2,10 @@
 
 from collections.abc import Iterator, Sequence
 
-from services.evaluator.benchmark.job import run_unit
-from services.evaluator.benchmark.sources import SourceSpec
+from services.evaluator.benchmark.job import Models, run_unit
 from services.evaluator.benchmark.variants import Setting, Unit
 
 
-def run_here(work: Sequence[Unit], setting: Setting, specs: Sequence[SourceSpec]) -> Iterator[list[dict]]:
+def run_here(work: Sequence[Unit], setting: Setting, models: Models) -> Iterator[list[dict]]:
     for unit in work:
-        yield run_unit(unit, (setting, tuple(specs)))
+        yield run_unit(unit, (setting, models))

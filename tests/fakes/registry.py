@@ -3,7 +3,7 @@
 import json
 import shutil
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from cspace.errors import (
     StorageError,
 )
 from services.names import TAG_DIGEST, TAG_KEY, world_tags
-from services.registry.entities import ID, ID_LENGTH, FoundRun, ModelVersion, RunStatus, Shown, flatten
+from services.registry.entities import ID, ID_LENGTH, FoundRun, ModelVersion, RunStatus, flatten
 from services.registry.models import ModelRegistry
 from services.registry.tracking import RunLog, Tracking
 
@@ -50,11 +50,13 @@ class FakeRunLog(RunLog):
             if self._run.params.setdefault(name, value) != value:
                 raise RegistryError(f"the parameter {name} has a value already")
 
-    def _add(self, metrics: Mapping[str, float], step: int, time_ms: int | None) -> None:
-        for name, value in metrics.items():
-            points = self._run.history.setdefault(name, [])
-            if (step, float(value)) not in points:
-                points.append((step, float(value)))
+    def history(self, rows: Iterable[Mapping[str, float]]) -> None:
+        for row in rows:
+            for name, value in row.items():
+                point = (int(row["step"]), float(value))
+                if name not in ("step", "time_ms"):
+                    points = self._run.history.setdefault(name, [])
+                    points += [point] if point not in points else []
 
     def tags(self, tags: Mapping[str, str]) -> None:
         self._run.tags |= tags
@@ -80,9 +82,6 @@ class FakeRunLog(RunLog):
         entry = {"name": name, "digest": digest, "source": source, "context": context}
         if entry not in self._run.inputs:
             self._run.inputs.append(entry)
-
-    def flush(self) -> None:
-        pass
 
     def finish(self, status: RunStatus = "FINISHED") -> None:
         self._run.status = status
@@ -169,7 +168,7 @@ class FakeRegistry(ModelRegistry):
         self._runs = runs
         self._versions: dict[str, list[ModelVersion | None]] = {}
         self._aliases: dict[tuple[str, str], int] = {}
-        self.shown: dict[tuple[str, int], Shown] = {}
+        self.shown: dict[tuple[str, int], tuple[Mapping[str, float], str]] = {}
 
     def register(
         self,
@@ -186,27 +185,16 @@ class FakeRegistry(ModelRegistry):
         if got != digest:
             raise BundleIntegrityError("another bundle", expected=digest, got=got)
         world = BundleSpec.from_json(files.contents[SPEC_FILE]).world
-        all_tags = {**tags, **world_tags(world), TAG_DIGEST: digest}
-        return self._once(name, run_id, all_tags, alias, bundle_folder)
-
-    def record(
-        self, name: str, run_id: str, tags: Mapping[str, str], *, alias: str | None = None
-    ) -> ModelVersion:
-        return self._once(name, run_id, tags, alias, None)
-
-    def _once(  # type: ignore[override]
-        self, name: str, run_id: str, tags: Mapping[str, str], alias: str | None, bundle: Path | None
-    ) -> ModelVersion:
+        tags = {**tags, **world_tags(world), TAG_DIGEST: digest}
         self._check_there()
         if self._runs is not None and run_id not in self._runs:
             raise RegistryError(f"there is no run {run_id}")
-        known, digest = self._versions.setdefault(name, []), tags.get(TAG_DIGEST, "")
+        known = self._versions.setdefault(name, [])
         same = [one.number for one in known if one and (one.run_id, one.digest) == (run_id, digest)]
         number = same[0] if same else len(known) + 1
         if not same:
             known.append(ModelVersion(name, number, run_id, digest, (), {}, time.time_ns() // 1_000_000))
-            if bundle is not None:
-                shutil.copytree(bundle, self._place(name, number))
+            shutil.copytree(bundle_folder, self._place(name, number))
         self.set_tags(name, number, tags)
         if alias is not None:
             self.set_alias(name, alias, number)
@@ -251,11 +239,13 @@ class FakeRegistry(ModelRegistry):
         version = self.version(name, number)
         self._versions[name][number - 1] = replace(version, aliases=(), tags={**version.tags, **tags})
 
-    def show(self, version: ModelVersion, shown: Shown) -> None:
+    def show(
+        self, version: ModelVersion, metrics: Mapping[str, float], note: str, data: str, data_digest: str
+    ) -> None:
         known = self.version(version.name, version.number)
-        self.shown[known.name, known.number] = shown
+        self.shown[known.name, known.number] = (metrics, note)
         if self._runs is not None:
-            for name, value in shown.metrics.items():
+            for name, value in metrics.items():
                 self._runs[version.run_id].history.setdefault(name, []).append((0, value))
 
     def remove_tag(self, name: str, number: int, tag: str) -> None:

@@ -42,7 +42,7 @@ def test_models_of_other_robots_are_listed_where_an_alias_names_them(
     registry.add(bundles["other"], "champion", name="arm-sampler")
     registry.add(bundles["plain"], name="another-sampler")
     # It answers no request.
-    registry.record("scene-model", "run", {}, alias="champion")
+    registry.add(bundles["plain"], "champion", name="scene-model")
     assert references(own_api)[5:] == ["arm-sampler/2", "pretrained"]
     assert references(own_api, "?name=arm-sampler") == ["arm-sampler/2", "arm-sampler/1", "pretrained"]
     assert_problem(own_api.get("/models", params={"name": "../x"}), 422, "invalid-value")

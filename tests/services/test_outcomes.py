@@ -27,7 +27,6 @@ from services.outcomes import (
     clock_agrees,
     delete_expired,
     forget,
-    main,
     matched,
     problem_of,
     upload,
@@ -227,8 +226,6 @@ def test_kept_pictures_expire_by_a_clock_that_agrees_with_the_registrys(
         patch.setattr(time, "time", lambda now=time.time: now() + 3 * 86_400)
         assert not clock_agrees(registry)
         assert spool.delete_expired(registry) == 0
-        environment = {"CSPACE_OUTCOMES": str(folder), "MLFLOW_TRACKING_URI": registry}
-        assert main([], environment) == 2
     assert len(views_in(folder)) == 2
     # While the registry is away nothing expires, for it does not say its time.
     assert spool.delete_expired("http://127.0.0.1:1") == 0

@@ -40,8 +40,6 @@ def log_result(run: RunLog, bundle: Bundle, dataset: Dataset, final: TrialOutcom
     last = {f"last/{name}": value for name, value in final.metrics.items() if name != "steps_per_s"}
     # The same moment for a job that goes on, so that it is one point.
     run.metrics(last, 0, round(1e3 * final.times_s[1]))
-    # The registry copies what the server holds by the time of registration.
-    run.flush()
     return tuple(figures)
 
 

@@ -12,8 +12,7 @@ from cspace.query import MAX_SAMPLES
 from cspace.simulator import ProblemRequest, Split
 from cspace.worlds import examples, named_world, partly_seen
 from services.commands import ANY_SEED, COUNT, POSITIVE, number, report_error
-from services.evaluator.benchmark.job import REPORT, Request, executor, run_benchmark
-from services.evaluator.benchmark.sources import bundled, parse_named, served
+from services.evaluator.benchmark.job import REPORT, Request, executor, packed_bundle, run_benchmark
 from services.evaluator.benchmark.variants import (
     GROUPS,
     LIMITS,
@@ -64,11 +63,14 @@ def parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--out", type=Path, required=True, help="folder of runs, report and figures")
     parser.add_argument("--protocol", type=Protocol, choices=list(Protocol), default=Protocol.FAMILIES)
-    models = parser.add_argument_group("models, each option any number of times").add_argument
-    models("--api", help="of the models, for example http://127.0.0.1:8000")
-    reference, folder = "[NAME=]REFERENCE", "NAME=FOLDER"
-    models("--model", action="append", default=[], metavar=reference, help="as path-sampler@champion")
-    models("--bundle", action="append", default=[], metavar=folder, help="in the planner's process")
+    parser.add_argument(
+        "--bundle",
+        action="append",
+        default=[],
+        type=_named,
+        metavar="NAME=FOLDER",
+        help="a model, repeatable",
+    )
     what = parser.add_argument_group("what is run").add_argument
     robots = f"{', '.join(WORLDS)}, or a robot's file (default: %(default)s)"
     what("--robot", default=next(iter(WORLDS)), help=robots)
@@ -107,20 +109,25 @@ def _add_plan_options(plans: argparse._ArgumentGroup) -> None:
     plans.add_argument("--problems-folder", type=Path, help=fetched)
 
 
+def _named(text: str) -> tuple[str, Path]:
+    name, _, folder = text.partition("=")
+    if not name or not folder or "," in name:
+        raise argparse.ArgumentTypeError(f"expected NAME=FOLDER without a comma in the name, got {text!r}")
+    return name, Path(folder)
+
+
 def _variants(options: argparse.Namespace) -> tuple[Variant, ...]:
-    names = [parse_named(text)[0] for text in (*options.model, *options.bundle)]
+    names = [name for name, _ in options.bundle]
     variants = table(options.protocol, names, options.samples, tuple(dict.fromkeys(options.shares)))
     if len({one.name for one in variants}) < len(variants):
         raise ConfigError(
-            "models share a name", expected="NAME=REFERENCE with other names", got=", ".join(names)
+            "models share a name", expected="NAME=FOLDER with other names", got=", ".join(names)
         )
     return pick(variants, options.variants or GROUPS[options.protocol])
 
 
 def make_request(options: argparse.Namespace) -> Request:
-    """What the options ask for; models are asked once, bundles loaded."""
-    if options.model and not options.api:
-        raise ConfigError("models are behind an API", remedy="name it with --api")
+    """What the options ask for; bundles are loaded."""
     limits, world = LIMITS[options.protocol], named_world(options.robot)
     setting = Setting(
         options.protocol,
@@ -135,14 +142,11 @@ def make_request(options: argparse.Namespace) -> Request:
     folder = None if options.problems_folder is None else options.problems_folder.resolve()
     problems = _plan_problems(options, setting, folder) if plans else _problems(options, setting)
     used = {one.sampler for one in variants}
-    models, bundles = (map(parse_named, given) for given in (options.model, options.bundle))
-    specs = [
-        *(served(name, model, options.api, world, plans=plans) for name, model in models if name in used),
-        *(bundled(name, Path(path), world if plans else None) for name, path in bundles if name in used),
-    ]
+    robot = world if plans else None
+    models = tuple((name, packed_bundle(folder, robot)) for name, folder in options.bundle if name in used)
     pictures = tuple(dict.fromkeys(options.pictures)) if plans else (0,)
     repeats = options.runs or RUNS[setting.protocol]
-    return Request(options.out, setting, problems, repeats, variants, tuple(specs), pictures, folder)
+    return Request(options.out, setting, problems, repeats, variants, models, pictures, folder)
 
 
 def _wanted(options: argparse.Namespace, usual: Sequence[str], known: Sequence[str]) -> list[str]:
@@ -177,8 +181,8 @@ def _plan_problems(options: argparse.Namespace, setting: Setting, folder: Path |
             f"the robot {options.robot} has no problems that are seen in part",
             remedy="name another one with --robot, as panda",
         ) from error
-    if not options.model and not options.bundle:
-        raise ConfigError("no model plans", remedy="name one with --bundle, or with --api and --model")
+    if not options.bundle:
+        raise ConfigError("no model plans", remedy="name one with --bundle")
     known = [family for families in seen.sources.values() for family in families]
     known = list(seen.grasping) if options.held else known
     problems: dict[str, int] = {}

@@ -7,7 +7,6 @@ import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from functools import cache, cached_property, lru_cache
 from itertools import product
@@ -20,31 +19,36 @@ import pandas as pd
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from cspace.bundle import Bundle, load_verified
 from cspace.errors import ConfigError, StorageError
 from cspace.files import make_output_folder, replacing
 from cspace.plan import load_kernels
 from cspace.planning.paths import length_rad, spaced
 from cspace.planning.search import find_paths
-from cspace.query import DEFAULT_PATHS, SampleQuery
-from cspace.simulator import Problem, UnseenPolicy
-from cspace.worlds import checker_of, partly_seen, picture_file_of
+from cspace.query import DEFAULT_PATHS, Plan, PlanQuery, SampleQuery
+from cspace.simulator import UNIFORM, Problem, Split, UnseenPolicy
+from cspace.world import World
+from cspace.worlds import checker_of, partly_seen, picture_file_of, robot_digest, simulator_of
 from services.commands import Progress
 from services.evaluator.benchmark.report import Results, figures
-from services.evaluator.benchmark.sources import Model, SourceSpec, opened, plan_query
 from services.evaluator.benchmark.variants import NO_PROBLEM, Group, Key, Protocol, Setting, Unit, Variant
 from services.evaluator.cluster import on_cluster, spread
+from services.evaluator.scenes import PackedBundle
 from services.names import EXPERIMENT, NOTE, TAG_STAGE
 from services.planner.ompl_planner import solve
+from services.planner.planning import between_ends
 from services.planner.result import PlanResult
-from services.planner.samples import SampleBatch
+from services.planner.samples import BundleSampler, SampleBatch
 from services.registry.entities import ID
 from services.registry.tracking import Tracking
 
 Row = dict[str, Any]
 FoundPath = NDArray[np.float64] | None
 Show = Callable[[str], None]
-Execute = Callable[[Sequence[Unit], Setting, Sequence[SourceSpec]], Iterator[list[Row]]]
-Shared = tuple[Setting, tuple[SourceSpec, ...]]
+# Packed bundles by the names of their models.
+Models = tuple[tuple[str, PackedBundle], ...]
+Shared = tuple[Setting, Models]
+Execute = Callable[[Sequence[Unit], Setting, Models], Iterator[list[Row]]]
 # Columns with their pandas types; docs/benchmark.md describes them.
 COLUMNS = {
     "protocol": "str", "source": "str", "family": "str", "problem": "int64", "pictures": "int64",
@@ -53,7 +57,7 @@ COLUMNS = {
     "iterations": "Int64", "edge_checks": "Int64", "state_checks": "Int64", "learned_drawn": "Int64",
     "uniform_drawn": "Int64", "length_rad": "float64",
     "solve_s": "float64", "state_check_s": "float64",
-    "request_s": "float64", "server_s": "float64", "total_s": "float64",
+    "request_s": "float64", "total_s": "float64",
     "confidence": "float64", "clearance_m": "float64", "meshes_free": "boolean",
     "search_s": "float64", "score_s": "float64", "bottleneck_rad": "float64",
 }  # fmt: skip
@@ -62,10 +66,45 @@ LOOK_RAD = 0.01
 _STATES, _REPEATS = 5000, 5
 
 
+def packed_bundle(folder: Path, plans_for: World | None = None) -> PackedBundle:
+    """A bundle's files for all workers; with a world it has to plan for its robot."""
+    bundle = load_verified(folder)
+    if plans_for is not None and not (bundle.has_validity and bundle.robot == robot_digest(plans_for)):
+        raise ConfigError(
+            f"the bundle {folder} does not plan for this robot",
+            expected="a validity head, and the robot of --robot",
+            got=f"{'one' if bundle.has_validity else 'none'}, robot {bundle.robot[:12]}",
+        )
+    return PackedBundle.pack(bundle)
+
+
 @lru_cache(maxsize=1)
-def _models(setting: Setting, specs: tuple[SourceSpec, ...]) -> dict[str, Model]:
-    """Models that stay open as long as the process."""
-    return opened(specs, setting.world, ExitStack(), plans=setting.protocol is Protocol.PLANS)
+def _opened(setting: Setting, models: Models) -> dict[str, Bundle]:
+    """Bundles that stay open as long as the process; each is used once, so that no run pays for that."""
+    problem = simulator_of(setting.world).problem(UNIFORM, Split.DEMO, 0)
+    bundles = {name: packed.load() for name, packed in models}
+    for bundle in bundles.values():
+        if setting.protocol is Protocol.PLANS:
+            _plan(bundle, problem, 0, 1.0)
+        else:
+            _sample(bundle, problem, SampleQuery(10, 1, min_confidence=0.0))
+    return bundles
+
+
+def _sample(bundle: Bundle, problem: Problem, query: SampleQuery) -> SampleBatch:
+    """One batch for a problem's picture; path models are asked with start and goal."""
+    sampler = BundleSampler(bundle, robot=robot_digest(problem.scenario.world))
+    query = between_ends(query, problem) if sampler.with_ends else query
+    return sampler.answer(picture_file_of(problem.scenario), query)
+
+
+def _plan(bundle: Bundle, problem: Problem, seed: int, time_limit_s: float) -> Plan:
+    """The path of the highest confidence and all others, at any confidence, in the limits of the problem."""
+    world = problem.scenario.world
+    start, goal = (tuple(float(angle) for angle in end) for end in (problem.start, problem.goal))
+    query = PlanQuery(start, goal, seed, 0.0, time_limit_s, DEFAULT_PATHS, alternatives=True)
+    own = bundle.within(world)
+    return own.plan(own.prepare(world.examine_picture(picture_file_of(problem.scenario))), query)
 
 
 def run_unit(unit: Unit, shared: Shared) -> list[Row]:
@@ -74,7 +113,7 @@ def run_unit(unit: Unit, shared: Shared) -> list[Row]:
     if problem is None:
         nothing = {"status": NO_PROBLEM, "solved": False}
         return [_row(setting, unit, variant, run) | nothing for variant, run in unit.todo]
-    case, rows = _Case(problem, unit, setting, _models(*shared)), []
+    case, rows = _Case(problem, unit, setting, _opened(*shared)), []
     # Each unit has its own order, so that no variant is always the one that finds the caches warm.
     first = setting.planner(unit.todo[0][0], unit.index, unit.todo[0][1]).seed
     for position in np.random.default_rng([first, 1]).permutation(len(unit.todo)):
@@ -99,7 +138,7 @@ def _row(setting: Setting, unit: Unit, variant: Variant, run: int) -> Row:
 class _Case:
     """A unit's problem, and what its variants share."""
 
-    def __init__(self, problem: Problem, unit: Unit, setting: Setting, models: dict[str, Model]) -> None:
+    def __init__(self, problem: Problem, unit: Unit, setting: Setting, models: dict[str, Bundle]) -> None:
         self.problem, self.unit, self.setting, self.models = problem, unit, setting, models
         self.batch = cache(self._batch)
 
@@ -118,7 +157,9 @@ class _Case:
         bottleneck_rad = self.problem.bottleneck_rad
         row: Row = {"bottleneck_rad": bottleneck_rad if math.isfinite(bottleneck_rad) else None}
         if variant.group is Group.PLANS:
-            path, columns = self._search(variant.unseen) if variant.unseen else self._ask(variant.sampler)
+            path, columns = (
+                self._search(variant.unseen) if variant.unseen else self._ask(str(variant.sampler))
+            )
             return row | columns | self._evaluated(path)
         settings = self.setting.planner(variant, self.unit.index, run)
         row["state_check_s"] = _state_check_s(self.problem)
@@ -128,17 +169,17 @@ class _Case:
             batch = self.batch(variant.sampler, variant.query(settings.seed))
             result = solve(self.problem, settings, batch.samples, 1.0 - variant.share)
             row["request_s"] = batch.round_trip_s
-            row["server_s"] = None if batch.timing is None else batch.timing.total_s
         total_s = row.get("request_s", 0.0) + result.solve_time_s
         return row | _of_result(result) | {"total_s": total_s}
 
     def _batch(self, sampler: str, query: SampleQuery) -> SampleBatch:
-        return self.models[sampler].sample(self.problem, query)
+        return _sample(self.models[sampler], self.problem, query)
 
-    def _ask(self, model: str | None) -> tuple[FoundPath, Row]:
+    def _ask(self, model: str) -> tuple[FoundPath, Row]:
         """A model's path of the highest confidence."""
-        query = plan_query(self.problem, self.setting.seed, self.setting.time_limit_s)
-        plan, request_s = self.models[model or ""].plan(self.problem, query)
+        began = time.perf_counter()
+        plan = _plan(self.models[model], self.problem, self.setting.seed, self.setting.time_limit_s)
+        request_s = time.perf_counter() - began
         solved = plan.status == "solved"
         return plan.path if solved else None, {
             "status": plan.status,
@@ -216,7 +257,7 @@ class Request:
     problems: Mapping[str, int]
     repeats: int
     variants: tuple[Variant, ...]
-    specs: tuple[SourceSpec, ...]
+    models: Models
     pictures: tuple[int, ...] = (0,)
     folder: Path | None = None
 
@@ -243,7 +284,7 @@ def run_benchmark(
     work = [left for unit in units if (left := unit.without(done)).todo]
     show(f"{len(request.variants)} variants; {len(work)} units to do")
     with Progress("planning", len(work), show) as progress:
-        for found in execute(work, request.setting, request.specs) if work else ():
+        for found in execute(work, request.setting, request.models) if work else ():
             store.append(found)
             progress.advance()
     wanted = {key for unit in units for key in unit.run_keys()}
@@ -271,7 +312,7 @@ def _log(tracking: Tracking, results: Results, request: Request, plots: Mapping[
     what = setting.split if setting.protocol is Protocol.PLANS else ", ".join(request.problems)
     name = f"planning, {setting.protocol}, {what}, seed {setting.seed}, {ID}"
     with tracking.start(EXPERIMENT, name, tags={"protocol": setting.protocol.value, TAG_STAGE: STAGE}) as run:
-        samplers = {spec.name: spec.digest for spec in request.specs}
+        samplers = {name: packed.digest for name, packed in request.models}
         run.params({"setting": asdict(setting), "samplers": samplers})
         run.metrics(results.metrics(), 0)
         run.table(results.columns(), "variants")
@@ -280,7 +321,6 @@ def _log(tracking: Tracking, results: Results, request: Request, plots: Mapping[
             run.artifact(out / part)
         for name, figure in plots.items():
             run.figure(figure, name)
-        run.flush()
         return run.run_id
 
 
@@ -296,7 +336,7 @@ class RunStore:
         described: dict[str, Any] = {
             "setting": asdict(request.setting) | {"world": request.setting.world.to_dict()},
             "variants": {one.name: asdict(one) for one in request.variants},
-            "samplers": {spec.name: spec.described for spec in request.specs},
+            "samplers": {name: packed.digest for name, packed in request.models},
         }
         # As JSON has it: lists for tuples.
         self.manifest = json.loads(json.dumps(described))
@@ -342,18 +382,18 @@ def executor(environment: Mapping[str, str], count: int) -> Execute:
     return run_on_ray if on_cluster(environment) else processes(count)
 
 
-def run_on_ray(work: Sequence[Unit], setting: Setting, specs: Sequence[SourceSpec]) -> Iterator[list[Row]]:
+def run_on_ray(work: Sequence[Unit], setting: Setting, models: Models) -> Iterator[list[Row]]:
     """Runs as they come from the cluster that RAY_ADDRESS names; a lost worker's unit is run again."""
-    return spread(run_unit, work, (setting, tuple(specs)), "benchmark")
+    return spread(run_unit, work, (setting, models), "benchmark")
 
 
 def processes(count: int) -> Execute:
     """Units over so many spawned processes of this machine, each of which computes on one core."""
 
-    def run(work: Sequence[Unit], setting: Setting, specs: Sequence[SourceSpec]) -> Iterator[list[Row]]:
+    def run(work: Sequence[Unit], setting: Setting, models: Models) -> Iterator[list[Row]]:
         for name in _ONE_THREAD:
             os.environ.setdefault(name, "1")
-        shared = (setting, tuple(specs))
+        shared = (setting, models)
         with ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), end_with_parent) as pool:
             try:
                 for done in as_completed([pool.submit(run_unit, unit, shared) for unit in work]):

@@ -346,10 +346,9 @@ class Results:
             f"- A state check takes {1e6 * self.runs['state_check_s'].median():.2f} us (median).",
             f"- {len(out)} problems are left out, because their start or goal collides.",
         ]
-        for name, one in self.manifest["samplers"].items():
+        for name, digest in self.manifest["samplers"].items():
             if name in used:
-                what = one["model"] or "bundle"
-                facts.append(f"- {name}: {what}, digest {one['digest'][:12]}, transport {one['transport']}.")
+                facts.append(f"- {name}: digest {digest[:12]}.")
         title = f"# Planning benchmark, protocol `{setting.protocol}`"
         shown = [f"![{path}]({path})" for path in figures]
         parts = [title, "\n".join(facts), READING, *_sections(self.tables), *shown]

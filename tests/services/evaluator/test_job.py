@@ -107,14 +107,17 @@ def test_every_estimate_stands_in_a_table_with_its_limits(refused):
 
 
 def test_the_headline_is_shown_on_the_version_and_on_the_run_that_made_it(refused):
-    shown, version = refused.registry.shown[MODEL_NAME, 1], refused.registry.version(MODEL_NAME, 1)
-    assert {"validation/precision", "test/coverage", "validation/edr"} <= set(shown.metrics)
-    assert len(shown.metrics) <= MAX_HEADLINE
+    (metrics, note), version = (
+        refused.registry.shown[MODEL_NAME, 1],
+        refused.registry.version(MODEL_NAME, 1),
+    )
+    assert {"validation/precision", "test/coverage", "validation/edr"} <= set(metrics)
+    assert len(metrics) <= MAX_HEADLINE
     made = refused.tracking.runs[version.run_id].history
-    assert {name: points[-1][1] for name, points in made.items()} == shown.metrics
-    assert shown.note.startswith(f"## {MODEL_NAME}/1: not promoted")
-    assert all(f"- {reason}" in shown.note for reason in refused.outcome.verdict.reasons)
-    assert refused.run.artifacts["report/comparison.md"].decode() == shown.note
+    assert {name: points[-1][1] for name, points in made.items()} == metrics
+    assert note.startswith(f"## {MODEL_NAME}/1: not promoted")
+    assert all(f"- {reason}" in note for reason in refused.outcome.verdict.reasons)
+    assert refused.run.artifacts["report/comparison.md"].decode() == note
 
 
 def test_a_refused_version_is_recorded_and_the_champion_stays(refused):

@@ -1,10 +1,5 @@
-import json
-from functools import partial
-
-import httpx
 import pytest
 
-from cspace_client import OutcomeSender
 from services.planner import __main__ as command
 from tests.fakes.sample_server import sample_server
 from tests.fakes.sample_source import FakeSampleSource
@@ -31,29 +26,6 @@ def test_a_solved_problem_prints_a_table_draws_a_figure_and_returns_0(api, tmp_p
     assert lines[-1].endswith(str(figure))
 
 
-def test_the_api_is_told_what_the_exact_checks_found_if_asked_to(capsys, monkeypatch):
-    told = []
-
-    def take(request):
-        told.extend(json.loads(request.read())["outcomes"])
-        return httpx.Response(202)
-
-    with sample_server(FakeSampleSource()) as server, monkeypatch.context() as patch:
-        patch.setattr(command, "OutcomeSender", partial(OutcomeSender, transport=httpx.MockTransport(take)))
-        for option in ([], ["--outcomes"]):
-            assert command.main(["--api", server.url, *UNIFORM, "--n", "50", *option]) == 0
-    [outcome] = told
-    assert (outcome["kind"], outcome["request_id"], outcome["model"]) == (
-        "samples",
-        "request-1",
-        "pretrained/0",
-    )
-    assert (outcome["checked"], 0 < outcome["free"] <= 50) == (50, True)
-    # Who plans without the API has nothing to tell, and plans.
-    assert command.main([*DEAD, *UNIFORM, "--outcomes"]) == 0
-    assert "not told" in capsys.readouterr().err
-
-
 def test_a_dead_server_is_reported_and_the_problem_solved_uniformly(capsys):
     assert command.main([*DEAD, *UNIFORM]) == 0
     out = capsys.readouterr().out
@@ -63,8 +35,8 @@ def test_a_dead_server_is_reported_and_the_problem_solved_uniformly(capsys):
 
 
 def test_a_problem_without_a_path_returns_1(capsys):
-    assert command.main([*DEAD, "--family", "disconnected", "--max-iterations", "300"]) == 1
-    assert "the iteration limit was reached" in capsys.readouterr().out
+    assert command.main([*DEAD, "--family", "disconnected", "--time-limit", "0.05"]) == 1
+    assert "the time limit was reached" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("arguments", [["--plot", "plan.gif"], ["--api", "nonsense"]], ids=" ".join)
@@ -78,12 +50,8 @@ def test_a_wrong_value_returns_2_and_is_named(arguments, capsys):
     [
         ["--family", "wide"],
         ["--planner", "RRTConnect"],
-        ["--uniform-share", "2"],
-        ["--timeout", "inf"],
-        ["--range", "0"],
-        ["--max-iterations", "0"],
-        ["--planner-seed", str(2**64)],
-        ["--constraints", '{"wide": 1}'],
+        ["--time-limit", "0"],
+        ["--seed", str(2**64)],
     ],
     ids=" ".join,
 )

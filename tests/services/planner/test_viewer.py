@@ -83,10 +83,3 @@ def test_what_is_dragged_is_seen_in_the_next_pictures(api: FakeApi, state: Scene
     for before, after in pairwise(api.shown):
         assert not np.array_equal(before.pictures[0], after.pictures[0])
     assert np.isfinite(state.points_m()).all()
-
-
-def test_unknown_space_lies_where_no_camera_reads(state: SceneState) -> None:
-    unseen = state.unseen_m()
-    assert len(unseen) > 1000
-    nearest = [np.linalg.norm(unseen - point, axis=1).min() for point in state.points_m()[::500]]
-    assert np.median(nearest) > WORLD.sensor.grid.voxel_m / 2.0

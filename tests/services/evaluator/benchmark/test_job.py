@@ -6,12 +6,17 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
-from cspace.errors import SamplerError
 from cspace.worlds.planar.problems import Family
 from services.evaluator import __main__ as evaluator
 from services.evaluator.benchmark import __main__ as command
-from services.evaluator.benchmark.job import RUNS, Request, processes, run_benchmark, run_unit
-from services.evaluator.benchmark.sources import bundled
+from services.evaluator.benchmark.job import (
+    RUNS,
+    Request,
+    packed_bundle,
+    processes,
+    run_benchmark,
+    run_unit,
+)
 from services.evaluator.benchmark.variants import Protocol, Unit, pick, table
 from tests.fakes.benchmark import run_here
 from tests.fakes.registry import FakeTracking
@@ -20,7 +25,7 @@ VARIANTS = ("RRT, way, 70 %", "own RRT-Connect, way, 70 %")
 TABLE = table(Protocol.FAMILIES, ["way"])
 PROBLEMS = {Family.UNIFORM: 2, Family.DISCONNECTED: 1}
 # What two runs of the same benchmark may differ in.
-TIMES = ["solve_s", "state_check_s", "request_s", "server_s", "total_s"]
+TIMES = ["solve_s", "state_check_s", "request_s", "total_s"]
 
 
 def silent(line: str) -> None:
@@ -32,7 +37,7 @@ def make_request(path_folder):
     def make(out, setting, *names, **changes) -> Request:
         short = replace(setting, max_iterations=500)
         request = Request(
-            out, short, PROBLEMS, 1, pick(TABLE, names or VARIANTS), (bundled("way", path_folder),)
+            out, short, PROBLEMS, 1, pick(TABLE, names or VARIANTS), (("way", packed_bundle(path_folder)),)
         )
         return replace(request, **changes)
 
@@ -48,7 +53,7 @@ def numbers(folder) -> list[dict]:
 def test_every_variant_solves_the_same_problem_with_the_same_seed(setting, path_folder):
     variants = pick(TABLE, VARIANTS)
     unit = Unit(Family.NARROW, 0, tuple((one, 0) for one in variants))
-    rows = {row["variant"]: row for row in run_unit(unit, (setting, (bundled("way", path_folder),)))}
+    rows = {row["variant"]: row for row in run_unit(unit, (setting, (("way", packed_bundle(path_folder)),)))}
     assert set(rows) == {one.name for one in variants}
     assert len({row["seed"] for row in rows.values()}) == 1
     for row in rows.values():
@@ -68,7 +73,7 @@ def test_a_benchmark_leaves_table_report_figures_and_a_run(tmp_path, setting, ma
     assert files - {".gitignore", RUNS} == names
     report = (tmp_path / "report.md").read_text()
     assert report.startswith("# Planning benchmark")
-    for words in ("![figures/success.png]", "transport none", "## Work: disconnected"):
+    for words in ("![figures/success.png]", "## Work: disconnected"):
         assert words in report
     frame = pd.read_parquet(tmp_path / "runs.parquet")
     # Two variants and their bases, on three problems.
@@ -79,7 +84,7 @@ def test_a_benchmark_leaves_table_report_figures_and_a_run(tmp_path, setting, ma
     assert set(run.artifacts) == names | {"tables/variants.json"}
     assert (run.tags["protocol"], run.tags["stage"]) == ("families", "planning-benchmark")
     assert run.tags["mlflow.note.content"] == results.note()
-    assert run.params["samplers.way"] == make_request(tmp_path, setting).specs[0].digest
+    assert run.params["samplers.way"] == make_request(tmp_path, setting).models[0][1].digest
     assert run.history["uniform/RRT_way_70/solved"][0][1] == 1.0
     assert any(line.startswith("logged as run") for line in lines)
 
@@ -106,9 +111,6 @@ def test_a_benchmark_that_was_stopped_goes_on_and_ends_with_the_same_numbers(tmp
     # A variant that joins is run alone.
     run_benchmark(make_request(broken.out, setting, "RRT, way, 100 %", *VARIANTS), run_here, silent)
     assert len(numbers(broken.out)) == len(numbers(whole.out)) + 3
-    lying = replace(whole, out=tmp_path / "lying", specs=(replace(whole.specs[0], digest="0" * 64),))
-    with pytest.raises(SamplerError, match="another model answers for way"):
-        run_benchmark(lying, run_here, silent)
 
 
 @pytest.mark.slow
@@ -132,7 +134,6 @@ def test_the_command_runs_and_goes_on_and_refuses_another_setting(tmp_path, path
     [
         (["--variants", "nothing"], "no such variant"),
         (["--family", "wide"], "no such family"),
-        (["--model", "path-sampler@champion"], "behind an API"),
         (["--bundle", "a=x", "--bundle", "a=y"], "share a name"),
     ],
 )

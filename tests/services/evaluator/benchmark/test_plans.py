@@ -1,20 +1,15 @@
 """The protocol plans: its command line, and a small real benchmark."""
 
-import json
-
-import numpy as np
 import pandas as pd
 import pytest
 
 from cspace.errors import ConfigError, DatasetError
 from cspace.simulator import UnseenPolicy
 from inference_api.settings import PRETRAINED_FOLDER
-from services.evaluator.benchmark import __main__ as command
 from services.evaluator.benchmark.__main__ import make_request, parser
 from services.evaluator.benchmark.job import RUNS, run_benchmark
 from tests.fakes.benchmark import run_here
 from tests.fakes.registry import FakeTracking
-from tests.inference_api.server import api_server
 from tests.space_bundle import write_space_bundle
 
 PLANS = ("--protocol", "plans", "--robot", "panda")
@@ -84,23 +79,3 @@ def test_a_benchmark_of_plans_leaves_its_files_and_goes_on_where_it_was_stopped(
     (run,) = tracking.runs.values()
     assert "MotionBenchMaker_1/tiny/solved" in run.history
     assert "## Plans without exact checks: MotionBenchMaker, 1" in (out / "report.md").read_text()
-
-
-@pytest.mark.e2e
-@pytest.mark.slow
-def test_a_model_behind_the_api_plans_as_its_bundle_does(tmp_path):
-    # A family of the project's own: MotionBenchMaker's has limits that a served model does not know.
-    small = (*PLANS, "--family", "table", "--problems", "2", "--pictures", "1")
-    bundle, out = write_space_bundle(tmp_path / "bundle"), tmp_path / "out"
-    with api_server(tmp_path, {"CSPACE_PRETRAINED_MODEL": str(bundle)}) as url:
-        given = [
-            "--out", str(out), "--api", url, "--model", "there=pretrained", "--bundle", f"here={bundle}",
-            *small, "--processes", "1", "--no-mlflow",
-        ]  # fmt: skip
-        assert command.main(given, {}) == 0
-    described = json.loads((out / "manifest.json").read_text())["samplers"]["there"]
-    assert (described["model"], described["transport"]) == ("pretrained", "HTTP")
-    frame = pd.read_parquet(out / "runs.parquet").set_index(["variant", "problem"])
-    there, here = frame.loc["there"], frame.loc["here"]
-    assert (there["status"] == here["status"]).all()
-    np.testing.assert_allclose(there["length_rad"], here["length_rad"], rtol=1e-5)
