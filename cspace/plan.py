@@ -16,7 +16,8 @@ from cspace.planning.paths import spaced
 from cspace.planning.refine import Effort, PathRefiner, route_search
 from cspace.planning.rrt_connect import Growth, grow_connect
 from cspace.planning.search import SearchLimits, find_paths, with_deadline
-from cspace.query import Plan, PlanQuery
+from cspace.planning.trajectory import timed
+from cspace.query import Plan, PlanQuery, Trajectory
 from cspace.simulator import Checker
 from cspace.space import LIMIT_TOLERANCE_RAD, JointSpace
 from cspace.world import CheckCancelled, Contact, Image, Known, World
@@ -124,6 +125,7 @@ class Searched:
         search_ms: looking for them.
         score_ms: asking the model about them, and changing them until their cost is lower.
         reason: why nothing was looked for, in words; None where something was.
+        checker: by which the paths are free; None without paths.
     """
 
     paths: list[ScoredPath]
@@ -131,6 +133,7 @@ class Searched:
     search_ms: float
     score_ms: float
     reason: str | None = None
+    checker: Checker | None = None
 
 
 def plan(
@@ -182,10 +185,31 @@ def plan(
         found = _led_back(found, start)
     elif len(ends) > 1 and np.array_equal(*ends):
         found = _one_point(found)
+    if found.status == "solved" and searched.checker is not None:
+        found = replace(found, trajectory=_trajectory(seen, found, query, searched.checker))
     if query.unwrapped:
         others = (replace(one, path=space.unwrap(one.path, query.start)) for one in found.alternatives)
         found = replace(found, path=space.unwrap(found.path, query.start), alternatives=tuple(others))
     return replace(found, search_ms=searched.search_ms, score_ms=searched.score_ms)
+
+
+def _trajectory(seen: Seen, found: Plan, query: PlanQuery, checker: Checker) -> Trajectory | None:
+    """The plan's path in time; None where no limits of velocity and acceleration are known."""
+    velocity, acceleration = seen.world.motion_limits
+    velocity = query.max_velocity_rad_s or velocity
+    acceleration = query.max_acceleration_rad_s2 or acceleration
+    if velocity is None or acceleration is None:
+        return None
+
+    def are_free(rows: NDArray[np.float64]) -> NDArray[np.bool_]:
+        free = checker.valid_batch(rows)
+        return free if seen.known is None else free & seen.known.free(rows)
+
+    trajectory = timed(found.path, checker.space, velocity, acceleration, are_free)
+    from_start = np.round((query.start - trajectory.positions[0]) / (2.0 * np.pi)) * (2.0 * np.pi)
+    return replace(
+        trajectory, positions=trajectory.positions + np.where(checker.space.periodic, from_start, 0.0)
+    )
 
 
 def _blocked_end(seen: Seen, ends: NDArray[np.float64], *, goal_free: bool) -> str | None:
@@ -288,7 +312,8 @@ def search_paths(
             found.checker, predict, seen.plan_calibration, Effort(step_rad=STEP_RAD), check_cancelled
         )
         ranked = _ranked(_refined(ranked, refiner, seed), space, seen.known)
-    return Searched(ranked, found.late, 1e3 * (searched - began), 1e3 * (time.monotonic() - searched))
+    scored_ms = 1e3 * (time.monotonic() - searched)
+    return Searched(ranked, found.late, 1e3 * (searched - began), scored_ms, checker=found.checker)
 
 
 def planning_space(world: World, limits: Sequence[Sequence[float] | None] | None) -> JointSpace:

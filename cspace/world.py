@@ -249,6 +249,11 @@ class World(ABC):
         """d, number of joints."""
         return self.body.dim
 
+    @property
+    def motion_limits(self) -> tuple[tuple[float, ...] | None, tuple[float, ...] | None]:
+        """Largest velocities (d,) rad/s and accelerations (d,) rad/s^2, where they are known."""
+        return None, None
+
     def read_picture(self, data: bytes | View, check_cancelled: CheckCancelled | None = None) -> Image:
         """An untrusted picture, or several with their cameras, as the array that models take."""
         return np.asarray(self.examine_picture(data, check_cancelled).images[0])

@@ -16,7 +16,7 @@ from cspace.query import Plan, PlanQuery, random_seed
 from cspace.space import LIMIT_TOLERANCE_RAD, JointSpace
 from cspace.view_file import View
 from cspace.world import ARM_IN_PICTURE, LITTLE_IN_REACH, Finding, World
-from cspace_client.wire import Alternative, Contact, LeastSure, NextView, PlanAnswer, PlanTimingMs
+from cspace_client.wire import Alternative, Contact, LeastSure, NextView, PlanAnswer, PlanTimingMs, Trajectory
 from inference_api.body import body_of, both_bodies
 from inference_api.kernels import Kernels, needs_kernels
 from inference_api.limits import ComputePlace
@@ -99,6 +99,7 @@ def plan(
             status=found.status,
             reason=_reason(found, query, request.max_risk, findings),
             path=found.path,
+            trajectory=None if found.trajectory is None else Trajectory.model_validate(found.trajectory),
             confidence=found.confidence,
             receipt=receipt,
             kept=kept,
@@ -132,6 +133,7 @@ def _query_of(request: PlanRequest, view: View) -> PlanQuery:
             raise InputError("max_risk comes with min_confidence", expected="one of them", got="both")
         least = 1.0 - request.max_risk
     pose, upright = request.goal_pose, request.upright
+    velocity, acceleration = request.max_velocity_rad_s, request.max_acceleration_rad_s2
     return PlanQuery(
         start=tuple(request.start),
         goal=None if request.goal is None else tuple(request.goal),
@@ -152,6 +154,8 @@ def _query_of(request: PlanRequest, view: View) -> PlanQuery:
         upright=None if upright is None else upright.model_dump(),
         unwrapped=request.unwrapped,
         goal_free=request.goal_free,
+        max_velocity_rad_s=None if velocity is None else tuple(velocity),
+        max_acceleration_rad_s2=None if acceleration is None else tuple(acceleration),
     )
 
 
