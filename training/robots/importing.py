@@ -15,6 +15,7 @@ from cspace.worlds.spatial.sensor import VOXEL_M, grid_of
 from training.robots.chain import Chain, Held, Limits, read_chain
 from training.robots.description import (
     Description,
+    JointLimit,
     find_srdf,
     read_description,
     read_joint_limits,
@@ -154,7 +155,8 @@ def import_robot(
     srdf, allowances = srdf or find_srdf(urdf), allowances or Allowances()
     disabled, notes = ({}, []) if srdf is None else read_srdf(srdf, description.links)
     notes = [*description.notes, *notes]
-    limits = _limits(description, srdf or urdf, limits or {}, notes)
+    rows = read_joint_limits(srdf or urdf, [joint.name for joint in description.joints.values()])
+    limits = _limits(rows, limits or {}, notes)
     gone = description.behind(without)
     chain = read_chain(description, tip, locked or {}, limits, gone)
     mentioned = {link for pair in kept for link in pair} | set(without)
@@ -162,7 +164,8 @@ def import_robot(
         known = f"some of {sorted(description.links)}"
         raise ScenarioError("links are unknown", expected=known, got=str(unknown))
     # First, for spheres take a while.
-    jointed = SerialArm(name or description.name, chain.joints, (), (), chain.tool, ready_rad)
+    rates = _rates(description, chain, rows)
+    jointed = SerialArm(name or description.name, chain.joints, (), (), chain.tool, ready_rad, *rates)
     solids = _solids(description, chain, urdf, packages or {}, gone, notes)
     parts, fits, surfaces = [], {}, {}
     for link, own in solids.items():
@@ -195,13 +198,30 @@ def import_robot(
 
 
 def _limits(
-    description: Description, beside: Path, given: Mapping[str, Limits], notes: list[str]
+    rows: Mapping[str, JointLimit], given: Mapping[str, Limits], notes: list[str]
 ) -> dict[str, Limits]:
     """Limits that replace the description's: MoveIt's, of which the notes tell, and those that are given."""
-    by_file = read_joint_limits(beside, [joint.name for joint in description.joints.values()])
+    by_file = {
+        name: (row.min_position, row.max_position) for name, row in rows.items() if row.has_position_limits
+    }
     if taken := sorted(set(by_file) - set(given)):
         notes.append(f"limits of joint_limits.yaml are taken: {', '.join(taken)}")
     return {**by_file, **given}
+
+
+def _rates(
+    description: Description, chain: Chain, rows: Mapping[str, JointLimit]
+) -> tuple[tuple[float, ...] | None, tuple[float, ...] | None]:
+    """Largest velocities, MoveIt's or else the description's, and accelerations; None unless all have one."""
+    own = {joint.name: joint.limit for joint in description.joints.values()}
+    velocities, accelerations = [], []
+    for name in (joint.name for joint in chain.joints):
+        row = rows.get(name, JointLimit())
+        by_urdf = own[name].velocity if own[name] is not None else None
+        velocities.append(row.max_velocity if row.has_velocity_limits else by_urdf or 0.0)
+        accelerations.append(row.max_acceleration if row.has_acceleration_limits else 0.0)
+    found = (tuple(rates) if min(rates) > 0.0 else None for rates in (velocities, accelerations))
+    return next(found), next(found)
 
 
 def _solids(
