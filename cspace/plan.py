@@ -3,7 +3,7 @@
 import math
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -78,6 +78,8 @@ CAREFUL_PATHS, CAREFUL = 2, SearchLimits(states=1024, first=1024)
 MAX_GOALS = 4
 # Confidence below which a configuration is expected to touch something.
 _LIKELY = 0.5
+# Configurations through one of which a crossing of what is in the way may lead.
+_CROSSINGS = 32
 # Of an angle at an end, which came in single precision.
 _ROUNDED_RAD = 1e-6
 
@@ -157,6 +159,11 @@ def plan(
     if searched.paths:
         best = searched.paths[0]
         found = _answer(best, len(searched.paths), least)
+        if found.status != "solved":
+            # The robot stands at its start.
+            found = replace(
+                found, reason=_blocked_end(seen, {"goal": ends[-1]} if len(ends) > 1 else {}, query)
+            )
         if query.alternatives:
             alternatives = tuple(one.alternative() for one in searched.paths if one.whole >= least)
             found = replace(found, alternatives=alternatives)
@@ -175,10 +182,11 @@ def plan(
             found = replace(found, next_view=view)
     else:
         nothing = np.empty((0, seen.world.dim))
-        reason = searched.reason or _blocked_end(seen, ends, goal_free=query.goal_free)
+        named = dict(zip(("start", "goal"), ends, strict=False))
+        reason = searched.reason or _blocked_end(seen, named, query)
         found = Plan("timeout" if searched.late else "refused", nothing, reason=reason)
     if found.status != "solved" and (query.explain or seen.known is not None):
-        found = replace(found, contact=_contact(seen, ends, found))
+        found = replace(found, contact=_contact(seen, ends, found, query))
     space = planning_space(seen.world, query.limits)
     start = np.where(space.periodic, ends[0], query.start)
     if np.abs(start - ends[0]).max() > LIMIT_TOLERANCE_RAD and len(found.path):
@@ -212,37 +220,46 @@ def _trajectory(seen: Seen, found: Plan, query: PlanQuery, checker: Checker) -> 
     )
 
 
-def _blocked_end(seen: Seen, ends: NDArray[np.float64], *, goal_free: bool) -> str | None:
+def _blocked_end(seen: Seen, ends: Mapping[str, NDArray[np.float64]], query: PlanQuery) -> str | None:
     """What start or goal touches, for certain or as the model expects, in words; None where neither does."""
-    contacts = [
-        (name, seen.world.contact(end, seen.picture, seen.known))
-        for name, end in zip(("start", "goal"), ends, strict=False)
-    ]
+    contacts = {name: seen.world.contact(end, seen.picture, seen.known) for name, end in ends.items()}
     for kinds in (("known", "self"), ("seen",)):
-        for name, one in contacts:
+        for name, one in contacts.items():
             if one is not None and one.kind in kinds:
                 off = "; is state where the arm was?" if (name, one.kind) == ("start", "seen") else ""
                 return f"at the {name} {one.text}{off}"
-    confidence, _ = seen.predict(seen.world.space.to_float32(ends))
-    if len(ends) > 1 and confidence[-1] < _LIKELY and not goal_free:
-        unseen = contacts[-1][1]
-        where = "" if unseen is None else f": {unseen.text}"
-        return f"the goal is expected to touch something, with a confidence of {confidence[-1]:.2f}{where}"
+    if "goal" in ends and not query.goal_free:
+        confidence, _ = seen.predict(seen.world.space.to_float32(ends["goal"][None]))
+        if confidence[0] < _LIKELY:
+            where = "" if contacts["goal"] is None else f": {contacts['goal'].text}"
+            return f"the goal is expected to touch something, with a confidence of {confidence[0]:.2f}{where}"
     return None
 
 
-def _contact(seen: Seen, ends: NDArray[np.float64], found: Plan) -> Contact | None:
+def _crossing(seen: Seen, ends: NDArray[np.float64], query: PlanQuery) -> Contact | None:
+    """What is deepest in the way of the path that is least deep in it: straight, or by one configuration."""
+    checker = seen_checkers(seen.world, seen.picture, ends, seen.known)[-1]
+    space = planning_space(seen.world, query.limits)
+    by = space.sample_uniform(np.random.default_rng([query.seed, 3]), _CROSSINGS)
+    paths = [ends, *(np.stack([ends[0], one, ends[1]]) for one in by)]
+    states = [spaced(path, space, STEP_RAD) for path in paths]
+    depths = [np.maximum(-checker.clearance(rows), 0.0) for rows in states]
+    best = int(np.argmin([one.sum() for one in depths]))
+    worst = states[best][int(np.argmax(depths[best]))]
+    return seen.world.contact(worst, seen.picture, seen.known) if depths[best].any() else None
+
+
+def _contact(seen: Seen, ends: NDArray[np.float64], found: Plan, query: PlanQuery) -> Contact | None:
     """What is in the way of start or goal if they touch something for certain, else of the tightest place."""
     for end in ends:
         contact = seen.world.contact(end, seen.picture, seen.known)
         # Pictures may show the robot itself there, so that surfaces at the ends are not held against them.
         if contact is not None and contact.kind in ("known", "self"):
             return contact
-    return (
-        None
-        if found.least is None
-        else seen.world.contact(found.least.configuration, seen.picture, seen.known)
-    )
+    if found.least is not None:
+        return seen.world.contact(found.least.configuration, seen.picture, seen.known)
+    is_between = found.reason is None and query.explain and len(ends) > 1
+    return _crossing(seen, ends, query) if is_between else None
 
 
 def search_paths(

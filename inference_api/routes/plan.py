@@ -190,15 +190,16 @@ def _reason(found: Plan, query: PlanQuery, max_risk: float | None, findings: Seq
     if found.status == "solved":
         return None
     causes = [] if found.reason is None else [found.reason]
-    if found.contact is not None and not any(found.contact.text in one for one in causes):
-        causes.append(found.contact.text)
     causes += [one.message for one in findings if one.code in _WHY]
     if found.least is not None:
-        return "; ".join([_too_risky(found, query, max_risk), *causes])
-    if found.status == "timeout":
-        causes.append(f"no path was found within {query.time_limit_s:g} s")
+        causes.insert(0, _too_risky(found, query, max_risk))
+    elif found.status == "timeout":
+        causes.append(f"the time ended: no path was found within {query.time_limit_s:g} s")
     elif not causes:
-        causes.append("start and goal lie in separate parts of what the picture shows as free")
+        causes.append("start and goal seem to lie in separate parts of what the picture shows as free")
+    if found.contact is not None and not any(found.contact.text in one for one in causes):
+        crossing = found.least is None and found.reason is None
+        causes.append(f"the shallowest crossing: {found.contact.text}" if crossing else found.contact.text)
     return "; ".join(causes)
 
 
