@@ -3,7 +3,7 @@
 import math
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -16,7 +16,8 @@ from cspace.planning.paths import spaced
 from cspace.planning.refine import Effort, PathRefiner, route_search
 from cspace.planning.rrt_connect import Growth, grow_connect
 from cspace.planning.search import SearchLimits, find_paths, with_deadline
-from cspace.query import Plan, PlanQuery
+from cspace.planning.trajectory import timed
+from cspace.query import Plan, PlanQuery, Trajectory
 from cspace.simulator import Checker
 from cspace.space import LIMIT_TOLERANCE_RAD, JointSpace
 from cspace.world import CheckCancelled, Contact, Image, Known, World
@@ -77,6 +78,8 @@ CAREFUL_PATHS, CAREFUL = 2, SearchLimits(states=1024, first=1024)
 MAX_GOALS = 4
 # Confidence below which a configuration is expected to touch something.
 _LIKELY = 0.5
+# Configurations through one of which a crossing of what is in the way may lead.
+_CROSSINGS = 32
 # Of an angle at an end, which came in single precision.
 _ROUNDED_RAD = 1e-6
 
@@ -124,6 +127,7 @@ class Searched:
         search_ms: looking for them.
         score_ms: asking the model about them, and changing them until their cost is lower.
         reason: why nothing was looked for, in words; None where something was.
+        checker: by which the paths are free; None without paths.
     """
 
     paths: list[ScoredPath]
@@ -131,6 +135,7 @@ class Searched:
     search_ms: float
     score_ms: float
     reason: str | None = None
+    checker: Checker | None = None
 
 
 def plan(
@@ -154,6 +159,11 @@ def plan(
     if searched.paths:
         best = searched.paths[0]
         found = _answer(best, len(searched.paths), least)
+        if found.status != "solved":
+            # The robot stands at its start.
+            found = replace(
+                found, reason=_blocked_end(seen, {"goal": ends[-1]} if len(ends) > 1 else {}, query)
+            )
         if query.alternatives:
             alternatives = tuple(one.alternative() for one in searched.paths if one.whole >= least)
             found = replace(found, alternatives=alternatives)
@@ -171,53 +181,84 @@ def plan(
             found = replace(found, next_view=view)
     else:
         nothing = np.empty((0, seen.world.dim))
-        reason = searched.reason or _blocked_end(seen, ends, goal_free=query.goal_free)
+        named = dict(zip(("start", "goal"), ends, strict=False))
+        reason = searched.reason or _blocked_end(seen, named, query)
         found = Plan("timeout" if searched.late else "refused", nothing, reason=reason)
     if found.status != "solved" and (query.explain or seen.known is not None):
-        found = replace(found, contact=_contact(seen, ends, found))
+        found = replace(found, contact=_contact(seen, ends, found, query))
     space = planning_space(seen.world, query.limits)
     start = np.where(space.periodic, ends[0], query.start)
     if np.abs(start - ends[0]).max() > LIMIT_TOLERANCE_RAD and len(found.path):
         found = _led_back(found, start)
     elif len(ends) > 1 and np.array_equal(*ends):
         found = _one_point(found)
+    if found.status == "solved" and searched.checker is not None:
+        found = replace(found, trajectory=_trajectory(seen, found, query, searched.checker))
     if query.unwrapped:
         others = (replace(one, path=space.unwrap(one.path, query.start)) for one in found.alternatives)
         found = replace(found, path=space.unwrap(found.path, query.start), alternatives=tuple(others))
     return replace(found, search_ms=searched.search_ms, score_ms=searched.score_ms)
 
 
-def _blocked_end(seen: Seen, ends: NDArray[np.float64], *, goal_free: bool) -> str | None:
+def _trajectory(seen: Seen, found: Plan, query: PlanQuery, checker: Checker) -> Trajectory | None:
+    """The plan's path in time; None where no limits of velocity and acceleration are known."""
+    velocity, acceleration = seen.world.motion_limits
+    velocity = query.max_velocity_rad_s or velocity
+    acceleration = query.max_acceleration_rad_s2 or acceleration
+    if velocity is None or acceleration is None:
+        return None
+
+    def are_free(rows: NDArray[np.float64]) -> NDArray[np.bool_]:
+        free = checker.valid_batch(rows)
+        return free if seen.known is None else free & seen.known.free(rows)
+
+    trajectory = timed(found.path, checker.space, velocity, acceleration, are_free)
+    from_start = np.round((query.start - trajectory.positions[0]) / (2.0 * np.pi)) * (2.0 * np.pi)
+    return replace(
+        trajectory, positions=trajectory.positions + np.where(checker.space.periodic, from_start, 0.0)
+    )
+
+
+def _blocked_end(seen: Seen, ends: Mapping[str, NDArray[np.float64]], query: PlanQuery) -> str | None:
     """What start or goal touches, for certain or as the model expects, in words; None where neither does."""
-    contacts = [
-        (name, seen.world.contact(end, seen.picture, seen.known))
-        for name, end in zip(("start", "goal"), ends, strict=False)
-    ]
+    contacts = {name: seen.world.contact(end, seen.picture, seen.known) for name, end in ends.items()}
     for kinds in (("known", "self"), ("seen",)):
-        for name, one in contacts:
+        for name, one in contacts.items():
             if one is not None and one.kind in kinds:
                 off = "; is state where the arm was?" if (name, one.kind) == ("start", "seen") else ""
                 return f"at the {name} {one.text}{off}"
-    confidence, _ = seen.predict(seen.world.space.to_float32(ends))
-    if len(ends) > 1 and confidence[-1] < _LIKELY and not goal_free:
-        unseen = contacts[-1][1]
-        where = "" if unseen is None else f": {unseen.text}"
-        return f"the goal is expected to touch something, with a confidence of {confidence[-1]:.2f}{where}"
+    if "goal" in ends and not query.goal_free:
+        confidence, _ = seen.predict(seen.world.space.to_float32(ends["goal"][None]))
+        if confidence[0] < _LIKELY:
+            where = "" if contacts["goal"] is None else f": {contacts['goal'].text}"
+            return f"the goal is expected to touch something, with a confidence of {confidence[0]:.2f}{where}"
     return None
 
 
-def _contact(seen: Seen, ends: NDArray[np.float64], found: Plan) -> Contact | None:
+def _crossing(seen: Seen, ends: NDArray[np.float64], query: PlanQuery) -> Contact | None:
+    """What is deepest in the way of the path that is least deep in it: straight, or by one configuration."""
+    checker = seen_checkers(seen.world, seen.picture, ends, seen.known)[-1]
+    space = planning_space(seen.world, query.limits)
+    by = space.sample_uniform(np.random.default_rng([query.seed, 3]), _CROSSINGS)
+    paths = [ends, *(np.stack([ends[0], one, ends[1]]) for one in by)]
+    states = [spaced(path, space, STEP_RAD) for path in paths]
+    depths = [np.maximum(-checker.clearance(rows), 0.0) for rows in states]
+    best = int(np.argmin([one.sum() for one in depths]))
+    worst = states[best][int(np.argmax(depths[best]))]
+    return seen.world.contact(worst, seen.picture, seen.known) if depths[best].any() else None
+
+
+def _contact(seen: Seen, ends: NDArray[np.float64], found: Plan, query: PlanQuery) -> Contact | None:
     """What is in the way of start or goal if they touch something for certain, else of the tightest place."""
     for end in ends:
         contact = seen.world.contact(end, seen.picture, seen.known)
         # Pictures may show the robot itself there, so that surfaces at the ends are not held against them.
         if contact is not None and contact.kind in ("known", "self"):
             return contact
-    return (
-        None
-        if found.least is None
-        else seen.world.contact(found.least.configuration, seen.picture, seen.known)
-    )
+    if found.least is not None:
+        return seen.world.contact(found.least.configuration, seen.picture, seen.known)
+    is_between = found.reason is None and query.explain and len(ends) > 1
+    return _crossing(seen, ends, query) if is_between else None
 
 
 def search_paths(
@@ -287,7 +328,8 @@ def search_paths(
             found.checker, predict, seen.plan_calibration, Effort(step_rad=STEP_RAD), check_cancelled
         )
         ranked = _ranked(_refined(ranked, refiner, seed), space, seen.known)
-    return Searched(ranked, found.late, 1e3 * (searched - began), 1e3 * (time.monotonic() - searched))
+    scored_ms = 1e3 * (time.monotonic() - searched)
+    return Searched(ranked, found.late, 1e3 * (searched - began), scored_ms, checker=found.checker)
 
 
 def planning_space(world: World, limits: Sequence[Sequence[float] | None] | None) -> JointSpace:

@@ -145,6 +145,9 @@ class PlanQuery:
     upright: Mapping[str, Any] | None = None
     unwrapped: bool = False  # whether circles go on beyond [-pi, pi) along the path
     goal_free: bool = False  # whether the robot is known to be free at the goal, as it is at its start
+    # (d,) of a trajectory, in place of the robot's own
+    max_velocity_rad_s: tuple[float, ...] | None = None
+    max_acceleration_rad_s2: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,6 +167,15 @@ class AlternativePath:
     path: NDArray[np.float64]  # (k, d) rad from start to goal
     confidence: float  # that the whole path touches nothing
     edges: NDArray[np.float32]  # (k - 1,) the least confidence of a state on each edge
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory:
+    """Points in time, between which the acceleration is constant; circles go on beyond [-pi, pi)."""
+
+    times_s: NDArray[np.float64]  # (n,) from 0
+    positions: NDArray[np.float64]  # (n, d) rad
+    velocities: NDArray[np.float64]  # (n, d) rad/s, 0 at both ends
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -187,3 +199,4 @@ class Plan:
     score_ms: float = 0.0
     contact: Contact | None = None  # what is in the way where there is no path
     reason: str | None = None  # why nothing was looked for, in words
+    trajectory: Trajectory | None = None  # of the path, where limits of velocity and acceleration are known

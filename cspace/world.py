@@ -241,6 +241,11 @@ class World(ABC):
     def dim(self) -> int:
         return self.body.dim
 
+    @property
+    def motion_limits(self) -> tuple[tuple[float, ...] | None, tuple[float, ...] | None]:
+        """Largest velocities (d,) rad/s and accelerations (d,) rad/s^2, where they are known."""
+        return None, None
+
     def read_picture(self, data: bytes | View) -> Image:
         """An untrusted picture, or several with their cameras, as the array that models take."""
         return np.asarray(self.examine_picture(data).images[0])

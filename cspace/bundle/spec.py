@@ -249,6 +249,11 @@ def fitted_problem(spec: BundleSpec, query: PlanQuery) -> NDArray[np.float64]:
         )
     space = None if query.limits is None else planning_space(spec.world, query.limits)
     tool_constraints(spec.world, query.goal_pose, query.upright)
+    for name in ("max_velocity_rad_s", "max_acceleration_rad_s2"):
+        rates = getattr(query, name)
+        if rates is not None and len(rates) != spec.dim:
+            expected = f"{spec.dim} positive numbers"
+            raise InputError(f"{name} does not fit the robot", expected=expected, got=str(list(rates))[:200])
     given = (("start", query.start), ("goal", query.goal))
     rows = [fitted_end(spec, name, end, space) for name, end in given if end is not None]
     return np.asarray(rows, dtype=np.float64)

@@ -30,6 +30,8 @@ _PARTLY_SEEN, WITH_TOOL = (
     tuple(kind for kind in KINDS if find_spec(f"{__name__}.{kind}.{part}"))
     for part in ("benchmark", "constraints")
 )
+# Of a robot that is the same one with others.
+_MOTION = ("max_velocity_rad_s", "max_acceleration_rad_s2")
 # What files are of that do not name their kind: older than kinds are.
 FIRST = "planar"
 
@@ -179,8 +181,9 @@ def best_view(
 
 @lru_cache(maxsize=256)
 def robot_digest(world: World) -> str:
-    """SHA-256 of the kind of a world and its robot, however it is seen and wherever it stands."""
-    content = {"kind": world.kind, "robot": world.body.to_dict()}
+    """SHA-256 of the kind of a world and its robot, however it is seen, stands and may move."""
+    robot = {name: one for name, one in world.body.to_dict().items() if name not in _MOTION}
+    content = {"kind": world.kind, "robot": robot}
     return sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 

@@ -16,7 +16,7 @@ from cspace.query import Plan, PlanQuery, random_seed
 from cspace.space import LIMIT_TOLERANCE_RAD, JointSpace
 from cspace.view_file import View
 from cspace.world import ARM_IN_PICTURE, LITTLE_IN_REACH, Finding, World
-from cspace_client.wire import Alternative, Contact, LeastSure, NextView, PlanAnswer, PlanTimingMs
+from cspace_client.wire import Alternative, Contact, LeastSure, NextView, PlanAnswer, PlanTimingMs, Trajectory
 from inference_api.body import body_of, both_bodies
 from inference_api.kernels import Kernels, needs_kernels
 from inference_api.limits import ComputePlace
@@ -99,6 +99,7 @@ def plan(
             status=found.status,
             reason=_reason(found, query, request.max_risk, findings),
             path=found.path,
+            trajectory=None if found.trajectory is None else Trajectory.model_validate(found.trajectory),
             confidence=found.confidence,
             receipt=receipt,
             kept=kept,
@@ -132,6 +133,7 @@ def _query_of(request: PlanRequest, view: View) -> PlanQuery:
             raise InputError("max_risk comes with min_confidence", expected="one of them", got="both")
         least = 1.0 - request.max_risk
     pose, upright = request.goal_pose, request.upright
+    velocity, acceleration = request.max_velocity_rad_s, request.max_acceleration_rad_s2
     return PlanQuery(
         start=tuple(request.start),
         goal=None if request.goal is None else tuple(request.goal),
@@ -152,6 +154,8 @@ def _query_of(request: PlanRequest, view: View) -> PlanQuery:
         upright=None if upright is None else upright.model_dump(),
         unwrapped=request.unwrapped,
         goal_free=request.goal_free,
+        max_velocity_rad_s=None if velocity is None else tuple(velocity),
+        max_acceleration_rad_s2=None if acceleration is None else tuple(acceleration),
     )
 
 
@@ -186,15 +190,16 @@ def _reason(found: Plan, query: PlanQuery, max_risk: float | None, findings: Seq
     if found.status == "solved":
         return None
     causes = [] if found.reason is None else [found.reason]
-    if found.contact is not None and not any(found.contact.text in one for one in causes):
-        causes.append(found.contact.text)
     causes += [one.message for one in findings if one.code in _WHY]
     if found.least is not None:
-        return "; ".join([_too_risky(found, query, max_risk), *causes])
-    if found.status == "timeout":
-        causes.append(f"no path was found within {query.time_limit_s:g} s")
+        causes.insert(0, _too_risky(found, query, max_risk))
+    elif found.status == "timeout":
+        causes.append(f"the time ended: no path was found within {query.time_limit_s:g} s")
     elif not causes:
-        causes.append("start and goal lie in separate parts of what the picture shows as free")
+        causes.append("start and goal seem to lie in separate parts of what the picture shows as free")
+    if found.contact is not None and not any(found.contact.text in one for one in causes):
+        crossing = found.least is None and found.reason is None
+        causes.append(f"the shallowest crossing: {found.contact.text}" if crossing else found.contact.text)
     return "; ".join(causes)
 
 

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from cspace.errors import CspaceError
-from cspace.files import parse_json
 from cspace.query import PlanQuery, SampleQuery
 from cspace.simulator import Problem, Split
 from cspace.world import World

@@ -19,7 +19,7 @@ from cspace.bundle.spec import fitted
 from cspace.errors import BundleError, InputError, SamplerError, SamplerUnavailableError, ServiceError
 from cspace.query import MAX_SAMPLES, PlanQuery, QueryOptions, SampleQuery, random_seed
 from cspace.world import Examined
-from cspace_client import DEFAULT_TIMEOUT_S, FoundPlan, JointSpace, PictureWarning, SampleBatch, SourceTiming
+from cspace_client import DEFAULT_TIMEOUT_S, FoundPlan, JointSpace, PictureWarning, SampleBatch
 from cspace_client.models import as_query
 from services.names import API_URL
 
@@ -31,7 +31,6 @@ __all__ = [
     "SampleBatch",
     "SampleSource",
     "SamplingClient",
-    "SourceTiming",
     "usual_api",
 ]
 
@@ -121,9 +120,7 @@ class BundleSampler(SampleSource):
             query = fitted(query, self.bundle.spec, has_validity=self.bundle.has_validity)
             world = self.bundle.spec.world
             read = world.examine_picture(picture) if isinstance(picture, bytes) else Examined(picture[None])
-            decoded = time.perf_counter()
             prepared = self.bundle.prepare(read)
-            encoded = time.perf_counter()
             found = self.bundle.answer(prepared, query, report_confidence=False)
         except (InputError, BundleError) as error:
             raise SamplerError("the local bundle refused the request", got=str(error)) from error
@@ -137,7 +134,7 @@ class BundleSampler(SampleSource):
             shortfall=found.shortfall,
             round_trip_s=total_s,
             novelty=prepared.novelty,
-            timing=SourceTiming(decoded - began, encoded - decoded, 1e-3 * found.generate_ms, total_s),
+            server_s=total_s,
             acceptance=found.acceptance,
             robot=self.bundle.robot,
             confidence=found.confidence,

@@ -51,5 +51,7 @@ def _message(**fields: object) -> Callable[..., SimpleNamespace]:
     return lambda **given: SimpleNamespace(**(fields | given))
 
 
-def _point(positions: list[float]) -> SimpleNamespace:
-    return SimpleNamespace(positions=positions, time_from_start=SimpleNamespace(sec=0, nanosec=0))
+def _point(positions: list[float], velocities: list[float]) -> SimpleNamespace:
+    return SimpleNamespace(
+        positions=positions, velocities=velocities, time_from_start=SimpleNamespace(sec=0, nanosec=0)
+    )

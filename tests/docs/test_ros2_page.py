@@ -10,6 +10,7 @@ import pytest
 from cspace.simulator import Split
 from cspace.worlds import examples, picture_file_of, simulator_of
 from cspace.worlds.spatial.view import read_view
+from cspace_client.wire import Trajectory
 from inference_api.settings import PRETRAINED_FOLDER
 from tests.docs import ros
 from tests.docs.blocks import ROOT, Kind, blocks
@@ -48,12 +49,15 @@ def test_depth_in_metres_and_in_millimetres_keeps_its_pixels(page: dict[str, Any
         assert np.array_equal(found, pixels, equal_nan=pixels.dtype == np.float32)
 
 
-def test_a_longer_turn_takes_more_time(page: dict[str, Any]) -> None:
-    node = page["Planner"]("http://127.0.0.1:9", ["joint"], np.eye(4).tolist(), speed_rad_s=0.5)
-    path = node.trajectory(np.array([[3.0], [3.25], [2.25]]))
-    assert [point.positions[0] for point in path.points] == [3.0, 3.25, 2.25]
-    times = [point.time_from_start.sec + point.time_from_start.nanosec * 1e-9 for point in path.points]
-    assert np.allclose(times, [0.0, 0.5, 2.5])
+def test_a_trajectory_becomes_a_message(page: dict[str, Any]) -> None:
+    node = page["Planner"]("http://127.0.0.1:9", ["joint"], np.eye(4).tolist())
+    found = {"times_s": [0.0, 0.5, 2.25], "positions": [[3.0], [3.25], [2.0]], "velocities": [[0], [-1], [0]]}
+    points = node.message(Trajectory.model_validate(found)).points
+    assert [(point.positions, point.velocities) for point in points] == [
+        ([3.0], [0.0]), ([3.25], [-1.0]), ([2.0], [0.0])
+    ]  # fmt: skip
+    times = [(point.time_from_start.sec, point.time_from_start.nanosec) for point in points]
+    assert times == [(0, 0), (0, 500_000_000), (2, 250_000_000)]
 
 
 def test_a_goal_before_the_first_picture_or_without_a_server_is_told(page: dict[str, Any]) -> None:
@@ -102,3 +106,4 @@ def test_a_depth_picture_and_a_goal_become_a_trajectory_of_seven_joints(
     assert np.allclose(points[0], problem.start, atol=1e-3)
     assert np.allclose(points[-1], problem.goal, atol=1e-3)
     assert {len(point) for point in points} == {7}
+    assert not any(node.published[0].points[-1].velocities)

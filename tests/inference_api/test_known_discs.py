@@ -150,3 +150,14 @@ def test_a_plan_whose_start_touches_a_known_disc_says_so(api):
     assert (answer["status"], answer["path"]) == ("refused", [])
     assert (answer["contact"]["kind"], answer["contact"]["link"]) == ("known", "link 2")
     assert "link 2 touches pole" in answer["reason"]
+
+
+def test_a_refusal_names_where_the_shallowest_crossing_touches(api):
+    white = encode_png(np.full_like(PICTURE, 255))
+    fields = {"start": [-1.0, 0.0], "goal": [1.0, 0.0], "limits": [[-1.5, 1.5], None], "model": CAREFUL}
+    pole = {"name": "pole", "disc": {"x_m": 0.5, "y_m": 0.0, "radius_m": 0.1}}
+    answer = ask(api, "/plan", white, scene=[pole], explain=True, time_limit_s=10.0, **fields).json()
+    assert (answer["status"], answer["contact"]["other"]) == ("refused", "pole")
+    parts = "start and goal seem to lie in separate parts of what the picture shows as free"
+    assert answer["reason"].startswith(f"{parts}; the shallowest crossing: link 1 touches pole by")
+    assert ask(api, "/plan", white, scene=[pole], time_limit_s=10.0, **fields).json()["reason"] == parts

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicHermiteSpline
 
 from cspace.files import encode_png
 from cspace.simulator import Split
@@ -70,6 +71,24 @@ def test_all_ways_that_are_sure_enough_come_where_they_are_asked_for(api):
     some = ask(api, alternatives=True, min_confidence=sure[3]).json()["alternatives"]
     assert [path["confidence"] for path in some] == [one for one in sure if one >= sure[3]]
     assert ask(api, alternatives=True, min_confidence=min(1.0, sure[0] + 1e-3)).json()["alternatives"] == []
+
+
+def test_a_path_comes_in_time_where_limits_of_motion_are_known(api):
+    assert "trajectory" not in ask(api).json()
+    answer = ask(api, max_velocity_rad_s=[1.0, 2.0], max_acceleration_rad_s2=[3.0, 3.0]).json()
+    found = answer["trajectory"]
+    count = len(found["times_s"])
+    assert np.shape(found["positions"]) == np.shape(found["velocities"]) == (count, 2)
+    assert np.allclose(WORLD.space.difference(found["positions"][-1], answer["path"][-1]), 0.0)
+    assert (np.abs(found["velocities"]).max(axis=0) <= [1.0 + 1e-9, 2.0 + 1e-9]).all()
+    assert found["times_s"] == sorted(found["times_s"])
+    checker = simulator_of(WORLD).checker(PROBLEM.scenario)
+    spline = CubicHermiteSpline(found["times_s"], found["positions"], found["velocities"])
+    assert checker.valid_batch(WORLD.space.wrap(spline(np.linspace(0.0, found["times_s"][-1], 500)))).all()
+    assert ask(api, max_velocity_rad_s=[1.0, 2.0]).json()["status"] == "solved"
+    for wrong in ([1.0], [1.0, 0.0]):
+        problem = assert_problem(ask(api, max_velocity_rad_s=wrong), 422, "invalid-value")
+        assert "max_velocity_rad_s" in json.dumps(problem)
 
 
 def test_a_risk_is_what_a_confidence_leaves(api):

@@ -147,18 +147,24 @@ def _pair(element: Any) -> frozenset[str]:
     return frozenset((element.get("link1", ""), element.get("link2", "")))
 
 
-class _JointLimit(BaseModel):
+class JointLimit(BaseModel):
+    """A joint's limits as MoveIt writes them."""
+
     has_position_limits: bool = False
     min_position: float = -np.inf
     max_position: float = np.inf
+    has_velocity_limits: bool = False
+    max_velocity: float = 0.0
+    has_acceleration_limits: bool = False
+    max_acceleration: float = 0.0
 
 
 class _JointLimits(BaseModel):
-    joint_limits: dict[str, _JointLimit] = {}
+    joint_limits: dict[str, JointLimit] = {}
 
 
-def read_joint_limits(beside: Path, joints: Collection[str]) -> dict[str, tuple[float, float]]:
-    """The ranges of joints, rad, in MoveIt's ``joint_limits.yaml`` beside a file; none if there is none."""
+def read_joint_limits(beside: Path, joints: Collection[str]) -> dict[str, JointLimit]:
+    """The limits of joints in MoveIt's ``joint_limits.yaml`` beside a file; none if there is none."""
     path = beside.with_name("joint_limits.yaml")
     if not path.is_file():
         return {}
@@ -167,11 +173,7 @@ def read_joint_limits(beside: Path, joints: Collection[str]) -> dict[str, tuple[
     except ValidationError as error:
         remedy = "move the file away, and give --limit JOINT=LOW,HIGH"
         raise project_error(error, ScenarioError, str(path), remedy) from error
-    return {
-        name: (row.min_position, row.max_position)
-        for name, row in rows.items()
-        if name in joints and row.has_position_limits
-    }
+    return {name: row for name, row in rows.items() if name in joints}
 
 
 def read_file(path: Path) -> bytes:

@@ -15,6 +15,7 @@ from cspace.worlds.spatial.sensor import VOXEL_M, grid_of
 from training.robots.chain import Chain, Held, Limits, read_chain
 from training.robots.description import (
     Description,
+    JointLimit,
     find_srdf,
     read_description,
     read_joint_limits,
@@ -115,7 +116,10 @@ def import_robot(
     srdf, allowances = srdf or find_srdf(urdf), allowances or Allowances()
     disabled, notes = ({}, []) if srdf is None else read_srdf(srdf, description.links)
     notes = [*description.notes, *notes]
-    by_file = read_joint_limits(srdf or urdf, [joint.name for joint in description.joints.values()])
+    rows = read_joint_limits(srdf or urdf, [joint.name for joint in description.joints.values()])
+    by_file = {
+        name: (row.min_position, row.max_position) for name, row in rows.items() if row.has_position_limits
+    }
     if taken := sorted(set(by_file) - set(limits or {})):
         notes.append(f"limits of joint_limits.yaml are taken: {', '.join(taken)}")
     limits = {**by_file, **(limits or {})}
@@ -126,7 +130,8 @@ def import_robot(
         known = f"some of {sorted(description.links)}"
         raise ScenarioError("links are unknown", expected=known, got=str(unknown))
     # First, for spheres take a while.
-    jointed = SerialArm(name or description.name, chain.joints, (), (), chain.tool, ready_rad)
+    rates = _rates(description, chain, rows)
+    jointed = SerialArm(name or description.name, chain.joints, (), (), chain.tool, ready_rad, *rates)
     solids = _solids(description, chain, urdf, packages or {}, gone, notes)
     parts, fits = [], {}
     for link, own in solids.items():
@@ -155,6 +160,21 @@ def import_robot(
             f"the arm is large: voxels have {1e3 * voxel_m:.0f} mm instead of {1e3 * VOXEL_M:.0f} mm"
         )
     return Imported(arm, fits, touching, chain.held, (*chain.notes, *notes), srdf)
+
+
+def _rates(
+    description: Description, chain: Chain, rows: Mapping[str, JointLimit]
+) -> tuple[tuple[float, ...] | None, tuple[float, ...] | None]:
+    """Largest velocities, MoveIt's or else the description's, and accelerations; None unless all have one."""
+    own = {joint.name: joint.limit for joint in description.joints.values()}
+    velocities, accelerations = [], []
+    for name in (joint.name for joint in chain.joints):
+        row = rows.get(name, JointLimit())
+        by_urdf = own[name].velocity if own[name] is not None else None
+        velocities.append(row.max_velocity if row.has_velocity_limits else by_urdf or 0.0)
+        accelerations.append(row.max_acceleration if row.has_acceleration_limits else 0.0)
+    found = (tuple(rates) if min(rates) > 0.0 else None for rates in (velocities, accelerations))
+    return next(found), next(found)
 
 
 def _solids(

@@ -1,7 +1,7 @@
 """The robot: a serial arm of revolute joints, whose parts are covered by spheres. NumPy alone."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Annotated, Any
 
@@ -20,6 +20,7 @@ TOOL = "tool"
 # With more, parts could run through each other.
 MAX_OVERLAP_M = 0.02
 Sphere = tuple[Offset, Offset, Offset, Annotated[float, Field(gt=0.0, le=MAX_OFFSET_M)]]
+Rates = tuple[Annotated[float, Field(gt=0.0)], ...]
 _Name = Annotated[str, Field(min_length=1)]
 
 
@@ -73,6 +74,9 @@ class SerialArm(Record):
     tool: Frame = SAME
     # (d,) where it waits, in scenes that are drawn; None for the middle of its limits
     ready_rad: Annotated[tuple[float, ...] | None, LEFT_OUT] = None
+    # (d,) of trajectories, which make it no other robot
+    max_velocity_rad_s: Annotated[Rates | None, LEFT_OUT] = field(default=None, compare=False)
+    max_acceleration_rad_s2: Annotated[Rates | None, LEFT_OUT] = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         for what, named in (("joints", self.joints), ("parts", self.parts)):
@@ -91,6 +95,10 @@ class SerialArm(Record):
         wrong = [pair for pair in pairs if not set(pair) <= set(links) or links[pair[0]] == links[pair[1]]]
         if wrong or len(set(pairs)) != len(pairs):
             raise ScenarioError("the pairs of parts that can touch do not fit", got=str(wrong or pairs)[:200])
+        for rates in (self.max_velocity_rad_s, self.max_acceleration_rad_s2):
+            if rates is not None and len(rates) != self.dim:
+                expected = f"{self.dim} positive numbers"
+                raise ScenarioError("limits of motion do not fit", expected=expected, got=str(rates)[:200])
         ready = self.ready_rad
         if ready is not None:
             object.__setattr__(self, "ready_rad", self._waiting(ready))

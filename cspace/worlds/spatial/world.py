@@ -63,6 +63,11 @@ class SpatialWorld(World):
     sensor: DepthSensor
     scenes: SpatialScenes | None
 
+    @property
+    def motion_limits(self) -> tuple[tuple[float, ...] | None, tuple[float, ...] | None]:
+        """See :meth:`cspace.world.World.motion_limits`."""
+        return self.body.max_velocity_rad_s, self.body.max_acceleration_rad_s2
+
     def view(self, data: bytes | View) -> DepthView:
         return read_view(data, self.body)
 

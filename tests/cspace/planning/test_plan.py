@@ -95,6 +95,20 @@ def test_a_path_below_the_minimum_confidence_is_refused_with_its_confidence(bund
     assert bundle.plan(picture, query_of(problem, min_confidence=sure)).status == "solved"
 
 
+def test_a_refused_plan_names_its_goal_where_that_is_expected_to_touch_something(scene):
+    image, problem = scene
+    ends = np.array([problem.start, problem.goal])
+
+    def predict(rows):
+        return np.where(WORLD.space.distance(ends[1], rows) < 0.2, 0.3, 1.0).astype(np.float32), None
+
+    seen = Seen(WORLD, image, predict)
+    found = plan(seen, ends, query_of(problem, min_confidence=0.9))
+    assert found.reason == "the goal is expected to touch something, with a confidence of 0.30"
+    assert plan(seen, ends, query_of(problem, min_confidence=0.9, goal_free=True)).reason is None
+    assert plan(seen, ends, query_of(problem)).reason is None
+
+
 def test_what_does_not_fit_the_robot_is_refused(bundle, scene):
     image, _ = scene
     picture = bundle.prepare(image)

@@ -8,7 +8,10 @@ import pytest
 import trimesh
 
 from cspace.errors import ScenarioError
+from cspace.worlds import robot_digest
+from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.sensor import MAX_VOXELS, grid_of
+from cspace.worlds.spatial.world import usual
 from tests.training.robots.descriptions import BRANCH, FINGER, described, with_more
 from training.robots.importing import Imported, import_robot
 
@@ -85,6 +88,22 @@ def test_soft_limits_and_those_of_moveit_s_file_are_taken_and_told(tmp_path: Pat
         "limits of joint_limits.yaml are taken: j3",
         "the soft limits of safety_controller are taken: j1",
     } <= {*found.notes}
+
+
+def test_limits_of_velocity_and_acceleration_are_taken_where_all_joints_have_them(tmp_path: Path) -> None:
+    fast = LIMIT.replace('velocity="1"', 'velocity="2.5"')
+    found = imported(tmp_path, chain(fast, fast, fast)).arm
+    assert (found.max_velocity_rad_s, found.max_acceleration_rad_s2) == ((2.5,) * 3, None)
+    assert SerialArm.from_dict(found.to_dict()).to_dict() == found.to_dict()
+    rows = "".join(
+        f"  {name}: {{has_velocity_limits: {'true' if name == 'j1' else 'false'}, max_velocity: 1,"
+        " has_acceleration_limits: true, max_acceleration: 3}\n"
+        for name in ("j1", "j2", "j3")
+    )
+    (tmp_path / "joint_limits.yaml").write_text(f"joint_limits:\n{rows}")
+    more = imported(tmp_path, chain(fast, fast, fast)).arm
+    assert (more.max_velocity_rad_s, more.max_acceleration_rad_s2) == ((1.0, 2.5, 2.5), (3.0,) * 3)
+    assert robot_digest(usual(more)) == robot_digest(usual(found))
 
 
 def test_elements_that_could_matter_and_are_not_used_are_named(tmp_path: Path) -> None:

@@ -21,7 +21,6 @@ from cspace_client.models import (
     JointSpace,
     Predictions,
     SampleBatch,
-    SourceTiming,
 )
 from cspace_client.outcomes import OutcomeSender
 from cspace_client.pictures import DepthPictures, Picture, PlanarPicture
@@ -54,5 +53,4 @@ __all__ = [
     "SamplerModelError",
     "SamplerUnavailableError",
     "SamplingClient",
-    "SourceTiming",
 ]

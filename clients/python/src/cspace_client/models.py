@@ -113,16 +113,6 @@ def seeded(query: Query) -> Query:
     return query if query.seed is not None else query.model_copy(update={"seed": secrets.randbits(64)})
 
 
-@dataclass(frozen=True, slots=True)
-class SourceTiming:
-    """Where a source's own time went, in s; what a round trip takes beyond the total is transport."""
-
-    decode_s: float
-    encode_s: float
-    generate_s: float
-    total_s: float
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class SampleBatch:
     """Learned samples for one picture.
@@ -130,8 +120,8 @@ class SampleBatch:
     Args:
         samples: (n, d) float32 rad, circles in [-pi, pi), other joints within their limits.
         model_version: its number in the registry, 0 for a shipped model.
-        shortfall: how many fewer samples came than were requested.
         round_trip_s: from the request to the answer, further attempts included.
+        server_s: of the round trip, what is no transport.
         novelty: share of the training pictures that are less unusual; None where it is not known.
         acceptance: share of the proposals that reached the requested confidence.
         robot: digest of the robot, as ``GET /models`` lists it.
@@ -147,7 +137,7 @@ class SampleBatch:
     shortfall: int
     round_trip_s: float
     novelty: float | None = None
-    timing: SourceTiming | None = None
+    server_s: float | None = None
     acceptance: float | None = None
     robot: str | None = None
     alias_confirmed: bool | None = None
@@ -159,7 +149,7 @@ class SampleBatch:
     @classmethod
     def of(cls, found: SampleAnswer, round_trip_s: float, request_id: str | None) -> Self:
         """The batch of a server's answer."""
-        ms, model = found.timing_ms, found.model
+        model = found.model
         return cls(
             samples=found.samples,
             model_name=model.name,
@@ -169,7 +159,7 @@ class SampleBatch:
             shortfall=found.shortfall,
             round_trip_s=round_trip_s,
             novelty=found.scenario.novelty,
-            timing=SourceTiming(*(1e-3 * one for one in (ms.decode, ms.encode, ms.generate, ms.total))),
+            server_s=1e-3 * found.timing_ms.total,
             acceptance=found.acceptance,
             robot=model.robot,
             alias_confirmed=model.alias_confirmed,

@@ -76,6 +76,7 @@ Matrix = Annotated[list[Quaternion], Field(min_length=4, max_length=4), BeforeVa
 Configuration = Annotated[list[Number], Field(max_length=MAX_JOINTS), BeforeValidator(_listed)]
 Range = Annotated[list[Number], Field(min_length=2, max_length=2), BeforeValidator(_listed)]
 Limits = Annotated[list[Range | None], Field(max_length=MAX_JOINTS), BeforeValidator(_listed)]
+Rates = Annotated[list[Positive], Field(max_length=MAX_JOINTS), BeforeValidator(_listed)]
 Epsilon = Annotated[float, Field(ge=0.0, le=MAX_EPSILON, allow_inf_nan=False)]
 Schedule = Annotated[
     list[Epsilon], Field(min_length=1, max_length=MAX_EPSILONS), BeforeValidator(_one_or_more)
@@ -311,6 +312,8 @@ class PlanQuery(Request):
     goal_pose: GoalPose | None = Field(None, description="Of arms in space: where the tool ends.")
     limits: Limits | None = Field(None, description="For each joint `[low, high]`, or null for its own.")
     upright: Upright | None = Field(None, description="An axis that stays upright.")
+    max_velocity_rad_s: Rates | None = Field(None, description="Of each joint; absent, the robot's.")
+    max_acceleration_rad_s2: Rates | None = Field(None, description="As `max_velocity_rad_s`.")
     unwrapped: bool = Field(default=False, description="Circles go on beyond [-pi, pi).")
     goal_free: bool = Field(default=False, description="The robot is known to be free at the goal.")
     seed: Seed = _SEED
@@ -606,6 +609,14 @@ class NextView(Answer):
     sees: float = Field(description="Share of the doubtful space about the path that it would see.")
 
 
+class Trajectory(Answer):
+    """Points in time; between them each joint's acceleration is constant."""
+
+    times_s: Numbers = Field(description="From 0.")
+    positions: Rows = Field(description="rad; circles go on beyond [-pi, pi).")
+    velocities: Rows = Field(description="rad/s; 0 at both ends.")
+
+
 class PlanAnswer(SceneAnswer):
     """A path, or why there is none."""
 
@@ -614,6 +625,7 @@ class PlanAnswer(SceneAnswer):
     )
     reason: str | None = Field(description="Why it is not solved, in words.")
     path: Rows = Field(description="From start to goal, straight in between, rad; empty unless solved.")
+    trajectory: Trajectory | None = Field(None, exclude_if=_absent, description="The path in time.")
     confidence: float = Field(description="That the whole path is free.")
     receipt: str | None = Field(None, exclude_if=_absent, description="Sent back with outcomes.")
     kept: bool | None = Field(None, exclude_if=_absent, description="Whether the server keeps it.")
