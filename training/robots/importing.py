@@ -117,12 +117,7 @@ def import_robot(
     disabled, notes = ({}, []) if srdf is None else read_srdf(srdf, description.links)
     notes = [*description.notes, *notes]
     rows = read_joint_limits(srdf or urdf, [joint.name for joint in description.joints.values()])
-    by_file = {
-        name: (row.min_position, row.max_position) for name, row in rows.items() if row.has_position_limits
-    }
-    if taken := sorted(set(by_file) - set(limits or {})):
-        notes.append(f"limits of joint_limits.yaml are taken: {', '.join(taken)}")
-    limits = {**by_file, **(limits or {})}
+    limits = _limits(rows, limits or {}, notes)
     gone = description.behind(without)
     chain = read_chain(description, tip, locked or {}, limits, gone)
     mentioned = {link for pair in kept for link in pair} | set(without)
@@ -160,6 +155,18 @@ def import_robot(
             f"the arm is large: voxels have {1e3 * voxel_m:.0f} mm instead of {1e3 * VOXEL_M:.0f} mm"
         )
     return Imported(arm, fits, touching, chain.held, (*chain.notes, *notes), srdf)
+
+
+def _limits(
+    rows: Mapping[str, JointLimit], given: Mapping[str, Limits], notes: list[str]
+) -> dict[str, Limits]:
+    """Limits that replace the description's: MoveIt's, of which the notes tell, and those that are given."""
+    by_file = {
+        name: (row.min_position, row.max_position) for name, row in rows.items() if row.has_position_limits
+    }
+    if taken := sorted(set(by_file) - set(given)):
+        notes.append(f"limits of joint_limits.yaml are taken: {', '.join(taken)}")
+    return {**by_file, **given}
 
 
 def _rates(
