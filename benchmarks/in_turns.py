@@ -109,7 +109,7 @@ def plan_form(simulator: Simulator, scene: Scene, turn: int) -> Mapping[str, Any
     start, goal = drawn[simulator.checker(scene).valid_batch(drawn)][:2].tolist()
     fields = {
         "model": "pretrained-panda", "start": str(start), "goal": str(goal), "ways": DEFAULT_PATHS,
-        "time_limit_s": "2", "min_confidence": "0", "alternatives": "true", "next_view": "true",
+        "time_limit_s": "2", "min_confidence": "0", "alternatives": "true",
     }  # fmt: skip
     return {"data": fields, "files": {"image": simulator.picture_file(scene)}}
 

@@ -23,7 +23,6 @@ from cspace.space import LIMIT_TOLERANCE_RAD, JointSpace
 from cspace.world import CheckCancelled, Contact, Image, Known, World
 from cspace.worlds import (
     WITH_TOOL,
-    best_view,
     examples,
     load_known,
     seen_checkers,
@@ -167,18 +166,6 @@ def plan(
         if query.alternatives:
             alternatives = tuple(one.alternative() for one in searched.paths if one.whole >= least)
             found = replace(found, alternatives=alternatives)
-        if query.next_view and seen.occupancy is not None:
-            unseen = unseen_space(seen.world, seen.picture, seen.occupancy, ends, seen.known)
-            view = best_view(
-                seen.world,
-                seen.picture,
-                unseen.doubt_along(best.states),
-                query.views,
-                check_cancelled or (lambda: None),
-                query.seen_by,
-                query.seen_state,
-            )
-            found = replace(found, next_view=view)
     else:
         nothing = np.empty((0, seen.world.dim))
         named = dict(zip(("start", "goal"), ends, strict=False))

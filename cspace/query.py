@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cspace.errors import InputError
-from cspace.world import Contact, NextView
+from cspace.world import Contact
 
 MAX_SEED = 2**64 - 1
 MAX_EPSILON = 10.0
@@ -130,11 +130,7 @@ class PlanQuery:
     min_confidence: float | None = None  # below which no path is returned; None for the bundle's own
     time_limit_s: float = 1.0  # for the search
     ways: int = DEFAULT_PATHS  # number of paths to look for
-    next_view: bool = False  # whether the camera is wanted that would see most of what is uncertain
-    views: tuple[Mapping[str, Any], ...] = ()  # cameras to choose it from; none for generated ones
     alternatives: bool = False  # whether all paths of sufficient confidence are wanted
-    seen_by: tuple[Mapping[str, Any], ...] = ()  # cameras that the picture is from, where they are known
-    seen_state: object = None  # where the robot was then, as a view file has it; for cameras on a link
     explain: bool = False  # whether it is wanted what is in the way where no path is returned
     # Pose of the tool in the base frame: ``pose``, and perhaps ``tolerance_m``, ``tolerance_rad`` and
     # ``free_z_rotation``
@@ -193,7 +189,6 @@ class Plan:
     length_rad: float = 0.0  # Euclidean
     found: int = 0  # paths that the best was chosen from
     least: LeastConfidence | None = None
-    next_view: NextView | None = None
     alternatives: tuple[AlternativePath, ...] = ()  # the best first
     search_ms: float = 0.0
     score_ms: float = 0.0

@@ -183,14 +183,6 @@ class Diagnosis:
         return replace(self, findings=(*self.findings, Finding("novel", seen, effect, remedy)))
 
 
-@dataclass(frozen=True, slots=True)
-class NextView:
-    """A camera that would see more."""
-
-    camera: Mapping[str, Any]
-    sees: float  # share of the doubtful space about a path that it would see, 0 to 1
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class LinkSamplePoints:
     """Where pictures are read: (cos, sin) of the links' directions times ``offsets``, plus ``origin``."""

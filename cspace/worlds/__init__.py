@@ -2,7 +2,7 @@
 
 import json
 from argparse import ArgumentParser, Namespace
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from hashlib import sha256
@@ -18,13 +18,13 @@ from pydantic import PlainSerializer, PlainValidator
 from cspace.errors import InputError, ScenarioError
 from cspace.files import read_object
 from cspace.simulator import Checker, Simulator
-from cspace.world import Body, Image, Known, NextView, Scene, World
+from cspace.world import Body, Image, Known, Scene, World
 
 # Each folder has ``world`` (NumPy alone) with ``read``, ``EXAMPLES`` (worlds by name), ``add_options`` and
 # ``described``, which gives None where none of its options was used and the kind is not the first;
 # ``simulator`` with ``open_simulator``; ``checks`` with ``seen_checkers``. One that no picture shows whole
-# has ``benchmark`` with ``open_partly_seen`` and ``next_view`` (NumPy alone) with ``best_view``; one whose
-# robot has a tool ``constraints`` with ``ToolConstraints``.
+# has ``benchmark`` with ``open_partly_seen``; one whose robot has a tool ``constraints`` with
+# ``ToolConstraints``.
 KINDS = ("planar", "spatial")
 _PARTLY_SEEN, WITH_TOOL = (
     tuple(kind for kind in KINDS if find_spec(f"{__name__}.{kind}.{part}"))
@@ -157,26 +157,6 @@ def tool_constraints(
             remedy="send goal as a configuration",
         )
     return _part(world.kind, "constraints").ToolConstraints(world.body, goal_pose, upright)
-
-
-def best_view(
-    world: World,
-    picture: Image,
-    doubt: NDArray[np.float32],
-    given: Sequence[object] = (),
-    check_cancelled: Callable[[], None] = lambda: None,
-    seen_by: Sequence[Mapping[str, Any]] = (),
-    seen_state: object = None,
-) -> NextView | None:
-    """The camera, best from a new place, that would see most of the doubtful space about a path.
-
-    ``doubt``: (X, Y, Z), 0 where there is none. ``given``: cameras to choose from; none for generated ones.
-    ``seen_by``, ``seen_state``: cameras and robot state of the picture. None where no camera would see any.
-    """
-    found = _part(world.kind, "next_view").best_view(
-        world, picture, doubt, given, check_cancelled, seen_by, seen_state
-    )
-    return cast("NextView | None", found)
 
 
 @lru_cache(maxsize=256)

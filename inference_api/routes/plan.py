@@ -14,9 +14,8 @@ from cspace.errors import InputError
 from cspace.plan import planning_space
 from cspace.query import Plan, PlanQuery, random_seed
 from cspace.space import LIMIT_TOLERANCE_RAD, JointSpace
-from cspace.view_file import View
 from cspace.world import ARM_IN_PICTURE, LITTLE_IN_REACH, Finding, World
-from cspace_client.wire import Alternative, Contact, LeastSure, NextView, PlanAnswer, PlanTimingMs, Trajectory
+from cspace_client.wire import Alternative, Contact, LeastSure, PlanAnswer, PlanTimingMs, Trajectory
 from inference_api.body import body_of, both_bodies
 from inference_api.kernels import Kernels, needs_kernels
 from inference_api.limits import ComputePlace
@@ -65,7 +64,7 @@ def plan(
     began = time.perf_counter()
     kernels.require()
     bundle, spec, view = served.bundle, served.bundle.spec, view_of(request)
-    given = _query_of(request, view)
+    given = _query_of(request)
     query = fitted_plan(spec, given)
     require_robot(robot_of(request), spec)
     if not bundle.has_validity:
@@ -112,7 +111,6 @@ def plan(
             if request.alternatives
             else None,
             contact=None if found.contact is None else Contact.model_validate(found.contact),
-            next_view=None if found.next_view is None else NextView.model_validate(found.next_view),
             seed=query.seed,
             timing_ms=PlanTimingMs(
                 decode=prepared.decode_ms,
@@ -126,7 +124,7 @@ def plan(
     )
 
 
-def _query_of(request: PlanRequest, view: View) -> PlanQuery:
+def _query_of(request: PlanRequest) -> PlanQuery:
     least = request.min_confidence
     if request.max_risk is not None:
         if least is not None:
@@ -141,11 +139,7 @@ def _query_of(request: PlanRequest, view: View) -> PlanQuery:
         min_confidence=least,
         time_limit_s=request.time_limit_s,
         ways=request.ways,
-        next_view=request.next_view or bool(request.view),
-        views=tuple(one.model_dump() for one in request.view),
         alternatives=request.alternatives,
-        seen_by=tuple(view.cameras),  # type: ignore[arg-type] # read as cameras by now
-        seen_state=view.state,
         explain=request.explain,
         goal_pose=None if pose is None else pose.model_dump(),
         limits=None

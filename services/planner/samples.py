@@ -202,7 +202,7 @@ class SamplingClient(SampleSource):
         known = [one.name for one in fields(query) if one.name in cspace_client.PlanQuery.model_fields]
         values = {name: getattr(query, name) for name in known}
         with _mapped():
-            asked = as_query(cspace_client.PlanQuery, view=query.views or None, **values)
+            asked = as_query(cspace_client.PlanQuery, **values)
             return self._client.plan(picture, asked, model)
 
     def close(self) -> None:

@@ -31,7 +31,7 @@ ANSWERS = {
     ),
     "/validity": ValidityAnswer.model_construct(confidence=[0.5, 0.9], unseen=None, threshold=0.5, **ABOUT),
     "/plan": PlanAnswer.model_construct(
-        **PLAN, length_rad=3.0, ways=1, least_sure=None, alternatives=None, next_view=None, seed=7, **ABOUT
+        **PLAN, length_rad=3.0, ways=1, least_sure=None, alternatives=None, seed=7, **ABOUT
     ),
 }
 

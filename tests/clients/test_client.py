@@ -144,7 +144,6 @@ GIVEN = {
     "goal_pose": {"pose": np.eye(4)},
     "upright": {"axis": [0.0, 0.0, 1.0], "max_rad": 0.1},
     "limits": [None, None],
-    "view": [VIEW | {"width": 2, "height": 2}],
     "start": [0.0, 0.0],
     "goal": [0.0, 0.0],
     **dict.fromkeys(("min_confidence", "max_risk"), 0.5),

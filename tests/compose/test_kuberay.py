@@ -205,7 +205,7 @@ def test_probes_ask_by_a_name_that_the_server_answers():
         container[kind]["httpGet"]
         for container in containers()
         for kind in ("livenessProbe", "readinessProbe")
-        if "httpGet" in container.get(kind, {})
+        if container.get(kind, {}).get("httpGet", {}).get("path", "").startswith("/health")
     ]
     assert paths
     for one in paths:

@@ -132,7 +132,7 @@ def test_a_wrist_camera_with_a_state_for_each_picture_is_answered_as_the_poses_i
     for page, fields, names in (
         ("/sample", {"n": "9", "seed": "1"}, ("samples", "confidence", "warnings")),
         ("/validity", {}, ("confidence", "unseen")),
-        ("/plan", ENDS | {"next_view": "true"}, ("path", "next_view")),
+        ("/plan", ENDS, ("path", "unseen")),
         ("/doctor", {}, ("verdicts", "poses")),
     ):
         usual = ask(api, cameras=by_hand, page=page, state=json.dumps(states), **fields).json()
@@ -213,19 +213,6 @@ def test_a_path_is_planned_in_what_depth_pictures_show(api, bundle):
     predict = given_free(lambda rows: bundle.predict(picture, rows), WORLD.space, np.array([STATE]))
     alone = predict(path)[0]
     assert (np.asarray(answer["edges"]) <= np.minimum(alone[1:], alone[:-1]) + 1e-5).all()
-
-
-def test_a_plan_names_the_view_that_would_see_most_of_its_uncertain_space(api):
-    fields = ENDS | {"page": "/plan", "state": json.dumps(STATE)}
-    assert ask(api, **fields).json()["next_view"] is None
-    around = ask(api, **fields, next_view="true").json()["next_view"]
-    assert 0.0 < around["sees"] <= 1.0
-    # The second one looks from where the first picture was taken.
-    named = [around["camera"], around["camera"] | {"pose": CAMERAS[0]["pose"]}]
-    assert ask(api, **fields, view=[json.dumps(one) for one in named]).json()["next_view"] == around
-    refused = ask(api, **fields, next_view="true", min_confidence="1").json()
-    assert (refused["status"], refused["next_view"]) == ("refused", around)
-    assert_problem(ask(api, **fields, view=[json.dumps({"fx": 1.0})]), 422, "invalid-value")
 
 
 def test_without_a_model_the_only_one_that_fits_pictures_and_joints_answers(

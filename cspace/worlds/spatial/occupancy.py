@@ -43,8 +43,12 @@ class UnseenSpace:
         if known is not None:
             self._arm, self._bodies = known.arm, known.bodies
             self._picture = picture if known.seen is None else known.seen
+        arrays = arm_arrays(self._arm)
         self._held = np.where(self._picture[..., 1] == FREE, 0.0, occupancy).astype(np.float32)
-        _clear_into(self._held, self._low, self._grid.voxel_m, *_spheres(arm_arrays(self._arm), ends))
+        moving = arrays.links > 0
+        centres = sphere_centres_batch(np.ascontiguousarray(ends, dtype=np.float64), arrays)[:, moving]
+        radii = np.tile(arrays.radii[moving], len(ends))
+        _clear_into(self._held, self._low, self._grid.voxel_m, centres.reshape(-1, 3), radii)
 
     def touched(self, rows: NDArray[np.float32]) -> NDArray[np.float32]:
         """The highest occupancy (n,) of a voxel within the arm's spheres at configurations (n, d) rad."""
@@ -54,13 +58,6 @@ class UnseenSpace:
         )
         return found
 
-    def doubt_along(self, states: NDArray[np.float64]) -> NDArray[np.float32]:
-        """The variance p (1 - p) of voxels about the arm at states (n, d) rad, (X, Y, Z); 0 elsewhere."""
-        doubt = self._held * (1.0 - self._held)
-        away, arrays = doubt.copy(), arm_arrays(self._arm)
-        _clear_into(away, self._low, self._grid.voxel_m, *_spheres(arrays, states))
-        return np.asarray(doubt - away)
-
     def careful_checker(self) -> CollisionChecker:
         """Checks by what is seen, and by all voxels that may well hold something."""
         away, doubted = distances_m(self._picture), self._held > _DOUBTED
@@ -68,13 +65,6 @@ class UnseenSpace:
             away = np.minimum(away, self._grid.voxel_m * distance_transform_edt(~doubted))
         careful = [away.astype(np.float32) - np.float32(_MARGIN_M)]
         return world_checkers(self._arm, careful, self._grid, self._ends, bodies=self._bodies)[0]
-
-
-def _spheres(arrays: Any, rows: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Centres (k, 3) m and radii (k,) m of the moving links at configurations (n, d) rad."""
-    moving = arrays.links > 0
-    centres = sphere_centres_batch(np.ascontiguousarray(rows, dtype=np.float64), arrays)[:, moving]
-    return centres.reshape(-1, 3), np.tile(arrays.radii[moving], len(rows))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

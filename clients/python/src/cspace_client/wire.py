@@ -26,7 +26,7 @@ from pydantic import (
 MAX_SEED = 2**64 - 1
 MAX_SAMPLES, MAX_EXPLAINED, MAX_OUTCOMES = 20_000, 1000, 1000
 MAX_JOINTS, MAX_EPSILON, MAX_EPSILONS = 64, 10.0, 1000
-MAX_PICTURES, MAX_VIEWS, MAX_PATHS, MAX_TIME_S = 4, 64, 64, 10.0
+MAX_PICTURES, MAX_PATHS, MAX_TIME_S = 4, 64, 10.0
 MAX_BODIES, MAX_ATTACHED, MAX_IGNORED, MAX_PAIRS, MAX_MESHES = 500, 16, 64, 1000, 32
 
 FORM_TEXTS = frozenset({"model", "robot", "seed"})
@@ -242,7 +242,6 @@ State = Annotated[
     Discriminator(_state_kind),
 ]
 Cameras = Annotated[list[Camera], Field(max_length=16), BeforeValidator(_one_or_more)]
-Views = Annotated[list[View], Field(max_length=MAX_VIEWS), BeforeValidator(_one_or_more)]
 Picture = Annotated[
     bytes, BeforeValidator(_from_base64), WithJsonSchema({"type": "string", "contentEncoding": "base64"})
 ]
@@ -324,8 +323,6 @@ class PlanQuery(Request):
     alternatives: bool = Field(default=False, description="Return all paths of sufficient confidence.")
     explain: bool = Field(default=False, description="Say in `contact` what is in the way.")
     keep: bool = Field(default=False, description="Let the server keep the plan for training.")
-    next_view: bool = Field(default=False, description="Name a camera that would see more.")
-    view: Views = Field([], description="Cameras to choose it from; absent, those of the training.")
 
 
 class _Outcome(Request):
@@ -602,13 +599,6 @@ class Alternative(Answer):
     edges: Float32s
 
 
-class NextView(Answer):
-    """A camera that would see more."""
-
-    camera: View
-    sees: float = Field(description="Share of the doubtful space about the path that it would see.")
-
-
 class Trajectory(Answer):
     """Points in time; between them each joint's acceleration is constant."""
 
@@ -636,7 +626,6 @@ class PlanAnswer(SceneAnswer):
     least_sure: LeastSure | None
     contact: Contact | None = Field(None, exclude_if=_absent, description="What is in the way.")
     alternatives: list[Alternative] | None = Field(description="The best first; null unless requested.")
-    next_view: NextView | None = Field(description="For the best path.")
     seed: SeedText = Field(description="That was used, in decimal.")
     timing_ms: PlanTimingMs
 
