@@ -223,16 +223,16 @@ def _blocked_end(seen: Seen, ends: Mapping[str, NDArray[np.float64]], query: Pla
 
 
 def _crossing(seen: Seen, ends: NDArray[np.float64], query: PlanQuery) -> Contact | None:
-    """What is deepest in the way of the path that is least deep in it: straight, or by one configuration."""
+    """What is at the tightest place of the shallowest path, straight or by one configuration."""
     checker = seen_checkers(seen.world, seen.picture, ends, seen.known)[-1]
     space = planning_space(seen.world, query.limits)
     by = space.sample_uniform(np.random.default_rng([query.seed, 3]), _CROSSINGS)
     paths = [ends, *(np.stack([ends[0], one, ends[1]]) for one in by)]
     states = [spaced(path, space, STEP_RAD) for path in paths]
-    depths = [np.maximum(-checker.clearance(rows), 0.0) for rows in states]
-    best = int(np.argmin([one.sum() for one in depths]))
-    worst = states[best][int(np.argmax(depths[best]))]
-    return seen.world.contact(worst, seen.picture, seen.known) if depths[best].any() else None
+    clearances = [checker.clearance(rows) for rows in states]
+    best = int(np.argmax([np.minimum(one, 0.0).sum() for one in clearances]))
+    tightest = states[best][int(np.argmin(clearances[best]))]
+    return seen.world.contact(tightest, seen.picture, seen.known)
 
 
 def _contact(seen: Seen, ends: NDArray[np.float64], found: Plan, query: PlanQuery) -> Contact | None:

@@ -147,6 +147,8 @@ GIVEN = {
     "start": [0.0, 0.0],
     "goal": [0.0, 0.0],
     **dict.fromkeys(("min_confidence", "max_risk"), 0.5),
+    "max_velocity_rad_s": [1.0, 1.0],
+    "max_acceleration_rad_s2": [1.0, 1.0],
 }
 
 
