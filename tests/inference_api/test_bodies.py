@@ -2,7 +2,6 @@
 
 import json
 import struct
-import tempfile
 import time
 import zlib
 from collections.abc import Iterator
@@ -17,8 +16,6 @@ from cspace.files import encode_png
 from cspace.worlds.spatial.camera import encode_depth
 from inference_api.body import MAX_FIELD_BYTES, MAX_FIELDS, MAX_FILES, MAX_JSON_BYTES
 from inference_api.limits import MAX_BODY_BYTES
-from tests.bundles import picture
-from tests.cspace.png_files import chunk
 from tests.inference_api.answers import IMAGE, PNG, assert_answers, assert_problem
 from tests.inference_api.client import ApiClient
 
@@ -109,12 +106,6 @@ def test_json_of_other_languages_is_taken(api: ApiClient) -> None:
         assert answer.status_code == 200, answer.text
 
 
-def test_a_large_picture_without_a_file_name_is_told_what_it_lacks(api: ApiClient) -> None:
-    large = PNG[:33] + chunk(b"tEXt", bytes(MAX_FIELD_BYTES)) + PNG[33:]
-    problem = assert_problem(api.post("/sample", files=[("image", (None, large))]), 400, "malformed-body")
-    assert "file name" in problem["remedy"]
-
-
 def test_several_wrong_fields_are_all_reported(api: ApiClient) -> None:
     answer = api.post("/sample", json={"n": 0, "seed": -1, "colour": 1})
     problem = assert_problem(answer, 422, "invalid-value")
@@ -198,17 +189,6 @@ def test_a_character_set_is_never_looked_up(api: ApiClient) -> None:
     body = part(PNG, IMAGE_PART) + part(b"3") + part(b"pretrained", b'form-data; name="model"') + END
     for charset in ("utf-16", "punycode", "rot13", "nothing"):
         assert posted(api, body, f"{FORM}; charset={charset}").status_code == 200
-
-
-def test_a_large_file_never_goes_to_the_disk(api: ApiClient, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*_: object, **__: object) -> None:
-        pytest.fail("a file was opened")
-
-    monkeypatch.setattr(tempfile.SpooledTemporaryFile, "rollover", fail)
-    data = encode_png(picture())
-    large = data[:33] + chunk(b"tEXt", bytes(3 * 2**20)) + data[33:]
-    answer = api.post("/sample", files={"image": large}, data={"n": "3", "model": "pretrained"})
-    assert answer.status_code == 200, answer.text
 
 
 COSTLY: dict[str, tuple[str, bytes]] = {

@@ -54,18 +54,6 @@ def test_the_guide_is_its_first_page_and_every_file_below(start_api: StartApi, s
     assert all('route="/guide"' in line for line in counted)
 
 
-def test_a_server_says_how_to_build_a_guide_that_is_missing_and_serves_one_that_is_built_later(
-    start_api: StartApi, site: Path, tmp_path: Path
-) -> None:
-    later = tmp_path / "later"
-    api = start_api(None, api_guide=later)
-    problem = assert_problem(api.get("/guide/api.html"), 404, "not-found")
-    assert "make docs" in problem["remedy"]
-    assert str(tmp_path) not in str(problem)
-    site.rename(later)
-    assert api.get("/guide/").status_code == 200
-
-
 def rows(document: str, heading: str) -> list[list[str]]:
     """The cells of the first table below a heading, without its two first lines."""
     text = (ROOT / "docs" / document).read_text(encoding="utf-8")

@@ -9,7 +9,6 @@ from cspace.bundle import Bundle
 from cspace.bundle.files import SPEC_FILE
 from cspace.simulator import Split, scenario_rng
 from cspace.worlds import checker_of, examples, picture_of, simulator_of
-from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.checks import CollisionChecker
 from cspace.worlds.planar.simulator import render
 from inference_api.settings import PRETRAINED_FOLDER, further_folders
@@ -31,20 +30,6 @@ def bundle() -> Bundle:
 def panda() -> Bundle:
     """The shipped bundle of the arm in space, verified likewise."""
     return Bundle.load(further_folders()["pretrained-panda"])
-
-
-def test_it_holds_a_bundle_and_nothing_else(bundle: Bundle) -> None:
-    assert bundle.spec.world.body == TWO_LINK
-    files = sorted(PRETRAINED_FOLDER.iterdir())
-    assert [file.name for file in files] == [
-        "SHA256SUMS",
-        "bundle.json",
-        "encoder.onnx",
-        "generator.onnx",
-        "golden.npz",
-        "novelty.onnx",
-        "validity.onnx",
-    ]
 
 
 def test_it_tells_how_it_was_made(bundle: Bundle) -> None:
