@@ -167,11 +167,9 @@ def best_view(
     seen_by: Sequence[Mapping[str, Any]] = (),
     seen_state: object = None,
 ) -> NextView | None:
-    """The camera, best from a new place, that would see most of the space that makes a path uncertain.
+    """The camera that would see most of the space that makes a path (n, d) rad of ``costs`` (n,) uncertain.
 
-    ``states``: (n, d) rad along the path. ``costs``: (n,) of each. ``given``: cameras to choose from; none
-    for generated ones. ``seen_by``, ``seen_state``: cameras and robot state of the picture. None where no
-    camera would see any, and in worlds that are seen whole.
+    ``given``: cameras to choose from; none for generated ones. ``seen_by``, ``seen_state``: of the picture.
     """
     if world.kind not in _PARTLY_SEEN:
         return None
