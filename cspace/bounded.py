@@ -1,9 +1,4 @@
-"""Calls a function on untrusted files in a worker process that the kernel bounds.
-
-Descriptions of robots, meshes, recordings and bundles are read here. Their readers then need no bounds of
-their own: whatever a file makes them do ends at the limits of memory, time and output. ``python -m
-cspace.bounded`` is the worker.
-"""
+"""Calls a function on untrusted files in a worker process, within limits of memory, time and output."""
 
 import ctypes
 import errno

@@ -1,17 +1,17 @@
 """What is asked of a sampler and of a planner, and what a planner answers. NumPy alone."""
 
-import math
 import re
 import secrets
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from numbers import Integral, Real
-from typing import Any, Literal, TypedDict
+from typing import Annotated, Any, Literal, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
 from cspace.errors import InputError
+from cspace.files import Share, read_object
 from cspace.world import Contact
 
 MAX_SEED = 2**64 - 1
@@ -19,6 +19,7 @@ MAX_EPSILON = 10.0
 MAX_SAMPLES = 20_000
 """Of one request to a server, or to what stands in for one."""
 
+_DIGEST = "^[0-9a-f]{64}$"
 PLAIN = (0.0,)
 """The schedule that leaves the encoder's standard deviation as it is."""
 
@@ -33,87 +34,47 @@ class QueryOptions(TypedDict, total=False):
     robot: str | None
 
 
+_Angles = tuple[Annotated[float, Field(allow_inf_nan=False)], ...]
+
+
 @dataclass(frozen=True, slots=True)
 class SampleQuery:
     """A request for samples that is valid in itself; equal ones with equal pictures have equal answers."""
 
-    n: int
-    seed: int  # unsigned 64 bit
-    # The latent's standard deviation is raised by each value, 0 to 10; equal shares of the samples in this
-    # order, the remainder to the first
-    epsilon_sigma: tuple[float, ...] = PLAIN
-    start: tuple[float, ...] | None = None  # (d,) rad, for path models and only for them
-    goal: tuple[float, ...] | None = None
+    n: Annotated[int, Field(ge=1)]
+    seed: Annotated[int, Field(ge=0, le=MAX_SEED)]
+    # The latent's standard deviation is raised by each value; equal shares of the samples in this order, the
+    # remainder to the first
+    epsilon_sigma: Annotated[
+        tuple[Annotated[float, Field(ge=0.0, le=MAX_EPSILON)], ...], Field(min_length=1)
+    ] = PLAIN
+    start: _Angles | None = None  # (d,) rad, for path models and only for them
+    goal: _Angles | None = None
     # What the validity head has to score; None for the bundle's own threshold, 0 for all samples
-    min_confidence: float | None = None
-    robot: str | None = None  # digest of the robot that the model has to be of; None for any
+    min_confidence: Share | None = None
+    # Digest of the robot that the model has to be of; None for any
+    robot: Annotated[str, Field(pattern=_DIGEST)] | None = None
 
     @classmethod
-    def checked(
-        cls,
-        n: int,
-        seed: int,
-        epsilon_sigma: Sequence[float] = PLAIN,
-        start: ArrayLike | None = None,
-        goal: ArrayLike | None = None,
-        min_confidence: float | None = None,
-        robot: str | None = None,
-    ) -> "SampleQuery":
-        """The query of unchecked values."""
-        _whole("n", n, 1, math.inf)
-        _whole("seed", seed, 0, MAX_SEED)
-        values = tuple(epsilon_sigma)
-        if not values:
-            raise InputError("epsilon_sigma is empty", expected="one value or more", got="none")
-        for value in values:
-            _within("epsilon_sigma", value, MAX_EPSILON)
-        if min_confidence is not None:
-            _within("min_confidence", min_confidence, 1.0)
-            min_confidence = float(min_confidence)
-        if robot is not None and not is_digest(robot):
-            raise InputError("robot is no digest", expected="64 hexadecimal digits", got=repr(robot)[:200])
-        ends = _configuration("start", start), _configuration("goal", goal)
-        schedule = tuple(float(value) for value in values)
-        return cls(int(n), int(seed), schedule, *ends, min_confidence, robot)
+    def checked(cls, n: int, seed: int, **options: Unpack[QueryOptions]) -> "SampleQuery":
+        """The query of unchecked values, also numpy's."""
+        given = {"n": n, "seed": seed, **options}
+        values = {
+            name: None if one is None else np.asarray(one).tolist()
+            for name, one in given.items()
+            if one is not None or name == "seed"
+        }
+        return read_object(cls, values, "the query", InputError)
 
 
 def is_digest(value: object) -> bool:
     """Whether a value is a SHA-256 in hexadecimal, in small letters."""
-    return isinstance(value, str) and re.fullmatch("[0-9a-f]{64}", value) is not None
+    return isinstance(value, str) and re.fullmatch(_DIGEST, value) is not None
 
 
 def random_seed(seed: int | None = None) -> int:
     """The seed, or one that is drawn here, so that a request that is sent again is the same request."""
     return secrets.randbits(64) if seed is None else seed
-
-
-def _configuration(name: str, value: ArrayLike | None) -> tuple[float, ...] | None:
-    if value is None:
-        return None
-    try:
-        angles = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        angles = np.array(math.nan)
-    if angles.ndim != 1 or not np.all(np.isfinite(angles)):
-        raise InputError(
-            f"{name} is no configuration", expected="an array of finite angles in rad", got=str(value)[:200]
-        )
-    return tuple(angles.tolist())
-
-
-def _whole(name: str, value: object, low: int, high: float) -> None:
-    fits = isinstance(value, Integral) and not isinstance(value, bool)
-    if not fits or not low <= value <= high:  # type: ignore[operator]
-        expected = f"a whole number from {low} to {high}"
-        raise InputError(f"{name} is out of range", expected=expected, got=repr(value)[:200])
-
-
-def _within(name: str, value: object, high: float) -> None:
-    fits = isinstance(value, Real) and not isinstance(value, bool | np.bool_)
-    if not fits or not math.isfinite(value) or not 0.0 <= value <= high:  # type: ignore[arg-type, operator]
-        raise InputError(
-            f"{name} is out of range", expected=f"a finite number from 0 to {high:g}", got=repr(value)[:200]
-        )
 
 
 Status = Literal["solved", "refused", "timeout"]

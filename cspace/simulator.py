@@ -156,9 +156,8 @@ class Checker:
     ) -> tuple[int, int, int, int]:
         """Grow RRT-Connect's trees in place by a block of sampled states (n, d).
 
-        ``nodes``: (2, m, d) rad, the start's tree and the goal's. ``parents``: (2, m), -1 for the roots.
-        ``counts``: (2,) nodes in use. ``checks``: (2,) of edges and of states. Returns iterations done, whose
-        turn it is, and the node that both trees share, -1 twice without one.
+        ``nodes``: (2, m, d) rad. ``parents``: (2, m), -1 for roots. ``counts``, ``checks``: (2,). Returns
+        iterations done, whose turn it is, and the node that both trees share, -1 twice without one.
         """
         grown: tuple[int, int, int, int] = self.kernels.grow_trees(
             nodes, parents, counts, checks, states, side, range_rad, resolution_rad, self.scene

@@ -81,11 +81,7 @@ class JointSpace:
         return np.where(self.periodic, wrap(configurations), configurations)
 
     def bound(self, configurations: ArrayLike) -> NDArray[np.float64]:
-        """Periodic joints wrapped, the others brought within their limits; (..., d) rad.
-
-        A limited joint that is outside comes in by whole turns, to the same pose, where that is possible,
-        else to the limit that is nearer round the circle.
-        """
+        """Circles wrapped, limited joints turned into their limits or set to the nearer one; (..., d) rad."""
         wrapped = wrap(configurations)
         if self.is_torus:
             return wrapped

@@ -193,11 +193,7 @@ class LinkSamplePoints:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GridArm:
-    """A serial arm as spheres on a chain of d joints, and the grid on which its pictures lie.
-
-    Frame 0 is the base, frame i is fixed behind joint i. Pictures are (X, Y, Z, 2) uint8, distance to what is
-    seen and what is known of each voxel.
-    """
+    """A serial arm as spheres on a chain of d joints, and the grid of its pictures; frame 0 is the base."""
 
     origins: NDArray[np.float64]  # (d, 4, 4) of each joint in the frame before it, m
     axes: NDArray[np.float64]  # (d, 3) unit vectors that joints turn about

@@ -2,7 +2,7 @@
 
 from cspace.bundle.files import GoldenCase
 from cspace.bundle.load import Bundle, graphs_of, load_verified, write_bundle
-from cspace.bundle.sampling import Belief, Encoding, Picture, SampleSet
+from cspace.bundle.sampling import Encoding, OccupancyGrid, Picture, SampleSet
 from cspace.bundle.spec import SCHEMA_VERSION, BundleSpec, Provenance, RandomInput
 from cspace.query import MAX_EPSILON, MAX_SEED, SampleQuery
 
@@ -10,11 +10,11 @@ __all__ = [
     "MAX_EPSILON",
     "MAX_SEED",
     "SCHEMA_VERSION",
-    "Belief",
     "Bundle",
     "BundleSpec",
     "Encoding",
     "GoldenCase",
+    "OccupancyGrid",
     "Picture",
     "Provenance",
     "RandomInput",

@@ -115,12 +115,7 @@ Split Sqrt Squeeze Sub Sum Swish Tan Tanh ThresholdedRelu Tile TopK Transpose Tr
 
 
 def check_graph(name: str, data: bytes) -> None:
-    """Check an ONNX graph before onnxruntime opens it: whole, standard, and without control flow.
-
-    A graph passes if ``onnx.checker`` takes it, if it is all in its file, and if it has operators of ONNX's
-    standard set alone that compute tensors from tensors. What it costs is shown by the golden case, in a
-    process with limits of time and memory (:func:`cspace.bundle.load_verified`).
-    """
+    """Check an ONNX graph before onnxruntime opens it: whole, standard, and without control flow."""
     # A second and 40 MiB, which a server does without.
     import onnx  # noqa: PLC0415
     from google.protobuf.message import DecodeError  # type: ignore[import-untyped] # noqa: PLC0415
@@ -256,10 +251,7 @@ def _close(name: str, expected: NDArray[Any], got: NDArray[Any], space: JointSpa
 
 
 def scene(size: Sequence[int]) -> NDArray[np.uint8]:
-    """A fixed picture (P, P, 3) or (X, Y, Z, channels) without a renderer.
-
-    A ball in the middle of space: far from it all is seen free, within and below it nothing is known.
-    """
+    """A fixed picture (P, P, 3), or (X, Y, Z, channels) of a ball in the middle of space."""
     if len(size) == 3:
         return _flat_scene(size[0])
     place = np.stack(np.meshgrid(*(np.linspace(-1.0, 1.0, side) for side in size[:-1]), indexing="ij"))

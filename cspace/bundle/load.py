@@ -28,7 +28,15 @@ from cspace.bundle.files import (
     sums_of,
 )
 from cspace.bundle.runtime import Graph, container_bytes, open_graphs
-from cspace.bundle.sampling import Belief, Encoding, GeneratorSampler, Head, PathSampler, Picture, SampleSet
+from cspace.bundle.sampling import (
+    Encoding,
+    GeneratorSampler,
+    Head,
+    OccupancyGrid,
+    PathSampler,
+    Picture,
+    SampleSet,
+)
 from cspace.bundle.spec import (
     MAP,
     OCCUPANCY,
@@ -256,22 +264,19 @@ class Bundle:
         configurations: NDArray[np.float32],
         check_cancelled: CheckCancelled = lambda: None,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
-        """P(free | picture, configuration) of (n, d) rad, (n,), and the robot's share in unknown space, (n,).
-
-        The latter is None in worlds that are seen whole.
-        """
+        """P(free) of (n, d) rad, (n,), and the robot's share in unknown space, None where all is seen."""
         return self._head().predict(self._prepared(image), configurations, check_cancelled)
 
-    def belief(self, image: NDArray[np.uint8] | Picture) -> Belief:
+    def occupancy_grid(self, image: NDArray[np.uint8] | Picture) -> OccupancyGrid:
         """What the model takes the whole scene of an image (X, Y, Z, 2) to be, seen or not."""
-        self.require_belief()
+        self.require_field()
         picture, grid = self._prepared(image), cast("Any", self.spec.world.sensor).grid
         found = cast("Any", picture.occupancy)().astype(np.float32)
         x, y, z = (count // 2 for count in grid.counts)
         cells = found.reshape(x, 2, y, 2, z, 2).max(axis=(1, 3, 5))
-        return Belief(grid.low_m, 2.0 * grid.voxel_m, cells)
+        return OccupancyGrid(grid.low_m, 2.0 * grid.voxel_m, cells)
 
-    def require_belief(self) -> None:
+    def require_field(self) -> None:
         """Raises InputError where the model has no field."""
         if self._graphs.field is None:
             raise InputError(

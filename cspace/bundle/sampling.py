@@ -76,7 +76,7 @@ class Picture:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Belief:
+class OccupancyGrid:
     """What a model takes a scene to be, seen or not, on a grid of cells in the base frame."""
 
     low_m: tuple[float, float, float]
@@ -411,11 +411,9 @@ _PASS = 0.75
 
 
 class PathSampler:
-    """Samples along paths from start to goal that are searched for through what a picture shows.
+    """Samples along paths from start to goal that are searched for through what a picture shows, in order.
 
-    Nothing is trained on paths: of several paths the head predicts which are most likely free, and the
-    samples lie along them in order, with a confidence to reach those alone that reach it. The latent and
-    ``epsilon_sigma`` are not used. A picture through which no path is found gives no samples.
+    The latent and ``epsilon_sigma`` are not used. A picture without a path gives no samples.
     """
 
     def __init__(self, spec: BundleSpec, head: Head) -> None:

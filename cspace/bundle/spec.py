@@ -224,10 +224,7 @@ def fitted_plan(spec: BundleSpec, query: PlanQuery) -> PlanQuery:
 def fitted_end(
     spec: BundleSpec, name: str, angles: tuple[float, ...], space: JointSpace | None = None
 ) -> tuple[float, ...]:
-    """A start or goal, finite rad, as a bundle takes it: circles wrapped, in single precision.
-
-    A start that lies a little beyond a limit is taken as that limit.
-    """
+    """A start or goal as a bundle takes it: circles wrapped, a start near a limit at it, single precision."""
     if len(angles) != spec.dim:
         expected = f"{spec.dim} finite angles in rad"
         raise InputError(f"{name} does not fit the robot", expected=expected, got=str(list(angles))[:200])

@@ -45,10 +45,10 @@ def belief(
     began = time.perf_counter()
     bundle, spec = served.bundle, served.bundle.spec
     require_robot(robot_of(request), spec)
-    bundle.require_belief()
+    bundle.require_field()
     prepared = pictures.prepare(bundle, view_of(request), place.check_cancelled)
     asked = time.perf_counter()
-    found = bundle.belief(prepared.picture)
+    found = bundle.occupancy_grid(prepared.picture)
     ended = time.perf_counter()
     request_fields.get()["model"] = str(served)
     warnings = warnings_of(prepared.findings_with(spec.world, colliding=0.0))

@@ -50,19 +50,19 @@ def bundle_with(folder: Path, value: float) -> Bundle:
 
 
 def test_what_a_scene_is_taken_to_be_comes_from_the_field(tmp_path: Path) -> None:
-    found = bundle_with(tmp_path, 0.25).belief(picture())
+    found = bundle_with(tmp_path, 0.25).occupancy_grid(picture())
     np.testing.assert_array_equal(found.occupied, np.full([count // 2 for count in COUNTS], 0.25))
 
 
 def test_what_is_no_probability_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BundleError):
-        bundle_with(tmp_path, 1.5).belief(picture())
+        bundle_with(tmp_path, 1.5).occupancy_grid(picture())
 
 
 def test_a_model_without_a_field_cannot_tell(tmp_path: Path) -> None:
     bundle = Bundle.load(write_bundle(tmp_path / "bundle", SPEC, space_graphs()))
     with pytest.raises(InputError):
-        bundle.belief(picture())
+        bundle.occupancy_grid(picture())
 
 
 def seen_as(code: int) -> np.ndarray:

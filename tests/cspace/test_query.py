@@ -27,7 +27,12 @@ def test_a_wrong_value_is_named_with_what_was_expected_and_what_came(change):
 
 def test_values_of_numpy_become_plain_ones_and_equal_queries_are_one():
     made = SampleQuery.checked(
-        np.int64(3), np.uint64(MAX_SEED), np.array([0.0, 0.5]), np.array([0.5, 1.0]), (2, 3), np.float64(0.5)
+        np.int64(3),
+        np.uint64(MAX_SEED),
+        epsilon_sigma=np.array([0.0, 0.5]),
+        start=np.array([0.5, 1.0]),
+        goal=(2, 3),
+        min_confidence=np.float64(0.5),
     )
     assert made == SampleQuery(3, MAX_SEED, (0.0, 0.5), (0.5, 1.0), (2.0, 3.0), 0.5)
     assert len({made, dataclasses.replace(made)}) == 1

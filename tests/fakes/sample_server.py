@@ -34,11 +34,11 @@ def ask(source: SampleSource, fields: dict[str, list[bytes]]) -> SampleBatch:
     query = SampleQuery.checked(
         int(text["n"]),
         int(text["seed"]),
-        [float(value) for value in fields.get("epsilon_sigma", PLAIN)],
-        json.loads(text.get("start", "null")),
-        json.loads(text.get("goal", "null")),
-        float(text["min_confidence"]) if "min_confidence" in text else None,
-        text.get("robot"),
+        epsilon_sigma=[float(value) for value in fields.get("epsilon_sigma", PLAIN)],
+        start=json.loads(text.get("start", "null")),
+        goal=json.loads(text.get("goal", "null")),
+        min_confidence=float(text["min_confidence"]) if "min_confidence" in text else None,
+        robot=text.get("robot"),
     )
     return source.answer(fields["image"][0], query, text.get("model"))
 

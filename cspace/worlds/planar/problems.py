@@ -153,10 +153,7 @@ class PathFinder:
         self._graph = _graph(self._grid)
 
     def path(self, start: ArrayLike, goal: ArrayLike) -> NDArray[np.float64] | None:
-        """A free path (k, d) rad from ``start`` (d,) to ``goal`` (d,); None where the grid has none.
-
-        Every edge is free at the resolution; a passage finer than a cell may be missed.
-        """
+        """A free path (k, d) rad from ``start`` (d,) to ``goal`` (d,); None where the grid has none."""
         first, last = self._space.wrap(start), self._space.wrap(goal)
         shape = self._grid.free.shape
         at, end = (int(np.ravel_multi_index(self._grid.cells_of(q), shape)) for q in (first, last))

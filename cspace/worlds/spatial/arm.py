@@ -101,17 +101,16 @@ class SerialArm(Record):
                 raise ScenarioError("limits of motion do not fit", expected=expected, got=str(rates)[:200])
         ready = self.ready_rad
         if ready is not None:
-            object.__setattr__(self, "ready_rad", self._waiting(ready))
+            what = "the arm cannot wait there"
+            if len(ready) != self.dim:
+                raise ScenarioError(what, expected=f"{self.dim} angles", got=str(ready))
+            object.__setattr__(
+                self, "ready_rad", tuple(self.space.admitted(ready, what, ScenarioError).tolist())
+            )
 
     def __hash__(self) -> int:
         # Equal arms have equal ones, and hundreds of spheres are not gone through.
         return hash((self.name, self.joints, self.tool))
-
-    def _waiting(self, ready_rad: tuple[float, ...]) -> tuple[float, ...]:
-        what = "the arm cannot wait there"
-        if len(ready_rad) != self.dim:
-            raise ScenarioError(what, expected=f"{self.dim} angles", got=str(ready_rad))
-        return tuple(self.space.admitted(ready_rad, what, ScenarioError).tolist())
 
     @property
     def dim(self) -> int:
@@ -179,11 +178,7 @@ class SerialArm(Record):
         return np.asarray(self.link_frames(row[None])[0, link] @ frame)
 
     def named_frame(self, name: str) -> tuple[int, NDArray[np.float64]]:
-        """The number of the link that a named frame is fixed to, and the frame in that link's, (4, 4) m.
-
-        ``name``: of a joint, for the link that it moves; of a link, which is that of the first part that is
-        fixed to it; or ``tool``. The frames of further parts are not known.
-        """
+        """The link of a named frame (joint, link or tool), and the frame in that link's, (4, 4) m."""
         links = {joint.name: number for number, joint in enumerate(self.joints, 1)}
         fixed = {part.name: part.link for part in self.parts if part.link}
         first = {link: name for name, link in reversed(fixed.items())}
@@ -261,10 +256,7 @@ def ready_rad(arm: SerialArm) -> NDArray[np.float64]:
     return np.where(space.periodic, 0.0, (np.asarray(space.lower) + np.asarray(space.upper)) / 2.0)
 
 
-Sets = tuple[tuple[NDArray[np.int64], NDArray[np.int64]], ...]
-
-
-def touching_sets(arm: SerialArm) -> Sets:
+def touching_sets(arm: SerialArm) -> tuple[tuple[NDArray[np.int64], NDArray[np.int64]], ...]:
     """Pairs of sets of spheres, numbers (a,) and (b,), all of whose pairs can touch; each pair is in one."""
     ranges = zip(arm.parts, arm.sphere_ranges().tolist(), strict=True)
     own = {part.name: np.arange(*span) for part, span in ranges}
@@ -298,10 +290,7 @@ class Grouping:
 # Asked for again with every scene, and half a second for hundreds of spheres.
 @lru_cache(maxsize=16)
 def grouped(arm: SerialArm, count: int) -> Grouping:
-    """The spheres of an arm in groups of one part each: the largest is halved until there are enough.
-
-    There is a group for each part at least, and for each sphere at most.
-    """
+    """The spheres of an arm in groups of one part each: the largest is halved until there are enough."""
     if np.count_nonzero(arm.sphere_links()) < 2:
         raise ScenarioError("the arm has no shape", expected="two spheres or more on links that move")
     count = min(max(count, len(arm.parts)), arm.sphere_count)
@@ -311,7 +300,10 @@ def grouped(arm: SerialArm, count: int) -> Grouping:
     while len(members) < count:
         sizes = [sphere[3] if len(one) > 1 else -1.0 for one, sphere in zip(members, held, strict=True)]
         at = int(np.argmax(sizes))
-        halves = _halves(spheres, members[at])
+        spread = spheres[members[at], :3] - spheres[members[at], :3].mean(axis=0)
+        along = spread @ np.linalg.svd(spread, full_matrices=False)[2][0]
+        order = members[at][np.argsort(along, kind="stable")]
+        halves = [np.sort(order[: len(order) // 2]), np.sort(order[len(order) // 2 :])]
         members[at : at + 1] = halves
         held[at : at + 1] = [_holding(spheres[one]) for one in halves]
     groups = np.empty(len(spheres), dtype=np.int64)
@@ -330,11 +322,3 @@ def _holding(spheres: NDArray[np.float64]) -> NDArray[np.float64]:
         reach = np.linalg.norm(centres - middle, axis=1) + radii
         middle = middle + (centres[int(np.argmax(reach))] - middle) / (step + 1.0) ** 1.5
     return np.append(middle, (np.linalg.norm(centres - middle, axis=1) + radii).max())
-
-
-def _halves(spheres: NDArray[np.float64], members: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-    centres = spheres[members, :3]
-    spread = centres - centres.mean(axis=0)
-    along = spread @ np.linalg.svd(spread, full_matrices=False)[2][0]
-    order = members[np.argsort(along, kind="stable")]
-    return [np.sort(order[: len(order) // 2]), np.sort(order[len(order) // 2 :])]

@@ -84,19 +84,14 @@ class _Problems:
     problems: tuple[BenchProblem, ...]
 
 
+@lru_cache(maxsize=16)
 def problems(
-    split: Split, folder: Path | None = None, families: Iterable[str] = BENCH_FAMILIES
+    split: Split, folder: Path | None = None, families: tuple[str, ...] = BENCH_FAMILIES
 ) -> tuple[BenchProblem, ...]:
-    """The problems of a split, by family, then by number.
-
-    ``split``: validation, numbers 1 to 30, or test, 31 to 100, which nothing is ever tuned on. ``folder``:
-    that ``python -m training.motionbench fetch`` filled; validation problems are read from where they ship
-    unless it is given.
-    """
-    wanted = tuple(families)
+    """The problems of a split, by family, then by number; validation ships, test comes with ``folder``."""
     if folder is None and split is Split.TEST:
         raise DatasetError("the benchmark's test problems do not ship", remedy=_FETCH)
-    path = _file(SHIPPED if folder is None else folder, split)
+    path = (folder or SHIPPED) / f"{split.value}.json.gz"
     try:
         values = parse_json(gzip.decompress(path.read_bytes()))
     except (OSError, EOFError, zlib.error, ValueError) as error:
@@ -108,7 +103,7 @@ def problems(
     if set(by_name) != set(expected_names(split)):
         expected = f"numbers {NUMBERS[split][0]} to {NUMBERS[split][-1]} of each family"
         raise DatasetError(f"{path} holds other problems", expected=expected, got=f"{len(found)} problems")
-    return tuple(by_name[name] for name in expected_names(split) if name[0] in wanted)
+    return tuple(by_name[name] for name in expected_names(split) if name[0] in families)
 
 
 def expected_names(split: Split) -> list[tuple[str, int]]:
@@ -119,15 +114,11 @@ def expected_names(split: Split) -> list[tuple[str, int]]:
 def write_problems(folder: Path, split: Split, found: Iterable[BenchProblem]) -> Path:
     """Write a split's problems where :func:`problems` reads them."""
     text = json.dumps({"problems": [one.to_dict() for one in found]}, separators=(",", ":"), allow_nan=False)
-    path = _file(folder, split)
+    path = folder / f"{split.value}.json.gz"
     with replacing(path, "the benchmark") as beside:
         path.parent.mkdir(parents=True, exist_ok=True)
         beside.write_bytes(gzip.compress(text.encode("utf-8"), mtime=0))
     return path
-
-
-def _file(folder: Path, split: Split) -> Path:
-    return folder / f"{split.value}.json.gz"
 
 
 PREFIX = "motionbench_"
@@ -297,16 +288,11 @@ _Found = tuple[Layout, tuple[float, ...], tuple[float, ...], tuple[int, ...]]
 def _found(world: SpatialWorld, request: ProblemRequest, family: str, index: int) -> _Found:
     """Scene, start, goal and what pictures of the problem are seeded with."""
     if family.startswith(PREFIX):
-        one = _bench(request.split, request.folder, family.removeprefix(PREFIX))[index]
+        one = problems(request.split, request.folder, (family.removeprefix(PREFIX),))[index]
         return one.layout(world.body), one.start, one.goal, (one.number,)
     problem = draw_problem(world.body, scenes_of(world), request.split, request.seed, index, family)
     start, goal = (tuple(float(angle) for angle in end) for end in (problem.start, problem.goal))
     return problem.layout, start, goal, (*request.split.encode(), request.seed, index)
-
-
-@lru_cache(maxsize=16)
-def _bench(split: Split, folder: Path | None, family: str) -> tuple[BenchProblem, ...]:
-    return problems(split, folder, (family,))
 
 
 @lru_cache(maxsize=2)

@@ -263,11 +263,9 @@ def undistorted(
     distortion: tuple[float, ...],
     check_cancelled: CheckCancelled = lambda: None,
 ) -> NDArray[np.uint16]:
-    """The picture (H, W) that the camera would take without its lens's distortion.
+    """The picture (H, W) without its lens's distortion k1, k2, p1, p2, k3, k4, k5, k6, as far as there are.
 
-    Every pixel has the reading of the nearest pixel that its ray falls on, for depths are never averaged over
-    edges; 0 where that lies beside the picture. ``distortion``: k1, k2, p1, p2, k3, k4, k5, k6, as far as
-    there are. Source: OpenCV, camera calibration and 3D reconstruction.
+    Every pixel has the reading of the nearest pixel that its ray falls on. Source: OpenCV, calib3d.
     """
     if not distortion:
         return picture
@@ -352,11 +350,7 @@ def in_range(depth_mm: NDArray[np.uint16]) -> NDArray[np.bool_]:
 
 
 def resize_depth(depth_mm: NDArray[np.uint16], height: int, width: int) -> NDArray[np.uint16]:
-    """A depth picture (H, W) in another size, (height, width).
-
-    Every pixel is the nearest surface read in the cell that it covers, 0 where nothing is read in it; along
-    an axis that grows, pixels are repeated. The camera of the result is :meth:`DepthCamera.resized`.
-    """
+    """A depth picture (H, W) in another size: the nearest reading of each cell, 0 where nothing is read."""
     # 0 wraps round to the largest number, and back again: one pass for what was read and what was not.
     less = np.asarray(depth_mm - 1, dtype=np.uint16)
     return np.asarray(_least(_least(less, 0, height), 1, width) + 1, dtype=np.uint16)

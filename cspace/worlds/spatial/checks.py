@@ -82,11 +82,7 @@ def _lerp(first, second, share):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def make_room(grid, centres, radii, slack, plateau, slope):  # type: ignore[no-untyped-def]
-    """Raise distances, in place, so that spheres (S, 3), (S,) m just fit where they are known to be free.
-
-    Each sphere gets what it lacks and ``slack`` m, within ``plateau`` m of its centre; farther away ``slope``
-    less for each metre.
-    """
+    """Raise distances, in place, so that spheres (S, 3), (S,) m just fit where they are known to be free."""
     values, voxel = grid.values, grid.voxel
     raised = np.zeros_like(values)
     for at in range(centres.shape[0]):

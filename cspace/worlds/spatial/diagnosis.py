@@ -1,8 +1,4 @@
-"""What is wrong, or may be, with depth pictures: warnings of every answer, and a diagnosis of seconds.
-
-The arm is the yardstick of both: it is rendered where ``state`` puts it and compared with the picture, under
-the request as sent and under :data:`cspace.worlds.spatial.hypotheses.EVERY`. NumPy alone.
-"""
+"""Warnings about depth pictures in every answer, and their diagnosis in seconds, by the arm as rendered."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -103,10 +99,9 @@ def picture_findings(
     fused: Image,
     posed: Sequence[Finding] = (),
 ) -> Iterator[Finding]:
-    """The findings of a view, without those of the arm's place.
+    """The findings of a view, without those of the arm's place, which the error of a blind view names.
 
-    ``single``: what each picture says alone, (X, Y, Z, 2) each; ``fused``: what all say together. ``posed``:
-    what is wrong with the pose by the arm in the picture, which the error of a blind view then names.
+    ``single``: what each picture says alone, (X, Y, Z, 2) each; ``fused``: what all say together.
     """
     grid = sensor.grid
     blind = tuple(number for number, one in enumerate(single) if not _seen(arm, grid, one).any())
@@ -116,7 +111,10 @@ def picture_findings(
             f"{cameras} none of the space that the arm can reach",
             expected="free space or surfaces within "
             f"{shoulder_reach_m(arm):.2f} m of the arm's first joint in at least one picture",
-            got="; ".join(map(_looks, view.cameras)),
+            got="; ".join(
+                "a camera at {} m that looks along {}".format(*np.round(one.matrix[:3, (3, 2)].T, 2).tolist())
+                for one in view.cameras
+            ),
             remedy="; ".join(f"{one.seen}: {one.remedy}" for one in posed if one.code in CAUSES)
             or "check that pose is the camera in the robot's base with z forward, x right and y down "
             "(OpenGL and Blender have z backwards), and that depths are in mm, or send depth_scale_m",
@@ -227,7 +225,8 @@ def _of_camera(arm: SerialArm, views: CameraViews, camera: DepthCamera) -> Itera
             f"if the pixels are square, {_WRONG_PLACE}",
             "check fx and fy; ignore this for a picture that was squeezed along one side",
         )
-    if (pixel_m := _away_m(arm, camera) / min(camera.fx, camera.fy)) > _COARSE_M:
+    away_m = float(np.linalg.norm(camera.matrix[:3, 3] - arm.joints[0].origin.xyz_m))
+    if (pixel_m := away_m / min(camera.fx, camera.fy)) > _COARSE_M:
         yield (
             "coarse-picture",
             f"a pixel covers {100 * pixel_m:.0f} cm where the arm stands",
@@ -258,11 +257,10 @@ def _of_camera(arm: SerialArm, views: CameraViews, camera: DepthCamera) -> Itera
             f"the model knows no such camera; if the numbers are wrong, {_WRONG_PLACE}",
             "check fx against the picture's width, or train for this camera",
         )
-    away, most = _away_m(arm, camera), views.distance_m[1] + _FARTHER_M
-    if away > most:
+    if away_m > (most := views.distance_m[1] + _FARTHER_M):
         yield (
             "far-camera",
-            f"the camera stands {away:.1f} m from the arm, those of training at most {most:.1f} m",
+            f"the camera stands {away_m:.1f} m from the arm, those of training at most {most:.1f} m",
             "the model knows no such view",
             "check the unit of the pose (metres), or train for this camera",
         )
@@ -289,19 +287,9 @@ def _of_picture(
         )
 
 
-def _away_m(arm: SerialArm, camera: DepthCamera) -> float:
-    """From the arm's shoulder."""
-    return float(np.linalg.norm(camera.matrix[:3, 3] - arm.joints[0].origin.xyz_m))
-
-
 def _field_deg(camera: DepthCamera) -> float:
     """How wide a camera's pictures are."""
     return float(np.degrees(2.0 * np.arctan(0.5 * camera.width / camera.fx)))
-
-
-def _looks(camera: DepthCamera) -> str:
-    place, ahead = (np.round(camera.matrix[:3, column], 2).tolist() for column in (3, 2))
-    return f"a camera at {place} m that looks along {ahead}"
 
 
 def _base_is_solid(arm: SerialArm, grid: GridBox, image: Image) -> bool:
@@ -324,12 +312,11 @@ def _are_solid(grid: GridBox, image: Image, spheres: NDArray[np.float64]) -> boo
 
 def _merged(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """Each code once, with the pictures of all that have it."""
-    every = list(findings)
-    found = []
-    for code in dict.fromkeys(one.code for one in every):
-        same = [one for one in every if one.code == code]
-        found.append(replace(same[0], pictures=tuple(sorted({n for one in same for n in one.pictures}))))
-    return tuple(found)
+    found = dict[str, Finding]()
+    for one in findings:
+        first = found.setdefault(one.code, one)
+        found[one.code] = replace(first, pictures=tuple(sorted({*first.pictures, *one.pictures})))
+    return tuple(found.values())
 
 
 def pose_findings(arm: SerialArm, view: DepthView) -> tuple[Finding, ...]:

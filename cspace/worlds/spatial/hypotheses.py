@@ -1,8 +1,6 @@
-"""Hypotheses about a depth picture, its camera and the state, and how well each explains where the arm is.
+"""Hypotheses about a depth picture, its camera and the state, each a request that may have been meant.
 
-A hypothesis turns a request into the requests that were meant if it is true. One score compares all: how well
-the readings agree with the arm as rendered, with the free space along their rays, and with what does not
-move. NumPy alone.
+One score compares all: how well readings agree with the arm as rendered, and with what does not move.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -107,7 +105,10 @@ class Request:
     def score(self, least: int = FEW_PIXELS) -> Score:
         """Compares the picture with the arm as rendered; ``least`` pixels count at least."""
         rendered = arm_depth_m(self.camera, self.spheres)
-        shown = _eroded(np.isfinite(rendered))
+        # Pixels whose eight neighbours show it as well; those beyond the picture count as such.
+        wide = np.pad(np.isfinite(rendered), 1, constant_values=True)
+        rows = wide[:-2] & wide[1:-1] & wide[2:]
+        shown = rows[:, :-2] & rows[:, 1:-1] & rows[:, 2:]
         still = shown & (arm_depth_m(self.camera, self.spheres[self.arm.sphere_links() == 0]) <= rendered)
         gap = np.where(shown & (self.depth_m > 0.0), self.depth_m - rendered, np.nan)
         near = gap[np.abs(gap) < AGREES_M]
@@ -138,13 +139,6 @@ class Request:
         cell = 0.015 * float(np.median(np.linalg.norm(points - self.camera.matrix[:3, 3], axis=1)))
         counts = np.bincount(((points[:, 2] - points[:, 2].min()) / max(cell, 1e-6)).astype(int))
         return float(np.convolve(counts, (1, 1)).max()) / len(points)
-
-
-def _eroded(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Pixels whose eight neighbours are set as well; those beyond the picture count as set."""
-    wide = np.pad(mask, 1, constant_values=True)
-    rows = wide[:-2] & wide[1:-1] & wide[2:]
-    return np.asarray(rows[:, :-2] & rows[:, 1:-1] & rows[:, 2:])
 
 
 # What may have been meant: the code of its cause, the request, what is wrong then, and a remedy.
@@ -181,15 +175,18 @@ def _unit(one: Request) -> Meant:
         yield "depth-unit", replace(one, scale_m=one.scale_m * scale), what, remedy
 
 
-def _along_ray(one: Request) -> Meant:
-    along = np.linalg.norm(one.camera.rays(), axis=-1)
+def _pictures(one: Request) -> Meant:
+    along = replace(one, units=one.units / np.linalg.norm(one.camera.rays(), axis=-1))
     remedy = "divide each by sqrt(1 + ((u - cx) / fx)^2 + ((v - cy) / fy)^2)"
-    yield (
-        "ray-distance",
-        replace(one, units=one.units / along),
-        "the readings are distances along the ray",
-        remedy,
-    )
+    yield "ray-distance", along, "the readings are distances along the ray", remedy
+    for sides, units in (("left and right", one.units[:, ::-1]), ("top and bottom", one.units[::-1])):
+        what = f"the picture is mirrored, {sides}"
+        yield "mirrored-picture", replace(one, units=units), what, "mirror it back"
+    for turns in (1, 3):
+        units = np.rot90(one.units, turns)
+        camera = replace(one.camera, width=units.shape[1], height=units.shape[0])
+        what = f"the picture is turned by {360 - 90 * turns} degrees"
+        yield "rotated-picture", replace(one, units=units, camera=camera), what, "turn it back"
 
 
 def _intrinsics(one: Request) -> Meant:
@@ -207,20 +204,6 @@ def _intrinsics(one: Request) -> Meant:
         ("cx and cy", replace(was, cx=was.cy, cy=was.cx)),
     ):
         yield "intrinsics", replace(one, camera=camera), f"{names} are swapped", f"swap {names}"
-
-
-def _mirrored(one: Request) -> Meant:
-    for sides, units in (("left and right", one.units[:, ::-1]), ("top and bottom", one.units[::-1])):
-        what = f"the picture is mirrored, {sides}"
-        yield "mirrored-picture", replace(one, units=units), what, "mirror it back"
-
-
-def _rotated(one: Request) -> Meant:
-    for turns in (1, 3):
-        units = np.rot90(one.units, turns)
-        camera = replace(one.camera, width=units.shape[1], height=units.shape[0])
-        what = f"the picture is turned by {360 - 90 * turns} degrees"
-        yield "rotated-picture", replace(one, units=units, camera=camera), what, "turn it back"
 
 
 def _aligned(one: Request) -> Meant:
@@ -245,11 +228,6 @@ def _raised(one: Request, by_m: Sequence[float] | Array) -> Request:
     return camera_moved(one, np.array([0.0, 0.0, by_m[0], 0.0, 0.0, 0.0]))
 
 
-def _moved_camera(one: Request) -> Meant:
-    fit = fitted(one, camera_moved, np.zeros(6))
-    yield "extrinsics", fit, "the camera stands elsewhere", "calibrate again or take the suggested pose"
-
-
 def camera_moved(one: Request, by: Array) -> Request:
     """With the camera moved by (6,): m, and rad about its own place as a rotation vector."""
     pose, angle = one.camera.matrix, float(np.linalg.norm(by[3:]))
@@ -268,9 +246,14 @@ def _joint(one: Request) -> Meant:
         yield "joint-off", fit, what, "send `state` of the moment of the picture; check this joint's zero"
 
 
-def _stale_state(one: Request) -> Meant:
-    what, remedy = "the arm stands in another state", "send `state` of the moment of the picture, in rad"
-    yield "state-off", fitted(one, _turned, np.zeros(one.arm.dim)), what, remedy
+def _all_moved(one: Request) -> Meant:
+    fit, remedy = fitted(one, camera_moved, np.zeros(6)), "calibrate again or take the suggested pose"
+    yield "extrinsics", fit, "the camera stands elsewhere", remedy
+    fit, remedy = (
+        fitted(one, _turned, np.zeros(one.arm.dim)),
+        "send `state` of the moment of the picture, in rad",
+    )
+    yield "state-off", fit, "the arm stands in another state", remedy
 
 
 def _turned(one: Request, by_rad: Array, axis: Array | float = 1.0) -> Request:
@@ -289,17 +272,8 @@ def _permuted(one: Request) -> Meant:
 
 FRAMES: tuple[Hypothesis, ...] = (_unit, _frames)
 EVERY: tuple[Hypothesis, ...] = (
-    *FRAMES,
-    _along_ray,
-    _intrinsics,
-    _mirrored,
-    _rotated,
-    _permuted,
-    _aligned,
-    _base_height,
-    _joint,
-    _moved_camera,
-    _stale_state,
+    *(*FRAMES, _pictures, _intrinsics, _permuted, _aligned),
+    *(_base_height, _joint, _all_moved),
 )
 # How much better each cause has to be than another: of two that fit alike the simpler one is named.
 HYPOTHESES = dict.fromkeys((*CAUSES, "ray-distance", "mirrored-picture", "rotated-picture"), 0.0) | {
@@ -341,12 +315,8 @@ def explanations(
 
 def clearly_better(found: Sequence[Explanation], stated: Score, by: float = BETTER) -> list[Explanation]:
     """What is clearly better than the request as sent, of the best first: that, and one that ties with it."""
-    good = [
-        one
-        for one in found
-        if one.score.arm >= max(_FITS * (1.0 - one.score.blank), _LEAST)
-        and one.score.total > stated.total + by
-    ]
+    good = [one for one in found if one.score.total > stated.total + by]
+    good = [one for one in good if one.score.arm >= max(_FITS * (1.0 - one.score.blank), _LEAST)]
     return [one for one in good[:2] if one.score.total > good[0].score.total - TIE]
 
 

@@ -189,13 +189,10 @@ def solve_pose(
     solving: Solving = Solving(),
     space: JointSpace | None = None,
 ) -> NDArray[np.float64]:
-    """Configurations that bring the tool to a place, obstacles and self-collision left aside.
+    """Configurations (n, d) rad that bring the tool to a place (3,) m, obstacles and self-collision aside.
 
-    ``place_m``: (3,) of the tool's origin, in the base frame. ``approach``: (3,) unit vector in the base
-    frame along which the tool's z axis shall point, with any turn about it. ``rotation``: (3, 3) of the tool
-    in the base frame, instead of an approach; with neither any will do. ``space``: with narrower limits than
-    the arm's; None for these. Returns (n, d) rad within the limits, circles in [-pi, pi); n is 0 where
-    nothing was found.
+    ``approach``: (3,) along which the tool's z axis shall point. ``rotation``: (3, 3) of the tool instead;
+    with neither any will do. ``space``: with narrower limits than the arm's.
     """
     place, wanted, mode = np.array(place_m, dtype=np.float64), np.eye(3), _ANY
     if approach is not None:

@@ -1,11 +1,6 @@
-"""What a planner knows beside its pictures: bodies, what the arm holds, what may touch, what to ignore.
-
-The words are MoveIt's: a planning scene has world objects, attached objects and allowed collisions. NumPy
-alone; :mod:`cspace.worlds.spatial.scene_checker` checks configurations against it.
-"""
+"""What a planner knows beside its pictures, in MoveIt's words: world and attached objects, and so on."""
 
 import base64
-import binascii
 import struct
 from collections.abc import Mapping
 from typing import Annotated, Any, cast
@@ -118,8 +113,7 @@ class PlanningScene(Record):
         names = [one.name for one in (*self.scene, *self.attached)]
         if "" in names or len(set(names)) != len(names):
             raise InputError("the bodies do not fit", expected="a name each", got=str(names)[:200])
-        every = (*self.scene, *self.attached, *self.ignore)
-        unknown = {one.mesh.file for one in every if one.mesh is not None} - set(self.meshes)
+        unknown = {one.mesh.file for one in self.bodies if one.mesh is not None} - set(self.meshes)
         if unknown:
             raise InputError(
                 "a body has a mesh that did not come",
@@ -128,9 +122,21 @@ class PlanningScene(Record):
                 remedy="send the file as a part `mesh` of a form, or in `meshes` as base64",
             )
 
+    @property
+    def bodies(self) -> tuple[Body, ...]:
+        return (*self.scene, *self.attached, *self.ignore)
+
     def corners_m(self) -> dict[str, NDArray[np.float64]]:
         """(T, 3, 3) of the triangles of each mesh, in its own unit."""
-        return {name: read_stl(_decoded(name, text), name) for name, text in self.meshes.items()}
+        found = {}
+        for name, text in self.meshes.items():
+            try:
+                data = base64.b64decode(text, validate=True)
+            except ValueError as error:
+                what = f"the mesh {name} is not base64 of a binary STL"
+                raise InputError(what, got=text[:50]) from error
+            found[name] = read_stl(data, name)
+        return found
 
 
 def read_planning_scene(values: bytes) -> PlanningScene:
@@ -169,10 +175,3 @@ def read_stl(data: bytes, name: str) -> NDArray[np.float64]:
     if not len(corners):
         raise InputError(f"the mesh {name} has no surface", expected="triangles with an area", got="none")
     return corners
-
-
-def _decoded(name: str, text: str) -> bytes:
-    try:
-        return base64.b64decode(text, validate=True)
-    except (binascii.Error, ValueError) as error:
-        raise InputError(f"the mesh {name} is not base64 of a binary STL", got=text[:50]) from error

@@ -49,7 +49,11 @@ def read_pose(values: object, what: str, error: type[CspaceError] = ScenarioErro
     rows: Any = (values["translation"], values["quaternion_xyzw"]) if is_placed else values  # type: ignore[index]
     lengths = [3, 4] if is_placed else [4] * 4
     are_rows = isinstance(rows, list | tuple) and all(isinstance(row, list | tuple) for row in rows)
-    if not are_rows or [len(row) for row in rows] != lengths or not all(map(_is_number, chain(*rows))):
+    if (
+        not are_rows
+        or [len(row) for row in rows] != lengths
+        or any(type(one) not in (int, float) or not abs(one) <= sys.float_info.max for one in chain(*rows))
+    ):
         raise error(
             f"{what} has no pose",
             expected="4 x 4 finite numbers, or translation [x, y, z] in m with quaternion_xyzw [x, y, z, w]",
@@ -68,12 +72,6 @@ def read_pose(values: object, what: str, error: type[CspaceError] = ScenarioErro
     pose = pose_of(rows)
     check_pose(pose, what, error)
     return pose
-
-
-def _is_number(value: object) -> bool:
-    if not isinstance(value, int | float) or isinstance(value, bool):
-        return False
-    return abs(value) <= sys.float_info.max
 
 
 def pose_of(matrix: ArrayLike) -> Pose:

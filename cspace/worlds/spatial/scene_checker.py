@@ -1,8 +1,4 @@
-"""What a planner knows, as checks of one arm take it: known bodies, attached ones, contacts in words.
-
-The arm with what is attached to it is an arm again, so that searches, self filter and self-collision need not
-know of it. Compiled.
-"""
+"""A planning scene as checks of one arm, which is an arm again with what is attached to it. Compiled."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
@@ -54,12 +50,26 @@ class SceneChecker:
         self.known = known
         self.seen: NDArray[np.uint8] | None = None
         meshes = known.corners_m()
-        self._check_meshes(meshes)
+        counts = [len(meshes[one.mesh.file]) for one in known.bodies if one.mesh is not None]
+        if len(counts) > MAX_MESHES or sum(counts) > MAX_TRIANGLES:
+            raise InputError(
+                "the bodies have too many meshes, or too fine ones",
+                expected=f"at most {MAX_MESHES} bodies with a mesh, of {MAX_TRIANGLES} triangles together",
+                got=f"{len(counts)} of {sum(counts)}",
+                remedy="simplify the meshes, or send boxes and cylinders about them",
+            )
         self.bodies = bodies_of(known.scene, meshes)
         self.ignored = bodies_of(known.ignore, meshes)
         self._check_names(arm)
         self.arm = self._holding(arm, meshes)
-        self.bodies = self.bodies._replace(exempt=self._exempt())
+        allowed = {frozenset(pair) for pair in known.allowed}
+        # The base stands where it stands.
+        exempt = [
+            [part.link == _STILL or frozenset((part.name, name)) in allowed for name in self.names]
+            for part in self.arm.parts
+        ]
+        shape = (len(self.arm.parts), len(self.names))
+        self.bodies = self.bodies._replace(exempt=np.asarray(exempt, dtype=np.bool_).reshape(shape))
         held = {one.name for one in known.attached}
         pairs = tuple(pair for pair in self.arm.touching if held & set(pair))
         limits = np.full(arm.dim, np.inf)
@@ -125,10 +135,7 @@ class SceneChecker:
     def complete(
         self, image: NDArray[np.uint8], grid: GridBox, check_cancelled: CheckCancelled = lambda: None
     ) -> None:
-        """Write what is known, in place, into what pictures show, (X, Y, Z, 2).
-
-        Searches go by :attr:`seen`, without the known bodies, which they check themselves.
-        """
+        """Write what is known, in place, into what pictures show, (X, Y, Z, 2); ``seen`` stays without."""
         low = np.asarray(grid.low_m)
         for bodies, is_free in ((self.ignored, True), (self.bodies, False)):
             if not is_free:
@@ -195,17 +202,6 @@ class SceneChecker:
         part = np.searchsorted(self.arm.sphere_ranges()[:, 1], moving[at], side="right")
         return Contact(kind, self.arm.parts[part].name, "", vector(centres[moving[at]]), depth)
 
-    def _check_meshes(self, meshes: Mapping[str, NDArray[np.float64]]) -> None:
-        every = (*self.known.scene, *self.known.attached, *self.known.ignore)
-        counts = [len(meshes[one.mesh.file]) for one in every if one.mesh is not None]
-        if len(counts) > MAX_MESHES or sum(counts) > MAX_TRIANGLES:
-            raise InputError(
-                "the bodies have too many meshes, or too fine ones",
-                expected=f"at most {MAX_MESHES} bodies with a mesh, of {MAX_TRIANGLES} triangles together",
-                got=f"{len(counts)} of {sum(counts)}",
-                remedy="simplify the meshes, or send boxes and cylinders about them",
-            )
-
     def _check_names(self, arm: SerialArm) -> None:
         parts = {part.name for part in arm.parts}
         bodies = {one.name for one in (*self.known.scene, *self.known.attached)}
@@ -239,15 +235,6 @@ class SceneChecker:
                 if part.link != link and part.name not in may_touch
             ]
         return replace(arm, parts=tuple(parts), touching=tuple(touching))
-
-    def _exempt(self) -> NDArray[np.bool_]:
-        """(P, K): the base, which stands where it stands, and pairs that may touch."""
-        allowed = {frozenset(pair) for pair in self.known.allowed}
-        rows = [
-            [part.link == _STILL or frozenset((part.name, name)) in allowed for name in self.names]
-            for part in self.arm.parts
-        ]
-        return np.asarray(rows, dtype=np.bool_).reshape(len(self.arm.parts), len(self.names))
 
 
 def bodies_of(bodies: Iterable[Body], meshes: Mapping[str, NDArray[np.float64]]) -> BodyArrays:

@@ -77,11 +77,7 @@ class GridBox(Record):
 
 
 def grid_of(arm: SerialArm, voxel_m: float | None = None) -> GridBox:
-    """The cube about an arm's shoulder that holds all that the arm can touch.
-
-    Its half side is :func:`shoulder_reach_m` and a little more, so that counts are multiples of sixteen.
-    Voxels have 2.5 cm where no size is given, or more where the arm is so large that there would be too many.
-    """
+    """The cube about an arm's shoulder that holds all that the arm can touch, in voxels of 2.5 cm or more."""
     reach_m = shoulder_reach_m(arm)
     if voxel_m is None:
         voxel_m = max(VOXEL_M, float(np.ceil(1e3 * 2.0 * reach_m / _MOST_A_SIDE) / 1e3))
@@ -95,10 +91,9 @@ def grid_of(arm: SerialArm, voxel_m: float | None = None) -> GridBox:
 
 
 def shoulder_reach_m(arm: SerialArm) -> float:
-    """No less than the distance from the origin of the first joint to any point of the arm, m.
+    """No less than the distance from the first joint's origin to any point of the arm, m.
 
-    Along the arm it adds the lesser of lengths of single links and of the largest distances over pairs of
-    links, over all angles of the joint between them. So links that are offset to and fro count once.
+    Links that are offset to and fro count once: along the arm it adds what two of them span at most.
     """
     far = [0.0]
     for index in range(1, arm.dim):

@@ -186,9 +186,8 @@ def read_depth(
 ) -> NDArray[np.uint16]:
     """An untrusted depth picture as (H, W) uint16, mm along the optical axis, 0 where there is no reading.
 
-    ``data``: a 16-bit grey PNG; or float32, as a TIFF or a ``.npy`` file of shape (H, W), in which NaN,
-    infinity and what is not above 0 are no reading. ``depth_scale_m``: metres per unit, of plain values; None
-    for mm in a PNG and metres in a file of floats.
+    ``data``: a 16-bit PNG, or float32 as TIFF or ``.npy``. ``depth_scale_m``: metres per unit; None for mm in
+    a PNG and metres in floats.
     """
     scale_m = None if depth_scale_m is None else _read_scale(depth_scale_m)
     if data.startswith(_PNG):

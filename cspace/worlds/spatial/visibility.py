@@ -47,13 +47,9 @@ def self_filter(
     slack_m: float = SLACK_M,
     check_cancelled: CheckCancelled = lambda: None,
 ) -> WithoutRobot:
-    """Take the arm out of a depth picture.
+    """Take the arm, spheres (S, 4) m, out of a depth picture (H, W) uint16 mm, 0 = no reading.
 
-    A pixel is the arm's where its ray meets a sphere with its slack and its reading is not before that. Slack
-    covers what noise and calibration are off by, both along the ray and across it.
-
-    ``depth_mm``: (H, W) uint16 mm, 0 = no reading. ``spheres``: (S, 4) that cover the arm as it stands: x, y,
-    z, radius in m in the base frame.
+    A pixel is the arm's where its ray meets a sphere with its slack and its reading is not before that.
     """
     begins = arm_depth_m(
         camera, np.asarray(spheres, dtype=np.float64).reshape(-1, 4), check_cancelled, slack_m
@@ -63,11 +59,7 @@ def self_filter(
 
 
 def without_lone(surface_m: NDArray[np.float32], front_m: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Surfaces (H, W) m, 0 = none, without lone readings beside the arm's pixels.
-
-    At the arm's edges cameras read depths at which nothing is. A handful of such points near the base blocks
-    most of what the arm can reach. A reading is lone if fewer than two of its eight neighbours share it.
-    """
+    """Surfaces (H, W) m, 0 = none, without lone readings beside the arm, where cameras read flying pixels."""
     beside_arm = np.where(np.isfinite(front_m), np.float32(0.0), np.float32(np.inf))
     for _ in range(_BESIDE_PX):
         beside_arm = _widened(beside_arm)
@@ -161,13 +153,10 @@ def sight(
     camera: DepthCamera,
     grid: GridBox,
 ) -> NDArray[np.uint8]:
-    """The codes of all voxels, (X, Y, Z).
+    """The codes of all voxels, (X, Y, Z), as :mod:`cspace.worlds.spatial.sensor` names them.
 
-    :data:`FREE`; 1 to :data:`MOST_BEHIND` for at most so many :data:`BEHIND_STEP_M` behind what the pixel
-    shows, a surface or the arm, along its ray; :data:`NO_READING`; :data:`OUT_OF_VIEW`.
-
-    ``surface_m``: (H, W) depth of surfaces, 0 = none. ``front_m``: (H, W) depth up to which the ray of a
-    pixel without a surface was free, inf = not known.
+    ``surface_m``: (H, W), 0 = none. ``front_m``: (H, W) up to where the ray of a pixel without a surface was
+    free, inf = not known.
     """
     codes = np.full(int(np.prod(grid.counts)), OUT_OF_VIEW, dtype=np.uint8)
     voxels, column, row, depth = _in_view(camera, grid)
@@ -284,14 +273,11 @@ def observe(
     is_explained: Callable[[NDArray[np.float64]], NDArray[np.bool_]] | None = None,
     check_cancelled: CheckCancelled = lambda: None,
 ) -> NDArray[np.uint8]:
-    """What a depth picture says of the space round an arm; see :func:`fused` for several.
+    """What a depth picture (H, W) uint16 mm says of the space round an arm, (X, Y, Z, 2) uint8.
 
-    ``picture``: (H, W) uint16 mm along the optical axis; 0, and what no depth camera can read, is no reading
-    (:func:`cspace.worlds.spatial.camera.in_range`). ``spheres``: (S, 4) that cover the arm as it stands, x,
-    y, z, radius in m in the base frame; None where it is not in the picture. ``is_explained``: surfaces at
-    points (N, 3) m that it knows hide what is behind them and are none themselves. Returns (X, Y, Z, 2)
-    uint8. Channel 0 is the distance from a voxel's centre to the nearest surface seen, see
-    :func:`distances_m`; channel 1 is the code of :func:`sight`.
+    Channel 0 is the distance from a voxel's centre to the nearest surface seen, channel 1 the code of
+    :func:`sight`. ``spheres``: (S, 4) m that cover the arm; None where it is not in the picture.
+    ``is_explained``: which surfaces (N, 3) m hide what is behind them and are none themselves.
     """
     smaller, camera = reduced(np.where(in_range(picture), picture, np.uint16(0)), camera)
     check_cancelled()
@@ -340,11 +326,7 @@ def distances_m(observed: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def lookup(observed: NDArray[np.uint8], grid: GridBox, points_m: ArrayLike) -> VoxelValues:
-    """What an array (X, Y, Z, 2) says of points (..., 3) m in the base frame.
-
-    Distances are trilinear between the centres of voxels, codes those of the voxel that a point is in.
-    Outside of the grid all is unseen, and far from what is seen.
-    """
+    """What an array (X, Y, Z, 2) says of points (..., 3) m: distances trilinear, codes of the voxel."""
     points = np.asarray(points_m)
     place = ((points.reshape(-1, 3) - np.array(grid.low_m)) / grid.voxel_m).astype(np.float32).T
     inside = ((place >= 0.0) & (place < np.array(grid.counts, dtype=np.float32)[:, None])).all(axis=0)

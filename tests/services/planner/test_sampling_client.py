@@ -27,7 +27,7 @@ def client_of(answer, sent=None):
 
 def test_queries_of_the_project_are_sent_as_the_contract_has_them():
     sent = []
-    query = SampleQuery.checked(2, 7, (0.0, 0.5), [0.5, 1.0], np.array([1.0, 2.0]), 0.25, "ab" * 32)
+    query = SampleQuery(2, 7, (0.0, 0.5), (0.5, 1.0), (1.0, 2.0), 0.25, "ab" * 32)
     batch = client_of(httpx.Response(200, content=sample_answer(ROWS)), sent).answer(PNG, query, "m@a")
     np.testing.assert_array_equal(batch.samples, np.float32(ROWS))
     assert sent.pop() == {

@@ -109,7 +109,7 @@ def test_all_ends_of_the_pandas_problems_are_free_by_its_meshes(panda: RobotMesh
 
 
 def test_a_collision_that_coal_misses_without_contacts_is_told(panda: RobotMeshes) -> None:
-    problem = problems(Split.VALIDATION, families=["cage"])[16]
+    problem = problems(Split.VALIDATION, families=("cage",))[16]
     row = [[-2.9671, 0.102454, 2.756017, -1.950074, 2.367983, 2.934542, -2.209954]]
     checker = panda.among(problem.obstacles)
     assert checker.clearance_m(row)[0] < -0.01

@@ -33,7 +33,7 @@ def test_thirty_problems_of_seven_families_ship() -> None:
     assert (first.obstacles.cylinders[0].radius_m, first.obstacles.cylinders[0].half_length_m) == (0.03, 0.07)
     assert first.start == (0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785)
     assert first.goal[:2] == (1.489049, -0.146671)
-    assert problems(Split.VALIDATION, families=["cage"]) == tuple(
+    assert problems(Split.VALIDATION, families=("cage",)) == tuple(
         one for one in found if one.family == "cage"
     )
 
