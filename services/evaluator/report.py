@@ -2,7 +2,7 @@
 
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, astuple, replace
+from dataclasses import asdict, astuple
 from pathlib import Path
 from typing import Any
 
@@ -12,30 +12,24 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from cspace.simulator import UNIFORM, Split
-from cspace.worlds import picture_of, robot_digest, simulator_of
+from cspace.simulator import UNIFORM
+from cspace.worlds import robot_digest, simulator_of
 from services.evaluator.evaluation import (
     ESTIMATE_COLUMNS,
     EVALUATED_SPLITS,
     TEST,
-    UNIFORM_SHARE,
     VALIDATION,
     Evaluation,
     Setting,
-    learned_samples,
     planned,
     planner_of,
-    planner_seed,
     run_metrics,
 )
 from services.evaluator.gate import Comparison, Verdict
 from services.evaluator.metrics import Task
 from services.evaluator.metrics.coverage import covered
-from services.evaluator.metrics.head import reliability_diagram
 from services.evaluator.scenes import Scene, Stage, unfiltered
 from services.names import NOTE as DESCRIPTION
-from services.planner.ompl_planner import solve
-from services.planner.plotting import plot_plan
 from services.planner.samples import SampleSource
 from services.registry.tracking import RunLog
 
@@ -171,37 +165,20 @@ def log_evaluation(
         (folder / NOTE).write_text(note, encoding="utf-8")
         evaluation.table.to_parquet(folder / "evaluation.parquet")
         run.artifact(folder, REPORT_FOLDER)
-    if sampler.with_ends:
-        return _log_plans(run, evaluation, sampler)
-    return _log_scenes(run, evaluation, sampler)
+    # Path models are evaluated by planning alone, and have no samples to show.
+    return () if sampler.with_ends else _log_galleries(run, evaluation, sampler)
 
 
-def _log_plans(run: RunLog, evaluation: Evaluation, sampler: SampleSource) -> tuple[str, ...]:
-    """The first test problem of each family, solved with the model's samples."""
-    names, trials = [], evaluation.select(TEST, Task.PLANNING)
-    for family, index in trials.groupby("family")["number"].min().items():
-        names.append(f"plan-{family}")
-        figure = plan_figure(evaluation.setting, str(family), int(index), sampler, evaluation.model)
-        run.figure(figure, names[-1])
-    return tuple(names)
-
-
-def _log_scenes(run: RunLog, evaluation: Evaluation, sampler: SampleSource) -> tuple[str, ...]:
-    """The first scenarios of every family, and the reliability of the head."""
-    names, title, setting = [], evaluation.model, evaluation.setting
+def _log_galleries(run: RunLog, evaluation: Evaluation, sampler: SampleSource) -> tuple[str, ...]:
+    """The first scenarios of every family, a picture for each split."""
+    names, setting = [], evaluation.setting
     for split in EVALUATED_SPLITS:
         stage = Stage(setting.world, split, setting.seed)
         rows = evaluation.select(split, Task.RECONSTRUCTION)[["family", "number"]].drop_duplicates()
         first = rows.sort_values("number").groupby("family", sort=False).head(GALLERY_SCENARIOS)
         scenes = [Scene(stage, int(number), str(family)) for family, number in first.to_numpy()]
         names.append(f"gallery-{split}")
-        run.figure(gallery(scenes, sampler, title), names[-1])
-    head = evaluation.select(TEST, Task.HEAD)
-    bins = head[(head["metric"] == "calibration") & (head["family"] == UNIFORM)]
-    if not bins.empty:
-        names.append("reliability")
-        values = bins.pivot(index="number", columns="part", values="value").to_numpy()
-        run.figure(reliability_diagram(values, title), names[-1])
+        run.figure(gallery(scenes, sampler, evaluation.model), names[-1])
     return tuple(names)
 
 
@@ -300,13 +277,3 @@ def _joint_axes(axes: Axes, scene: Scene) -> None:
         axes.set_ylim(space.lower[1], space.upper[1])
     else:
         axes.yaxis.set_ticks([])
-
-
-def plan_figure(setting: Setting, family: str, index: int, sampler: SampleSource, title: str) -> Figure:
-    """A test problem, solved with a path model's samples."""
-    problem = simulator_of(setting.world).problem(family, Split.TEST, setting.seed, index)
-    seed = planner_seed(setting.seed, 0, 0)
-    samples = learned_samples(problem, picture_of(problem.scenario), seed, sampler)
-    settings = replace(planner_of(setting.world), seed=seed)
-    plan = solve(problem, settings, samples, UNIFORM_SHARE, keep_tree=True)
-    return plot_plan(problem, plan, samples, f"{title}, {family}")

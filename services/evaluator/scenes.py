@@ -18,7 +18,7 @@ from cspace.space import JointSpace
 from cspace.world import Scene as WorldScene
 from cspace.world import World
 from cspace.worlds import checker_of, picture_of, simulator_of
-from services.evaluator.metrics import Samples, Task, measured
+from services.evaluator.metrics import Samples
 from services.planner.samples import BundleSampler, SampleSource
 
 Image = NDArray[np.uint8]
@@ -134,13 +134,6 @@ class Scene:
             raise EvaluationError("the sampler returned no samples, or some that are not finite")
         radius_rad, is_free = self.measures.coverage_radius_rad, self.checker.valid_batch
         return Samples(samples.astype(np.float64), held_out, self.space, is_free, radius_rad)
-
-    def quality(
-        self, samples: NDArray[np.floating[Any]], held_out: NDArray[np.float64]
-    ) -> Mapping[str, float]:
-        """Every metric of the samples by name."""
-        found = measured(Task.RECONSTRUCTION, self.group(samples, held_out))
-        return {name: value for name, part, value in found if part == 0}
 
     def rng(self, stream: int) -> np.random.Generator:
         """One of the scenario's own streams; independent of the one that drew it."""

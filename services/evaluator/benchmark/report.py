@@ -32,7 +32,6 @@ from services.evaluator.statistics import (
 )
 
 WITHIN = 1000
-DEEP_M = 0.01
 QUANTILES = {"median": 0.5, "p90": 0.9}
 HARD = "the hard ones"
 Measures = Iterator[tuple[str, Interval]]
@@ -41,7 +40,7 @@ bootstrap = partial(bootstrap_interval, resamples=2000, method="inverted_cdf")
 # The measures that become metrics of the tracking run; its table of variants holds all of them.
 METRICS = (
     "solved", "iterations_median", "edge_checks_median", "iterations_ratio_median", "collide", "more",
-    "calibration_error", "surer_half_collide",
+    "calibration_error",
 )  # fmt: skip
 _FIRST = (Group.UNIFORM, Group.LEARNED)
 # Variants and measures of each table.
@@ -55,11 +54,10 @@ TABLES: Mapping[str, tuple[tuple[Group, ...], tuple[str, ...]]] = {
         "break_even_state_best_from_us",
     )),
     "Time": (_FIRST, (
-        "solved", "request_ms_median", "solve_ms_median", "solve_ms_mean", "total_ms_median", "total_ms_p90",
-        "length_rad_mean",
+        "solved", "request_ms_median", "solve_ms_median", "total_ms_median", "total_ms_p90",
     )),
     "Plans without exact checks": ((Group.PLANS,), (
-        "solved", "refused", "collide", "deep", "meshes", "more", "calibration_error", "request_ms_median",
+        "solved", "refused", "collide", "meshes", "more", "calibration_error", "request_ms_median",
         "request_ms_p90",
     )),
 }  # fmt: skip
@@ -163,15 +161,10 @@ def exact(paired: Paired, name: str) -> Measures:
     solved = paired.solved(name)
     yield "solved", share(solved)
     yield f"within_{WITHIN}", share(solved & (paired.values(name, "iterations") <= WITHIN))
-    for column in ("iterations", "edge_checks", "state_checks"):
+    for column in ("iterations", "edge_checks"):
         yield from quantiles(column, paired.typical(name, column))
     for column in ("request", "solve", "total"):
-        values_ms = 1e3 * paired.values(name, f"{column}_s")
-        yield from quantiles(f"{column}_ms", values_ms)
-        yield f"{column}_ms_mean", point(float(values_ms.mean()), len(values_ms))
-    if solved.any():
-        length_rad = float(paired.values(name, "length_rad")[solved].mean())
-        yield "length_rad_mean", point(length_rad, paired.problems)
+        yield from quantiles(f"{column}_ms", 1e3 * paired.values(name, f"{column}_s"))
 
 
 def against(paired: Paired, variant: Variant, uniform: Sequence[str], rng: np.random.Generator) -> Measures:
@@ -202,7 +195,6 @@ def safety(paired: Paired, variant: Variant, rng: np.random.Generator) -> Measur
     yield "refused", share(own["status"] == "refused")
     if len(paths):
         yield "collide", share(paths["clearance_m"] <= 0.0)
-        yield "deep", share(paths["clearance_m"] <= -DEEP_M)
     if (looked := paths["meshes_free"].dropna()).size:
         yield "meshes", share(~looked.to_numpy(dtype=bool))
     base = paired.by_variant.get(variant.base or "")
@@ -211,28 +203,22 @@ def safety(paired: Paired, variant: Variant, rng: np.random.Generator) -> Measur
         if both.any():
             mine, others = ((one["clearance_m"] <= 0.0).to_numpy()[both].astype(float) for one in (own, base))
             yield "more", difference_interval(mine, others, rng)
-    for column in ("search", "score", "request"):
-        yield from quantiles(f"{column}_ms", 1e3 * paired.values(variant.name, f"{column}_s"))
-    curve = confidence_curve(own)
-    if len(curve):
-        yield "surer_half_collide", share(curve["collides"][: max(1, len(curve) // 2)])
-        error = calibration_error(curve["confidence"].to_numpy(), ~curve["collides"].to_numpy())
-        yield "calibration_error", point(error, len(curve))
+    yield from quantiles("request_ms", 1e3 * paired.values(variant.name, "request_s"))
+    sure = own[own["confidence"].notna()]
+    if len(sure):
+        error = calibration_error(sure["confidence"].to_numpy(), (sure["clearance_m"] > 0.0).to_numpy())
+        yield "calibration_error", point(error, len(sure))
 
 
 def confidence_curve(runs: pd.DataFrame) -> pd.DataFrame:
     """What collides if only the paths of the highest confidence are answers, from all runs of one model.
 
-    One row for each path by falling confidence: ``confidence``, ``collides``, the ``answered`` share of the
-    problems down to here, and the share of these that collides, ``collide``.
+    One row for each path by falling confidence: the ``answered`` share of the problems down to here, and the
+    share of these that collides, ``collide``.
     """
     found = runs[runs["confidence"].notna()].sort_values("confidence", ascending=False, kind="stable")
-    curve = pd.DataFrame(
-        {"confidence": found["confidence"], "collides": found["clearance_m"] <= 0.0}
-    ).reset_index(drop=True)
-    curve["answered"] = np.arange(1, len(curve) + 1) / max(1, len(runs))
-    curve["collide"] = curve["collides"].expanding().mean()
-    return curve
+    answered = np.arange(1, len(found) + 1) / max(1, len(runs))
+    return pd.DataFrame({"answered": answered, "collide": (found["clearance_m"] <= 0.0).expanding().mean()})
 
 
 def metric_name(name: str) -> str:

@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from services.evaluator.metrics import Head, Task, metric
 from services.evaluator.statistics import Floats, Interval, bootstrap_interval, ratio_of_sums_interval
@@ -57,22 +56,3 @@ def calibration_error(rows: Floats) -> Floats:
     counts, confidences, free = np.split(rows.sum(axis=-2), 3, axis=-1)
     error: Floats = np.abs(confidences - free).sum(axis=-1) / counts.sum(axis=-1)
     return error
-
-
-def reliability_diagram(values: Floats, title: str) -> Figure:
-    """Free share over mean confidence by bin, and the size of each bin, of (n, 3 bins) scenarios."""
-    counts, confidences, free = np.split(values.sum(axis=0), 3)
-    filled = counts > 0
-    confidence, share = confidences[filled] / counts[filled], free[filled] / counts[filled]
-    figure = Figure(figsize=(4.6, 5.4), layout="constrained")
-    shares, sizes = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
-    shares.plot([0.0, 1.0], [0.0, 1.0], color="#999999", linewidth=1.0, label="calibrated")
-    shares.plot(confidence, share, marker="o", markersize=4, linewidth=1.2, label="validity head")
-    shares.set(ylabel="free share", xlim=(0.0, 1.0), ylim=(0.0, 1.0))
-    shares.set_title(
-        f"{title}\nexpected calibration error {float(calibration_error(values)):.4f}", fontsize=9
-    )
-    shares.legend(loc="upper left", fontsize=8)
-    sizes.bar(confidence, counts[filled], width=0.05)
-    sizes.set(xlabel="confidence", ylabel="configurations", yscale="log")
-    return figure

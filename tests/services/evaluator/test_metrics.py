@@ -23,7 +23,6 @@ from services.evaluator.evaluation import (
 from services.evaluator.metrics import Head, Run, Samples, Task, measured, metrics_of
 from services.evaluator.metrics.coverage import covered
 from services.evaluator.metrics.energy import energy_distance
-from services.evaluator.metrics.head import reliability_diagram
 from services.evaluator.metrics.knn import inside_manifold
 from services.evaluator.report import measure_columns, terminal_table
 from tests.fakes.uniform_sampler import UniformSampler
@@ -153,8 +152,6 @@ def test_the_calibration_error_is_the_gap_between_confidence_and_share():
     bins = [value("calibration", Head(np.full(100, 0.8), free, np.ones(100), 1.0, 0.1), Task.HEAD)]
     found = estimates("calibration", bins, task=Task.HEAD)
     assert found["calibration_error"].estimate == pytest.approx(0.2)
-    line = reliability_diagram(np.array(bins), "title").axes[0].lines[1]
-    assert (line.get_xdata()[0], line.get_ydata()[0]) == (pytest.approx(0.8), pytest.approx(0.6))
 
 
 def test_a_failed_run_costs_as_much_as_the_worst_and_ratios_are_paired():

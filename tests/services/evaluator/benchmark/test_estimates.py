@@ -120,14 +120,13 @@ def four(results_of):
 
 def test_plans_collide_by_paths_and_are_compared_where_both_solve(four):
     model, free = found(four, MODEL, GROUP), found(four, FREE, GROUP)
-    assert (model["solved"], model["refused"], model["deep"]) == (0.75, 0.25, 0.0)
+    assert (model["solved"], model["refused"]) == (0.75, 0.25)
     assert (model["collide"], free["collide"]) == (pytest.approx(1 / 3), 0.75)
     assert (free["meshes"], "meshes" in model) == (0.25, False)
     assert model["more"] == pytest.approx(1 / 3 - 1.0)
     assert found(four, KNOWN, GROUP)["more"] == -0.75
     # 0.1, 0.2 and 0.2 away from the truth.
     assert model["calibration_error"] == pytest.approx(0.5 / 3)
-    assert model["surer_half_collide"] == 0.0
     assert set(four.groups) == {GROUP, "motionbench_table_pick, 1"}
     curve = confidence_curve(four.runs[four.runs["variant"] == MODEL])
     np.testing.assert_allclose(curve["collide"], [0.0, 0.0, 1 / 3])
