@@ -20,13 +20,13 @@ from training.jobs.fit import fit_tracked
 from training.jobs.job import BUNDLE_FOLDER, Job, JobResult, kept_bundle, registered_name, world_tag
 from training.jobs.launch import TrialOutcome, TrialRequest, run_trials
 from training.models.checkpoint import seeded_initialisation, trained
+from training.models.families.wgan_gp import Sizes
 from training.models.paths import (
     PathGanModule,
     PathGenerator,
     PathSamples,
     equal_paths,
     point_graph,
-    point_sizes,
 )
 from training.path_sampler import write_path_bundle
 
@@ -119,7 +119,7 @@ def trained_bundle(
 ) -> Bundle:
     """The bundle of the trained path model."""
     config, spec = job.config, source.spec
-    sizes = point_sizes(config.wgan, spec.world.space, spec.latent_dim)
+    sizes = Sizes(spec.world.space, spec.latent_dim, config.wgan.hidden, config.wgan.layers)
     net = trained(lambda: PathGenerator(sizes, config.wgan.noise_dim), trial.checkpoint, "net")
     graph, noise = point_graph(net, spec.latent_dim), RandomInput("noise", "normal", (net.noise_dim,))
     seeds = {"training": config.seed, "data": dataset.generator_seed}

@@ -161,16 +161,14 @@ class SceneTask:
 
     folder: Path
     arm: str
-    split: Split
     first: int
     count: int
-    views: int
     seed: int
 
     @property
     def path(self) -> Path:
         """Of the file."""
-        return self.folder / f"{self.arm}-{self.split.value}-{self.first:06d}.npz"
+        return self.folder / f"{self.arm}-{self.first:06d}.npz"
 
 
 def make_scenes(task: SceneTask) -> Path:
@@ -186,13 +184,13 @@ def make_scenes(task: SceneTask) -> Path:
 
 def _scene(world: SpatialWorld, task: SceneTask, index: int) -> dict[str, NDArray[np.generic]]:
     """``images`` (V, X, Y, Z, 2), ``configurations`` (n, d) rad, ``free`` (n,), ``hits`` (n, G)."""
-    rng = scenario_rng(task.split, task.seed, index)
+    rng = scenario_rng(Split.TRAIN, task.seed, index)
     while True:
-        layout = draw_layout(scenes_of(world), task.split, int(rng.integers(2**62)), index)
+        layout = draw_layout(scenes_of(world), Split.TRAIN, int(rng.integers(2**62)), index)
         checker = CollisionChecker(world.body, layout.obstacles)
         state, images = waiting(rng, world.body, layout.obstacles), []
         try:
-            for _ in range(task.views):
+            for _ in range(VIEWS):
                 view = seen(rng, world, layout, state).view()
                 images.append(world.observed(disturbed(rng, view)))
                 state = waiting(rng, world.body, layout.obstacles)
@@ -230,7 +228,7 @@ def plan_tasks(folder: Path, scenes: int, seed: int) -> list[SceneTask]:
     """What is to be drawn."""
     counts = {TRAINED: scenes} | {f"random{number}": RANDOM_SCENES for number in range(RANDOM_ARMS)}
     return [
-        SceneTask(folder, arm, Split.TRAIN, first, min(SHARD, count - first), VIEWS, seed)
+        SceneTask(folder, arm, first, min(SHARD, count - first), seed)
         for arm, count in counts.items()
         for first in range(0, count, SHARD)
     ]

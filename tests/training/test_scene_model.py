@@ -8,7 +8,6 @@ import pytest
 import torch
 
 from cspace.errors import ConfigError
-from cspace.simulator import Split
 from cspace.worlds import examples, usual_world
 from cspace.worlds.spatial.arm import Joint, Part, SerialArm, ready_rad
 from cspace.worlds.spatial.camera import DepthCamera, looking
@@ -52,7 +51,7 @@ def test_a_random_arm_waits_free_of_itself_and_has_enough_spheres(seed: int) -> 
 @pytest.fixture(scope="module")
 def tasks(tmp_path_factory: pytest.TempPathFactory) -> list[SceneTask]:
     folder = tmp_path_factory.mktemp("scenes")
-    made = [SceneTask(folder, arm, Split.TRAIN, 3, 2, 2, 0) for arm in ("panda", "random0")]
+    made = [SceneTask(folder, arm, 3, 2, 0) for arm in ("panda", "random0")]
     for task in made:
         make_scenes(task)
     return made

@@ -7,7 +7,6 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from cspace.errors import ConfigError
 from cspace.world import GridArm, World
 from training.config import GridConfig, ValidityConfig
 from training.models.joints import table_of
@@ -239,12 +238,9 @@ class GridHead(nn.Module):
     @classmethod
     def of(cls, config: ValidityConfig, world: World) -> "GridHead":
         """The head that settings name."""
-        if config.grid is None:
-            raise ConfigError(
-                "a head of arrays of space needs its sizes", expected="validity.grid", got="none"
-            )
-        arm = world.grid_arm(config.grid.groups)
-        return cls(SceneModel(config.grid, config.hidden, arm), arm, counts_of(world))
+        grid = config.grid or GridConfig()
+        arm = world.grid_arm(grid.groups)
+        return cls(SceneModel(grid, config.hidden, arm), arm, counts_of(world))
 
     def encode(self, pictures: Tensor) -> Tensor:
         """Features of pictures, (p X Y Z / s^3, C)."""

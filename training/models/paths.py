@@ -127,7 +127,7 @@ class PathGanModule(AdversarialModule):
     def __init__(self, config: PathGanConfig, samples: PathSamples, seed: int, space: JointSpace) -> None:
         super().__init__(seed)
         self.config, self.samples, self.joints = config, samples, Joints(space)
-        sizes = point_sizes(config, space, samples.mu.shape[1])
+        sizes = Sizes(space, samples.mu.shape[1], config.hidden, config.layers)
         self.net = PathGenerator(sizes, config.noise_dim)
         self.critic = PathCritic(replace(sizes, hidden=config.critic_hidden, layers=config.critic_layers))
         self.set_optimisers(self.net.parameters(), config.learning_rate)
@@ -148,11 +148,6 @@ class PathGanModule(AdversarialModule):
     def interpolate(self, real: Tensor, fake: Tensor) -> Tensor:
         """Between each real point and its generated one, the shorter way on circles."""
         return self.joints.interpolate(fake.squeeze(1), real, self.uniform(len(real), 1))
-
-
-def point_sizes(config: PathGanConfig, space: JointSpace, latent_dim: int) -> Sizes:
-    """Sizes of the networks that settings name."""
-    return Sizes(space, latent_dim, config.hidden, config.layers)
 
 
 def point_graph(net: PathGenerator, latent_dim: int) -> bytes:

@@ -255,8 +255,6 @@ def test_training_lowers_the_loss(picture, rows):
 def test_a_head_of_another_kind_of_picture_is_refused():
     with pytest.raises(ConfigError, match="planar world are no arrays of space"):
         GridHead.of(SMALL, default_world())
-    with pytest.raises(ConfigError, match="needs its sizes"):
-        GridHead.of(SMALL.model_copy(update={"grid": None}), WORLD)
 
 
 def test_an_arm_that_stands_off_the_grids_middle_is_not_turned(picture, rows):
