@@ -44,7 +44,7 @@ def timed(
     reach = np.zeros(len(corners))
     widest = 4.0 * TOLERANCE_RAD / np.maximum(np.linalg.norm(turns, axis=1), _SMALL)
     reach[1:-1] = np.minimum(_SHARE * np.minimum(lengths[:-1], lengths[1:]), widest)
-    _shrink(reach, lambda k: _blend(corners[k], along[k - 1], turns[k - 1], reach[k]), space, are_free)
+    _shrink(reach, corners, along, space, are_free)
     straight = lengths - reach[:-1] - reach[1:]
     peaks, rates = _largest(velocity, along), _largest(acceleration, along)
     bends = np.sqrt(2.0 * reach[1:-1] * _largest(acceleration, turns))
@@ -57,27 +57,25 @@ def timed(
     for k, gain in reversed(list(enumerate(gains))):
         speeds[k] = min(speeds[k], np.sqrt(speeds[k + 1] ** 2 + gain))
     peaks = np.minimum(peaks, np.sqrt((speeds[:-1] ** 2 + speeds[1:] ** 2 + gains) / 2.0))
-    return _points(corners, along, reach, straight, speeds, peaks, rates)
+    return _points(corners, along, reach, speeds, peaks, rates)
 
 
-def _shrink(reach: Floats, blend: Callable[[int], Floats], space: JointSpace, are_free: AreFree) -> None:
+def _shrink(reach: Floats, corners: Floats, along: Floats, space: JointSpace, are_free: AreFree) -> None:
     """Halve the blends that are not free; 0 where none of the sizes is."""
     left = np.arange(1, len(reach) - 1)
     for _ in range(_SIZES):
         if not len(left):
             return
-        blends = [blend(int(k)) for k in left]
+        blends = []
+        for k in left:
+            shares = np.linspace(0.0, 1.0, max(2, int(np.ceil(2.0 * reach[k] / CHECK_RAD)) + 1))[:, None]
+            turned = (2.0 * shares - 1.0) * along[k - 1] + shares**2 * (along[k] - along[k - 1])
+            blends.append(corners[k] + reach[k] * turned)
         free = are_free(space.wrap(np.concatenate(blends)))
         begins = np.cumsum([0, *map(len, blends[:-1])])
         left = left[~np.logical_and.reduceat(free, begins)]
         reach[left] /= 2.0
     reach[left] = 0.0
-
-
-def _blend(corner: Floats, along: Floats, turn: Floats, reach: float) -> Floats:
-    """States (n, d) rad of the parabola from ``reach`` before a corner to as much behind it."""
-    shares = np.linspace(0.0, 1.0, max(2, int(np.ceil(2.0 * reach / CHECK_RAD)) + 1))[:, None]
-    return np.asarray(corner + reach * ((2.0 * shares - 1.0) * along + shares**2 * turn))
 
 
 def _largest(limits: ArrayLike, directions: Floats) -> Floats:
@@ -86,22 +84,17 @@ def _largest(limits: ArrayLike, directions: Floats) -> Floats:
 
 
 def _points(
-    corners: Floats,
-    along: Floats,
-    reach: Floats,
-    straight: Floats,
-    speeds: Floats,
-    peaks: Floats,
-    rates: Floats,
+    corners: Floats, along: Floats, reach: Floats, speeds: Floats, peaks: Floats, rates: Floats
 ) -> Trajectory:
     """Where the acceleration changes: each edge is sped up, kept and slowed down, then comes the blend."""
     spans, positions, velocities = [0.0], [corners[0]], [np.zeros_like(corners[0])]
     for k, way in enumerate(along):
-        begin, peak, ends = corners[k] + reach[k] * way, peaks[k], speeds[k : k + 2]
+        begin, end = corners[k] + reach[k] * way, corners[k + 1] - reach[k + 1] * way
+        peak, ends = peaks[k], speeds[k : k + 2]
         faster, slower = (peak**2 - ends**2) / (2.0 * rates[k])
-        kept = max(0.0, straight[k] - faster - slower)
+        kept = max(0.0, float(np.linalg.norm(end - begin)) - faster - slower)
         spans += [(peak - ends[0]) / rates[k], kept / peak, (peak - ends[1]) / rates[k]]
-        positions += [begin + far * way for far in (faster, faster + kept, straight[k])]
+        positions += [begin + faster * way, begin + (faster + kept) * way, end]
         velocities += [peak * way, peak * way, ends[1] * way]
         if reach[k + 1] > 0.0:
             spans.append(2.0 * reach[k + 1] / ends[1])
