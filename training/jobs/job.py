@@ -25,6 +25,7 @@ from services.names import (
     ALIAS_CHAMPION,
     EXPERIMENT,
     TAG_JOB,
+    TAG_PARENT,
     TAG_PRESET,
     TAG_ROBOT,
     TAG_STAGE,
@@ -170,9 +171,10 @@ class Job(Generic[Config]):
         except ValidationError as error:
             raise refused(error, ConfigError, f"the job is no {kind.__name__}") from error
         tracking = Tracking(environment.tracking_uri, wait_s=environment.patience_s)
-        run, tags = tracking.resume(run_id), tracking.run(run_id).tags
+        run, tags = tracking.resume(run_id), tracking.run(run_id).data.tags
         trials = retry("looking at the trials", partial(tracking.children, run_id), environment.patience_s)
-        children = {one.tags[TAG_TRIAL]: one.run_id for one in trials if TAG_TRIAL in one.tags}
+        tagged = ((one.data.tags.get(TAG_TRIAL), one.info.run_id) for one in trials)
+        children = {trial: child for trial, child in tagged if trial is not None}
         name, start = tags.get(TAG_JOB) or None, tags.get(TAG_START)
         return cls(config, environment, tracking, run, folder, children, name, start)
 
@@ -282,7 +284,7 @@ def _earlier_job(config: JobConfig, start_from: str, environment: Environment, t
         look_up = partial(registry.look_up, reference)
         run_id = retry(f"looking {start_from} up", look_up, environment.patience_s).run_id
     # A path model is registered by its trial's run.
-    run_id = tracking.run(run_id).parent_run_id or run_id
+    run_id = tracking.run(run_id).data.tags.get(TAG_PARENT, run_id)
     folder = _require_folder(job_folder(environment, run_id))
     try:
         earlier = type(config).from_dict(json.loads((folder / CONFIGURATION).read_bytes()))
