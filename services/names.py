@@ -31,6 +31,7 @@ TAG_DIGEST = "digest"
 # On a run: what it is of, the job's name, its preset, the version made or evaluated, and MLflow's note.
 TAG_STAGE, TAG_JOB, TAG_PRESET, TAG_MODEL = "stage", "job", "preset", "model_version"
 NOTE = "mlflow.note.content"
+TAG_PARENT = "mlflow.parentRunId"
 # In an address of MLflow's pages: without it they are those for language models.
 MLFLOW_TRAINING = "workflowType=machine_learning"
 # On a run: what :meth:`services.registry.tracking.Tracking.start` finds it by.

@@ -419,9 +419,9 @@ def run_files(tracking: "Tracking", name: str) -> Iterator[tuple[str, Path]]:
     """A file of all batches that have it, the oldest first: run id, and its copy."""
     for run in reversed(tracking.finished(OUTCOMES_EXPERIMENT)):
         with tempfile.TemporaryDirectory(prefix="cspace-outcomes-") as scratch:
-            path = tracking.file(run.run_id, name, Path(scratch))
+            path = tracking.file(run.info.run_id, name, Path(scratch))
             if path is not None:
-                yield run.run_id, path
+                yield run.info.run_id, path
 
 
 def log_reliability(run: "RunLog", reports: "pd.DataFrame") -> None:
@@ -456,10 +456,10 @@ def forget(tracking: "Tracking") -> int:
     """Delete uploaded pictures whose time is over; returns of how many batches."""
     count = 0
     for run in tracking.finished(OUTCOMES_EXPERIMENT):
-        until = run.tags.get(TAG_KEEP_UNTIL)
+        until = run.data.tags.get(TAG_KEEP_UNTIL)
         if until and float(until) <= time.time():
-            tracking.remove_file(run.run_id, VIEWS_FILE)
-            tracking.note(run.run_id, {TAG_KEEP_UNTIL: ""})
+            tracking.remove_file(run.info.run_id, VIEWS_FILE)
+            tracking.note(run.info.run_id, {TAG_KEEP_UNTIL: ""})
             count += 1
     return count
 

@@ -101,17 +101,6 @@ ID, ID_LENGTH = "{id}", 6
 """In a run's name, and how much of the run's id stands there instead."""
 
 
-@dataclass(frozen=True, slots=True)
-class FoundRun:
-    """A run as it is found again; ``metrics`` are the last values."""
-
-    run_id: str
-    name: str
-    parent_run_id: str | None
-    tags: Mapping[str, str]
-    metrics: Mapping[str, float]
-
-
 # MLflow's limits of a parameter's name and value.
 _MAX_NAME, _MAX_VALUE = 250, 6000
 _FORBIDDEN = re.compile(r"[^\w\-. /:]")

@@ -62,52 +62,42 @@ def mapped(action: str, *, lookup: bool = False) -> Iterator[None]:
     """Raise the project's errors in place of MLflow's and of its transport."""
     from google.protobuf.json_format import ParseError  # type: ignore[import-untyped]  # noqa: PLC0415
     from mlflow.exceptions import MlflowException  # noqa: PLC0415
+    from requests.exceptions import RequestException  # noqa: PLC0415
 
     # An address that is no MLflow server's answers what is no JSON, or other JSON.
     strange = (json.JSONDecodeError, ParseError, KeyError, ImportError)
     try:
         yield
     except (MlflowException, OSError, *strange) as error:
-        raise _translated(action, error, lookup) from error
-
-
-def _translated(action: str, error: Exception, lookup: bool) -> RegistryError | StorageError:
-    from requests.exceptions import RequestException  # noqa: PLC0415
-
-    words, chain = _truncate(_line(str(error)) or type(error).__name__), list(_causes(error))
-    code = getattr(error, "error_code", None)
-    # The exceptions of requests are OSErrors, and MLflow wraps them and those of the disk alike.
-    sent = next((one for one in chain if isinstance(one, RequestException)), None)
-    disk = _DISK.search(" ".join(map(str, chain)))
-    if disk is not None or (isinstance(error, OSError) and sent is None):
-        return StorageError(
-            f"{action}: a file of this machine cannot be read or written",
-            expected="a folder with room and rights",
-            got=words if disk is None else os.strerror(int(disk[1])),
-            remedy="free some space, or choose another folder",
-        )
-    response = getattr(sent, "response", None)
-    if code in _AWAY or (sent is not None and (response is None or response.status_code >= 500)):
-        return unavailable(action, words)
-    if lookup and code in _MISSING:
-        return ModelNotFoundError(
-            f"{action}: there is none", got=words, remedy="register one, or look at the registry's list"
-        )
-    return RegistryError(
-        f"{action}: MLflow refuses, or does not answer at this address",
-        got=words if code is None else f"{code}: {words}",
-        remedy="check MLFLOW_TRACKING_URI",
-    )
-
-
-def unavailable(action: str, got: str) -> RegistryUnavailableError:
-    """The server does not answer."""
-    return RegistryUnavailableError(
-        f"{action}: the tracking server does not answer",
-        expected="an MLflow server at MLFLOW_TRACKING_URI",
-        got=got,
-        remedy="start it, or wait until its database is back",
-    )
+        words, chain = _truncate(_line(str(error)) or type(error).__name__), list(_causes(error))
+        code = getattr(error, "error_code", None)
+        # The exceptions of requests are OSErrors, and MLflow wraps them and those of the disk alike.
+        sent = next((one for one in chain if isinstance(one, RequestException)), None)
+        disk = _DISK.search(" ".join(map(str, chain)))
+        if disk is not None or (isinstance(error, OSError) and sent is None):
+            raise StorageError(
+                f"{action}: a file of this machine cannot be read or written",
+                expected="a folder with room and rights",
+                got=words if disk is None else os.strerror(int(disk[1])),
+                remedy="free some space, or choose another folder",
+            ) from error
+        response = getattr(sent, "response", None)
+        if code in _AWAY or (sent is not None and (response is None or response.status_code >= 500)):
+            raise RegistryUnavailableError(
+                f"{action}: the tracking server does not answer",
+                expected="an MLflow server at MLFLOW_TRACKING_URI",
+                got=words,
+                remedy="start it, or wait until its database is back",
+            ) from error
+        if lookup and code in _MISSING:
+            raise ModelNotFoundError(
+                f"{action}: there is none", got=words, remedy="register one, or look at the registry's list"
+            ) from error
+        raise RegistryError(
+            f"{action}: MLflow refuses, or does not answer at this address",
+            got=words if code is None else f"{code}: {words}",
+            remedy="check MLFLOW_TRACKING_URI",
+        ) from error
 
 
 def _causes(error: BaseException | None) -> Iterator[BaseException]:
@@ -134,19 +124,15 @@ def check_reachable(uri: str, timeout_s: float) -> None:
 
     if not uri.startswith(("http://", "https://")):
         return
-    action = f"asking {without_user_info(uri)}"
-    with mapped(action):
-        answer = http_request(  # type: ignore[no-untyped-call]
+    with mapped(f"asking {without_user_info(uri)}"):
+        http_request(  # type: ignore[no-untyped-call]
             get_default_host_creds(uri),  # type: ignore[no-untyped-call]
             "/api/2.0/mlflow/registered-models/search",
             "GET",
             max_retries=0,
             timeout=timeout_s,
-            raise_on_status=False,
             params={"max_results": 1},
         )
-    if answer.status_code >= 500:
-        raise unavailable(action, f"status {answer.status_code}")
 
 
 def set_timeouts(environment: MutableMapping[str, str]) -> None:

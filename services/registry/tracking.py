@@ -33,15 +33,16 @@ from services.names import (
     TAG_JOB,
     TAG_KEY,
     TAG_MODEL,
+    TAG_PARENT,
     TAG_PRESET,
     TAG_STAGE,
 )
-from services.registry.entities import ID, ID_LENGTH, FoundRun, RunStatus, flatten
+from services.registry.entities import ID, ID_LENGTH, RunStatus, flatten
 from services.registry.errors import mapped, retry
 
 # Limits of the server: metrics and parameters in one call, and characters of a data set's digest.
 MAX_BATCH, _MAX_PARAMS, MAX_DIGEST = 1000, 100, 36
-_PAGE, _PARENT = 1000, "mlflow.parentRunId"
+_PAGE = 1000
 Answer = TypeVar("Answer")
 Item = TypeVar("Item")
 
@@ -97,7 +98,7 @@ class Tracking:
         key: str | None = None,
     ) -> "RunLog":
         """Start a run, or go on with that of the same key; ``{id}`` in a name becomes the start of its id."""
-        more = {_PARENT: parent_run_id, TAG_KEY: key}
+        more = {TAG_PARENT: parent_run_id, TAG_KEY: key}
         all_tags = {**(tags or {}), **{name: value for name, value in more.items() if value is not None}}
 
         def start() -> RunLog:
@@ -125,25 +126,25 @@ class Tracking:
         pairs = [RunTag(*pair) for pair in tags.items()]
         self.ask(f"setting tags of run {run_id}", lambda: self.client.log_batch(run_id, tags=pairs))
 
-    def run(self, run_id: str) -> FoundRun:
+    def run(self, run_id: str) -> Run:
         """One run."""
-        return self.ask(f"looking up the run {run_id}", lambda: _found(self.client.get_run(run_id)))
+        return self.ask(f"looking up the run {run_id}", lambda: self.client.get_run(run_id))
 
-    def children(self, run_id: str) -> tuple[FoundRun, ...]:
+    def children(self, run_id: str) -> list[Run]:
         """The runs that are shown under another, newest first."""
         with mapped(f"looking up the runs under {run_id}"):
             experiment_id = self.client.get_run(run_id).info.experiment_id
-            return self._search(experiment_id, f"tags.`{_PARENT}` = '{run_id}'")
+            return self._search(experiment_id, f"tags.`{TAG_PARENT}` = '{run_id}'")
 
-    def finished(self, experiment: str) -> tuple[FoundRun, ...]:
+    def finished(self, experiment: str) -> list[Run]:
         """The runs of an experiment that have finished, newest first; empty for an unknown one."""
         with mapped(f"looking up the runs of {experiment}"):
             one = self.client.get_experiment_by_name(experiment)
-            return () if one is None else self._search(one.experiment_id, "attributes.status = 'FINISHED'")
+            return [] if one is None else self._search(one.experiment_id, "attributes.status = 'FINISHED'")
 
-    def _search(self, experiment_id: str, query: str) -> tuple[FoundRun, ...]:
+    def _search(self, experiment_id: str, query: str) -> list[Run]:
         newest = ["attributes.start_time DESC"]
-        return tuple(map(_found, all_pages(self.client.search_runs, [experiment_id], query, order_by=newest)))
+        return all_pages(self.client.search_runs, [experiment_id], query, order_by=newest)
 
     def file(self, run_id: str, path: str, folder: Path) -> Path | None:
         """A file that a run keeps, fetched into a folder; None where it keeps none of this name."""
@@ -334,13 +335,6 @@ def all_pages(search: Callable[..., PagedList[Item]], *arguments: Any, **options
         lambda number, token: search(*arguments, max_results=number, page_token=token, **options), _PAGE
     )
     return found
-
-
-def _found(run: Run) -> FoundRun:
-    if run.info.lifecycle_stage != "active":
-        raise RegistryError(f"the run {run.info.run_id} was deleted", remedy="restore it in the MLflow UI")
-    tags, metrics = dict(run.data.tags), dict(run.data.metrics)
-    return FoundRun(str(run.info.run_id), str(run.info.run_name), tags.get(_PARENT), tags, metrics)
 
 
 def experiment_page(experiment_id: str) -> Mapping[str, str]:

@@ -126,7 +126,7 @@ def test_figures_of_a_version_are_shown_on_the_run_that_made_it_the_last_ones_ho
     for value in (0.5, 0.75):
         shown = ({"validation/precision": value}, "## not promoted", "planar scenes", "ab" * 32)
         backend.registry.show(first, *shown)
-    assert backend.tracking.run(first.run_id).metrics["validation/precision"] == 0.75
+    assert backend.tracking.run(first.run_id).data.metrics["validation/precision"] == 0.75
     with pytest.raises(ModelNotFoundError):
         backend.registry.show(replace(first, number=99), *shown)
 

@@ -9,6 +9,7 @@ import pytest
 
 from cspace.errors import RegistryError
 from cspace.files import encode_png
+from services.names import TAG_PARENT
 from services.registry.tracking import RunLog, Tracking
 from tests.contracts.conftest import Backend
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
@@ -130,7 +131,7 @@ def test_a_run_that_has_ended_is_written_onto_and_stays_ended(backend: Backend, 
     run.finish()
     backend.tracking.note(run.run_id, {"model_version": "m/1"})
     found = backend.tracking.run(run.run_id)
-    assert found.tags["model_version"] == "m/1"
+    assert found.data.tags["model_version"] == "m/1"
     assert backend.read(run.run_id).status == "FINISHED"
     with pytest.raises(RegistryError):
         backend.tracking.note("0" * 32, {"a": "b"})
@@ -146,8 +147,8 @@ def test_the_runs_of_an_experiment_that_have_finished_are_found_newest_first(bac
         # MLflow counts in milliseconds.
         time.sleep(0.005)
     backend.tracking.start(experiment, "running")
-    assert [one.run_id for one in backend.tracking.finished(experiment)] == made[::-1]
-    assert backend.tracking.finished("no such experiment") == ()
+    assert [one.info.run_id for one in backend.tracking.finished(experiment)] == made[::-1]
+    assert backend.tracking.finished("no such experiment") == []
 
 
 def test_runs_under_another_are_found_newest_first_with_what_they_keep(
@@ -162,7 +163,7 @@ def test_runs_under_another_are_found_newest_first_with_what_they_keep(
         # MLflow counts in milliseconds.
         time.sleep(0.005)
     found = backend.tracking.children(parent.run_id)
-    assert [(one.run_id, one.parent_run_id) for one in found] == [
+    assert [(one.info.run_id, one.data.tags[TAG_PARENT]) for one in found] == [
         (run_id, parent.run_id) for run_id in reversed(made)
     ]
     kept = backend.tracking.file(made[0], "tables/measures.json", tmp_path)

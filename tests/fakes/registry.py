@@ -8,6 +8,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from mlflow.entities import Metric, Run, RunData, RunInfo, RunTag
+
 from cspace.bundle import BundleSpec
 from cspace.bundle.files import SPEC_FILE, read_files
 from cspace.errors import (
@@ -17,8 +19,8 @@ from cspace.errors import (
     RegistryUnavailableError,
     StorageError,
 )
-from services.names import TAG_DIGEST, TAG_KEY, world_tags
-from services.registry.entities import ID, ID_LENGTH, FoundRun, ModelVersion, RunStatus, flatten
+from services.names import TAG_DIGEST, TAG_KEY, TAG_PARENT, world_tags
+from services.registry.entities import ID, ID_LENGTH, ModelVersion, RunStatus, flatten
 from services.registry.models import ModelRegistry
 from services.registry.tracking import RunLog, Tracking
 
@@ -123,21 +125,23 @@ class FakeTracking(Tracking):
         run.status = "RUNNING"
         return FakeRunLog(run)
 
-    def run(self, run_id: str) -> FoundRun:
+    def run(self, run_id: str) -> Run:
         if run_id not in self.runs:
             raise RegistryError(f"there is no run {run_id}")
         run = self.runs[run_id]
-        metrics = {name: points[-1][1] for name, points in run.history.items()}
-        return FoundRun(run_id, run.name, run.parent_run_id, run.tags, metrics)
+        metrics = [Metric(name, *points[-1][::-1], 0) for name, points in run.history.items()]
+        tags = run.tags | ({TAG_PARENT: run.parent_run_id} if run.parent_run_id else {})
+        info = RunInfo(run_id, run.experiment, "", run.status, 0, 0, "active", run_name=run.name)
+        return Run(info, RunData(metrics, tags=[RunTag(*pair) for pair in tags.items()]))
 
-    def children(self, run_id: str) -> tuple[FoundRun, ...]:
+    def children(self, run_id: str) -> list[Run]:
         runs = reversed(self.runs.values())
-        return tuple(self.run(run.run_id) for run in runs if run.parent_run_id == run_id)
+        return [self.run(run.run_id) for run in runs if run.parent_run_id == run_id]
 
-    def finished(self, experiment: str) -> tuple[FoundRun, ...]:
+    def finished(self, experiment: str) -> list[Run]:
         runs = reversed(self.runs.values())
         ended = [run for run in runs if (run.experiment, run.status) == (experiment, "FINISHED")]
-        return tuple(self.run(run.run_id) for run in ended)
+        return [self.run(run.run_id) for run in ended]
 
     def file(self, run_id: str, path: str, folder: Path) -> Path | None:
         kept = self.runs[run_id].artifacts.get(path)

@@ -25,6 +25,7 @@ from services.names import (
     ALIAS_CHAMPION,
     EXPERIMENT,
     TAG_JOB,
+    TAG_PARENT,
     TAG_PRESET,
     TAG_ROBOT,
     TAG_STAGE,
@@ -165,9 +166,10 @@ class Job(Generic[Config]):
         except ValidationError as error:
             raise project_error(error, ConfigError, f"the job is no {kind.__name__}") from error
         tracking = Tracking(environment.tracking_uri, wait_s=environment.patience_s)
-        run, tags = tracking.resume(run_id), tracking.run(run_id).tags
+        run, tags = tracking.resume(run_id), tracking.run(run_id).data.tags
         trials = retry("looking at the trials", partial(tracking.children, run_id), environment.patience_s)
-        children = {one.tags[TAG_TRIAL]: one.run_id for one in trials if TAG_TRIAL in one.tags}
+        tagged = ((one.data.tags.get(TAG_TRIAL), one.info.run_id) for one in trials)
+        children = {trial: child for trial, child in tagged if trial is not None}
         return cls(config, environment, tracking, run, folder, children, tags.get(TAG_JOB) or None)
 
     @contextmanager
