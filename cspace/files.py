@@ -25,7 +25,8 @@ from cspace.errors import CspaceError, ImageError, StorageError
 
 # How the names of half-written things begin and end, for those who clear up after killed processes.
 HALF_PREFIX, HALF_SUFFIX = ".write-", ".tmp"
-MAX_YAML_BYTES = 2**20
+# Aliases can stand for parts with aliases: with so many, for e^(20 / e) or 1,600 times the text.
+MAX_YAML_BYTES, _MAX_ALIASES = 2**20, 20
 _LOOK_EVERY_S = 0.2
 
 
@@ -147,7 +148,17 @@ def read_yaml(text: bytes | str, name: str, error: type[CspaceError]) -> Any:
     import yaml  # noqa: PLC0415
 
     class Loader(yaml.SafeLoader):
-        """Reads the numbers of JSON as such: YAML 1.1 takes 1e-3 for a text."""
+        """With few aliases; reads the numbers of JSON as such: YAML 1.1 takes 1e-3 for a text."""
+
+        aliases = 0
+
+        def compose_node(self, parent: Any, index: Any) -> Any:
+            if self.check_event(yaml.AliasEvent):
+                self.aliases += 1
+                whole = self.anchors.get(self.peek_event().anchor)  # type: ignore[no-untyped-call]
+                if self.aliases > _MAX_ALIASES or (whole is not None and whole.end_mark is None):
+                    raise yaml.YAMLError(f"more than {_MAX_ALIASES} aliases, or one within what it names")
+            return super().compose_node(parent, index)
 
     number = re.compile(r"-?(?:0|[1-9]\d*)(?:\.\d+)?[eE][-+]?\d+")
     Loader.add_implicit_resolver("tag:yaml.org,2002:float", number, list("-0123456789"))
