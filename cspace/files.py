@@ -108,9 +108,11 @@ def read_npy(data: bytes, types: tuple[str, ...], axes: int) -> NDArray[Any]:
 def map_npy(path: Path, error: type[CspaceError]) -> NDArray[Any]:
     """A ``.npy`` file as a read-only array that is mapped, so that no shape is larger than its file."""
     try:
-        mapped: NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError, EOFError, SyntaxError, TypeError) as problem:
-        raise error(f"{path} is no array", expected="a .npy file of numbers", got=str(problem)) from problem
+        mapped: NDArray[Any] = np.lib.format.open_memmap(path, mode="r")
+    except Exception as problem:
+        # All, for there is no list of what evaluating a header raises.
+        got = str(problem)[:200] or type(problem).__name__
+        raise error(f"{path} is no array", expected="a .npy file of numbers", got=got) from problem
     return mapped
 
 
