@@ -86,7 +86,6 @@ class Bundle:
         self.robot = robot_digest(self.spec.world)
         self._graphs = open_graphs(self.spec, files)
         self._validity = None if self._graphs.validity is None else Head(self._graphs.validity)
-        self.reports_unseen = self._validity is not None and self._validity.reports_unseen
         self.head_looks_at_map = self._validity is not None and self._validity.looks_at_map
 
     @classmethod

@@ -49,13 +49,6 @@ def test_a_pipe_is_refused_and_not_waited_for(folder: Path, name: str) -> None:
     refused(folder, "not a plain file")
 
 
-@pytest.mark.parametrize("name", ["SHA256SUMS", "golden.npz"])
-def test_a_link_is_not_followed_even_to_the_right_bytes(folder: Path, name: str) -> None:
-    (folder / name).rename(folder.parent / name)
-    (folder / name).symlink_to(folder.parent / name)
-    refused(folder, "not a plain file")
-
-
 def put_golden(folder: Path, data: bytes) -> None:
     (folder / "golden.npz").write_bytes(data)
     resign(folder)

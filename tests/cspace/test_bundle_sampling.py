@@ -50,17 +50,6 @@ def test_the_same_arguments_give_bit_equal_samples(bundle: Bundle) -> None:
     assert first.tobytes() == second.tobytes()
 
 
-def test_another_seed_picture_or_schedule_gives_other_samples(bundle: Bundle) -> None:
-    answers = [
-        bundle.sample(picture(), 50, 7),
-        bundle.sample(picture(), 50, 8),
-        bundle.sample(picture(1), 50, 7),
-        bundle.sample(picture(), 50, 7, epsilon_sigma=(1.0,)),
-        bundle.sample(picture(), 50, 2**64 - 1),
-    ]
-    assert len({answer.samples.tobytes() for answer in answers}) == len(answers)
-
-
 def test_a_seed_means_the_same_in_another_process_which_leaves_nothing_in_the_users_folders(
     bundle: Bundle, tmp_path: Path
 ) -> None:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from cspace.errors import DatasetError
-from cspace.space import JointSpace, difference
+from cspace.space import JointSpace
 
 MIXED = JointSpace((-pi, -1.0), (pi, 2.0), (True, False))
 rows = arrays(np.float64, (5, 2), elements=st.floats(-1e3, 1e3))
@@ -39,13 +39,6 @@ def test_what_is_bounded_lies_inside_and_stays_where_it_is_from_then_on(space, c
     np.testing.assert_array_equal(space.bound(bounded), bounded)
 
 
-@given(spaces(), st.integers(0, 2**32 - 1))
-def test_a_uniform_draw_lies_inside_and_is_not_moved(space, seed):
-    drawn = space.sample_uniform(np.random.default_rng(seed), 50)
-    assert inside(space, drawn)
-    np.testing.assert_allclose(space.bound(drawn), drawn, atol=1e-12)
-
-
 @given(spaces(), rows)
 @example(JointSpace((0.0, 5e-324), (1.0, 0.5), (False, False)), np.zeros((1, 2)))
 def test_single_precision_lies_inside_as_real_numbers(space, configurations):
@@ -57,15 +50,6 @@ def test_single_precision_lies_inside_as_real_numbers(space, configurations):
         0.0,
         atol=2e-6 * (1.0 + max(map(abs, space.upper))),
     )
-
-
-@given(spaces(), rows)
-def test_a_limited_joint_keeps_its_pose_where_its_range_is_a_whole_turn(space, configurations):
-    bounded = space.bound(configurations)
-    whole = np.asarray(space.periodic) | (np.subtract(space.upper, space.lower) >= 2.0 * pi)
-    gone = difference(bounded, configurations)[:, whole]
-    near = np.abs(bounded - configurations)[:, whole] <= 1e-4
-    np.testing.assert_allclose(np.where(near, 0.0, gone), 0.0, atol=1e-9)
 
 
 @given(spaces(), rows, rows)

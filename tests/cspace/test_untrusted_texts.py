@@ -22,6 +22,8 @@ def test_yaml_becomes_plain_values(text, values):
     [
         "[" * 100_000,
         "- " * 1000,
+        "&a [*a]",
+        "[&a [1]" + ", *a" * 21 + "]",
         "!!python/object:os.system x",
         "{[1]: 2}",
         "\0",

@@ -149,6 +149,5 @@ def test_recordings_of_ones_own_train_a_version_that_promises_nothing(server, tm
     assert bundle.spec.world.body == WORLD.body
     assert bundle.spec.world.scenes is None
     assert bundle.spec.provenance.metrics == {}
-    assert bundle.reports_unseen
     assert set(result["trials"]) == {"vae", "gate", "local-0", "local-1"}
     assert bundle.spec.provenance.config["validity"]["scene_model"] == "shipped"

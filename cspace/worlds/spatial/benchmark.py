@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from pydantic import Field
 
 from cspace.errors import DatasetError, ImageError, ScenarioError
@@ -21,7 +21,6 @@ from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.bodies import distance_m
 from cspace.worlds.spatial.checks import CollisionChecker, seen_checkers
 from cspace.worlds.spatial.furniture import FAMILIES, GoalRegion, Layout
-from cspace.worlds.spatial.kinematics import arm_arrays, sphere_centres_batch
 from cspace.worlds.spatial.mesh_checker import Description, MeshChecker, RobotMeshes, panda_urdf
 from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles
 from cspace.worlds.spatial.planning_scene import Attached, Body, BoxShape, CylinderShape, PlanningScene
@@ -29,7 +28,6 @@ from cspace.worlds.spatial.poses import pose_of, vector
 from cspace.worlds.spatial.problems import draw_problem
 from cspace.worlds.spatial.scenes import SpatialScene, scenes_of, seen
 from cspace.worlds.spatial.sensor import FREE
-from cspace.worlds.spatial.visibility import lookup
 from cspace.worlds.spatial.world import SpatialWorld, shipped
 
 BENCH_FAMILIES = (
@@ -186,13 +184,6 @@ class SpatialPartlySeen:
         occupied = image.copy()
         occupied[image[..., 1] != FREE, 0] = 0
         return seen_checkers(world, occupied, ends if taken is UnseenPolicy.CLEARED else ends[:1])
-
-    def unseen(self, image: Image, configurations: ArrayLike) -> NDArray[np.float64]:
-        """By the centres of the spheres that move."""
-        arrays = arm_arrays(self.world.body)
-        rows = np.ascontiguousarray(configurations, dtype=np.float64)
-        centres = sphere_centres_batch(rows, arrays)[:, arrays.links > 0]
-        return np.asarray(lookup(image, self.world.sensor.grid, centres).unseen.mean(axis=1))
 
     def mesh_checker(self, problem: Problem, folder: Path | None = None) -> MeshChecker | None:
         """By meshes of the arms that have problems; None for others, and where one holds something."""

@@ -122,18 +122,6 @@ class MeshChecker:
             dtype=np.bool_,
         )
 
-    def clearance_m(self, configurations: ArrayLike) -> NDArray[np.float64]:
-        """Signed distance of the closest shapes held apart: (N, d) rad to (N,) m; inf without such."""
-        rows = np.asarray(configurations, dtype=np.float64)
-        found = np.full(len(rows), np.inf)
-        if len(self._geometry.collisionPairs):
-            for index, row in enumerate(rows):
-                at = self._meshes.configuration(row)
-                model, data = self._meshes.model, self._data
-                closest = self._meshes.pin.computeDistances(model, data, self._geometry, self._shapes, at)
-                found[index] = self._shapes.distanceResults[closest].min_distance
-        return found
-
 
 def panda_urdf() -> Path | None:
     """The Panda's description in the package example-robot-data; None where that is not installed."""

@@ -52,7 +52,8 @@ def read_pose(values: object, what: str, error: type[CspaceError] = ScenarioErro
     if (
         not are_rows
         or [len(row) for row in rows] != lengths
-        or any(type(one) not in (int, float) or not abs(one) <= sys.float_info.max for one in chain(*rows))
+        or any(isinstance(one, bool) or not isinstance(one, int | float) for one in chain(*rows))
+        or not all(abs(one) <= sys.float_info.max for one in chain(*rows))
     ):
         raise error(
             f"{what} has no pose",

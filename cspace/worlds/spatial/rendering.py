@@ -210,7 +210,8 @@ def structured_light(rng: np.random.Generator, depth_m: Depth, camera: DepthCame
     """Axial and lateral noise of the first Kinect: it grows with the depth and the surface's angle."""
     angle = np.minimum(incidence_rad(depth_m, camera), _STEEPEST_RAD)
     lost = _lost(rng, depth_m)
-    moved = shifted(rng, depth_m, lateral_sigma_px(angle))
+    # In the picture, pixels (Nguyen, equation 3).
+    moved = shifted(rng, depth_m, 0.8 + 0.035 * angle / (np.pi / 2.0 - angle))
     return _read(moved + rng.normal(size=depth_m.shape) * axial_sigma_m(moved, angle), moved, lost)
 
 
@@ -264,12 +265,6 @@ def axial_sigma_m(depth_m: NDArray[np.floating], angle_rad: NDArray[np.floating]
     level = 0.0012 + 0.0019 * (depth - 0.4) ** 2
     steep = 0.0001 / np.sqrt(depth) * angle**2 / (np.pi / 2.0 - angle) ** 2
     return np.asarray(level + np.where(angle >= _STEEP_RAD, steep, 0.0))
-
-
-def lateral_sigma_px(angle_rad: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Sigma in the picture, pixels (Nguyen, equation 3); the angle as for :func:`axial_sigma_m`."""
-    angle = np.asarray(angle_rad, dtype=np.float64)
-    return np.asarray(0.8 + 0.035 * angle / (np.pi / 2.0 - angle))
 
 
 def incidence_rad(depth_m: Depth, camera: DepthCamera) -> NDArray[np.float64]:

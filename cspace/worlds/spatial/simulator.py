@@ -62,22 +62,15 @@ def draw_seen(axes: Any, observed: NDArray[np.uint8], grid: GridBox) -> None:
     axes.set(xlabel="x [m]", ylabel="z [m]")
 
 
-def draw_arm(
-    axes: Any,
-    arm: SerialArm,
-    configuration: ArrayLike,
-    colour: str,
-    order: int,
-    plane: tuple[int, int] = SIDE,
-) -> None:
-    """An arm's spheres, and the line through its joints, on axes of matplotlib."""
+def draw_arm(axes: Any, arm: SerialArm, configuration: ArrayLike, colour: str, order: int) -> None:
+    """An arm's spheres, and the line through its joints, from the side, on axes of matplotlib."""
     rows = np.atleast_2d(np.asarray(configuration, dtype=np.float64))
-    centres, radii = arm.sphere_centres_m(rows)[0][:, plane], arm.spheres_m()[:, 3]
+    centres, radii = arm.sphere_centres_m(rows)[0][:, SIDE], arm.spheres_m()[:, 3]
     angles = np.linspace(0.0, 2.0 * np.pi, _ROUND)
     ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     for centre, radius in zip(centres, radii, strict=True):
         axes.fill(*(centre + radius * ring).T, color=colour, alpha=0.15, linewidth=0, zorder=order)
-    axes.plot(*arm.joint_positions_m(rows)[0][:, plane].T, color=colour, linewidth=1.2, zorder=order)
+    axes.plot(*arm.joint_positions_m(rows)[0][:, SIDE].T, color=colour, linewidth=1.2, zorder=order)
 
 
 def _corners(shape: Box | Cylinder) -> NDArray[np.float64]:

@@ -89,9 +89,9 @@ class SpatialWorld(World):
             found += start_findings(self.body, self.sensor.grid, image, start)
         return found
 
-    def observed(self, view: DepthView, check_cancelled: CheckCancelled = lambda: None) -> NDArray[np.uint8]:
-        """What a view says of the space about the arm, (X, Y, Z, 2); pauses as :meth:`read_picture`."""
-        return fused(self._each(view, check_cancelled))
+    def observed(self, view: DepthView) -> NDArray[np.uint8]:
+        """What a view says of the space about the arm, (X, Y, Z, 2)."""
+        return fused(self._each(view, lambda: None))
 
     def unseen_m(self, view: DepthView) -> NDArray[np.float64]:
         """(N, 3): centres of the voxels in the arm's reach that no camera of the view sees, m."""

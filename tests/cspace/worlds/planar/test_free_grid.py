@@ -64,14 +64,6 @@ def test_the_clearance_of_one_link_is_the_angle_to_contact():
         assert grid.clearance_rad[grid.cells_of([angle])] == pytest.approx(distance, abs=0.004)
 
 
-def test_a_limited_joint_does_not_see_across_its_limits():
-    limited = PlanarArm(link_lengths_m=(2.0,), joint_limits_rad=((-3.1, 3.1),))
-    grid = FreeGrid(Scenario(limited, (Disc(0.0, 3.0),)), 3600)
-    blocked_from = np.pi - CONTACT_RAD
-    assert grid.clearance_rad[grid.cells_of([-3.0])] == pytest.approx(3.0 + CONTACT_RAD, abs=0.01)
-    assert grid.clearance_rad[grid.cells_of([3.0])] == pytest.approx(3.0 - blocked_from, abs=0.01)
-
-
 def test_components_close_over_the_seams():
     class Drawn(FreeGrid):
         free = np.array(

@@ -29,23 +29,6 @@ def test_the_family_of_training_is_what_it_was():
     np.testing.assert_array_equal(discs, expected)
 
 
-@pytest.mark.parametrize(
-    "values",
-    [
-        {"count": (0, 3)},
-        {"count": (3, 2)},
-        {"count": (1, 65)},
-        {"radius_m": (0.0, 1.0)},
-        {"radius_m": (6.0, 6.0)},
-        {"range_m": 0.0},
-        {"base_clearance_m": -1.0},
-    ],
-)
-def test_a_family_that_cannot_be_is_refused(values):
-    with pytest.raises(ScenarioError):
-        DiscScenes(**values)
-
-
 def test_every_fifth_given_scene_is_held_out_and_no_other_split_has_it():
     given = GivenScenes.of(SCENES)
     assert given.held_out == (SCENES[4], SCENES[9])

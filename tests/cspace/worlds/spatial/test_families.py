@@ -11,7 +11,6 @@ from cspace.worlds.spatial.bodies import distance_m
 from cspace.worlds.spatial.furniture import (
     FAMILIES,
     Bins,
-    Layout,
     Shelves,
     SpatialScenes,
 )
@@ -76,14 +75,6 @@ def test_every_region_has_a_free_place_within_reach_and_nothing_stands_where_the
             assert (near & (distance_m(layout.obstacles, places) >= SCENES.room_m)).any()
 
 
-def test_a_scene_comes_back_from_json_as_it_was(drawn):
-    for layouts in drawn.values():
-        values = parse_json(json.dumps(layouts[0].to_dict()).encode())
-        assert read_object(Layout, values, "the scene", ScenarioError) == layouts[0]
-    values = parse_json(json.dumps(SCENES.to_dict()).encode())
-    assert read_object(SpatialScenes, values, "the scenes", ScenarioError) == SCENES
-
-
 def test_shelves_are_open_to_the_front_whether_or_not_they_have_a_back():
     for back in (0.0, 1.0):
         shelves = Shelves(
@@ -110,20 +101,3 @@ def test_bins_let_hands_in_where_they_are_open_and_nowhere_else():
             assert (distance_m(obstacles, line) > 0.0).all() == is_open
         opened.add(region.approach)
     assert {tuple(np.rint(path)) for path in opened} == {(0, 0, -1), (1, 0, 0), (0, 1, 0), (0, -1, 0)}
-
-
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda: SpatialScenes(shares=(1.0,)),
-        lambda: SpatialScenes(distance_m=(0.7, 0.2)),
-        lambda: SpatialScenes(floor=1.5),
-        lambda: Shelves(boards=(1, 4)),
-        lambda: Bins(side_m=(float("nan"), 1.0)),
-        lambda: draw_layout(SCENES, Split.TRAIN, 0, 0, "garage"),
-        lambda: draw_layout(SpatialScenes(reach_m=0.05), Split.TRAIN, 0, 0, "shelf"),
-    ],
-)
-def test_settings_that_cannot_be_are_refused(make):
-    with pytest.raises(ScenarioError):
-        make()

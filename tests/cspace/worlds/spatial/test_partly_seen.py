@@ -49,14 +49,6 @@ def test_what_is_taken_for_occupied_collides_and_what_is_true_is_kept_to(problem
     assert cleared.all()
 
 
-def test_the_share_that_is_unseen_is_less_with_more_pictures(problem):
-    rows = problem.space.sample_uniform(np.random.default_rng(0), 50)
-    alone = replace(problem.scenario, cameras=problem.scenario.cameras[:1])
-    shares = [SETS.unseen(picture_of(scene), rows) for scene in (alone, problem.scenario)]
-    assert all(((share >= 0.0) & (share <= 1.0)).all() for share in shares)
-    assert shares[1].mean() < shares[0].mean()
-
-
 def test_meshes_judge_where_they_are_installed(problem):
     pytest.importorskip("pinocchio", reason="the extra spatial")
     assert SETS.mesh_checker(problem).valid_batch(np.array([problem.start, problem.goal])).all()

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from cspace.errors import ScenarioError
 from cspace.files import parse_json
-from cspace.simulator import UNIFORM, Simulator, Split
+from cspace.simulator import Simulator, Split
 from cspace.world import World
 from cspace.worlds import read_world
 from cspace.worlds.planar.world import PlanarWorld
@@ -56,15 +56,6 @@ def test_a_scene_s_file_is_read_as_its_picture(scenes):
         assert np.array_equal(WORLD.read_picture(SIMULATOR.picture_file(scene)), picture)
         assert 0.02 < (picture[..., 1] == 0).mean() < 0.98
         assert (picture[..., 0] < 255).mean() > 0.01
-
-
-def test_every_family_has_problems_whose_names_are_known():
-    assert SIMULATOR.families.names[0] == UNIFORM
-    SIMULATOR.require("shelf")
-    with pytest.raises(ScenarioError, match="no such family"):
-        SIMULATOR.require("narrow")
-    with pytest.raises(ScenarioError, match="no such family"):
-        SIMULATOR.problem("narrow", Split.TEST, 0)
 
 
 @pytest.mark.slow
