@@ -99,7 +99,8 @@ def first(condition):
 def test_recorded_champions_may_be_better_by_the_margin_alone(change, promoted):
     case = first(lambda case, found: found["promoted"] and not case.path and not case.rivals)
     precision = evaluated(case).estimate("precision", "sampler", "uniform").estimate
-    verdict = judged(case, recorded=(Champion(3, {"precision": precision + change - 1e-12}),))
+    best, later = ({"precision": precision + one - 1e-12} for one in (change, 0.0))
+    verdict = judged(case, recorded=(Champion(3, best), Champion(4, later)))
     assert verdict.promoted is promoted
     assert "of the" in reason(verdict, "recorded of version 3")
 

@@ -56,6 +56,14 @@ def test_no_pixel_of_the_arm_remains():
     assert (kept.depth_mm > 0).mean() > 0.3
 
 
+def test_parts_beside_and_behind_the_camera_hide_nothing_before_it():
+    turn, place = CAMERA.matrix[:3, :3], CAMERA.matrix[:3, 3]
+    beside = np.array([(0.06, 0.0, -0.03), (-0.05, 0.03, -0.02)]) @ turn.T + place
+    depth_mm = np.full(CAMERA.picture_shape, 900, dtype=np.uint16)
+    kept = self_filter(depth_mm, CAMERA, np.column_stack((beside, (0.05, 0.04))), 0.0)
+    np.testing.assert_array_equal(kept.depth_mm, depth_mm)
+
+
 def test_flying_pixels_at_the_arms_edge_are_no_obstacles_and_thin_things_beside_it_are():
     camera = DepthCamera.of_field(64, 64, 60.0, looking((1.2, 0.0, 0.4), (0.0, 0.0, 0.4)))
     arm = np.array([(0.0, 0.0, z, 0.06) for z in np.arange(0.1, 0.8, 0.05)])
