@@ -25,7 +25,6 @@ from services.names import (
     ALIAS_CHAMPION,
     EXPERIMENT,
     TAG_JOB,
-    TAG_PARENT,
     TAG_PRESET,
     TAG_ROBOT,
     TAG_STAGE,
