@@ -61,7 +61,6 @@ class Manifest:
 
     @classmethod
     def read(cls, folder: Path) -> "Manifest":
-        """Read and check a folder's manifest."""
         path = folder / MANIFEST_FILE
         remedy = "see docs/data.md for the format, python -m training.data import for own data"
         data = read_bounded(path, MAX_MANIFEST_BYTES, DatasetError, remedy=remedy)
@@ -140,23 +139,19 @@ class Dataset:
 
     @property
     def generator_seed(self) -> int | None:
-        """The seed of generated scenarios, None for somebody's own data."""
         seed = self.manifest.generator.get("seed")
         return seed if isinstance(seed, int) else None
 
     def free_of(self, scenario: int) -> NDArray[np.float32]:
-        """Free configurations of one scenario, (n, d) rad."""
         return self.free[self.free_offsets[scenario] : self.free_offsets[scenario + 1]]
 
     def collision_of(self, scenario: int) -> NDArray[np.float32]:
-        """Configurations in collision of one scenario, (n, d) rad."""
         if self.collision is None or self.collision_offsets is None:
             raise DatasetError("the data set holds no configurations in collision", got=str(self.folder))
         return self.collision[self.collision_offsets[scenario] : self.collision_offsets[scenario + 1]]
 
     @property
     def attributes(self) -> tuple[str, ...]:
-        """Names of the arrays that tell more of each configuration."""
         return tuple(name for name in ATTRIBUTES if name in self.arrays)
 
     def attribute_of(self, name: str, scenario: int) -> NDArray[Any]:

@@ -194,7 +194,6 @@ class Families:
 
     @property
     def unsolvable(self) -> tuple[str, ...]:
-        """Those whose problems have none."""
         return tuple(name for name in self.names if name not in self.solvable)
 
 
@@ -287,7 +286,6 @@ class Simulator(ABC):
         raise ConfigError(f"robots of the {self.world.kind} world have no {groups} groups of spheres")
 
     def require(self, family: str) -> None:
-        """Refuse a family that the robot has no problems of."""
         names = self.families.names
         if family not in names:
             raise ScenarioError("there is no such family", expected=f"one of {', '.join(names)}", got=family)

@@ -62,7 +62,6 @@ class JointSpace:
 
     @property
     def is_torus(self) -> bool:
-        """Whether all joints are circles."""
         return all(self.periodic)
 
     @property
@@ -116,7 +115,6 @@ class JointSpace:
         return np.where(self.periodic, wrap(plain), plain)
 
     def distance(self, start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:
-        """Euclidean length of :meth:`difference`, (...,) rad."""
         return np.asarray(np.linalg.norm(self.difference(start, end), axis=-1))
 
     def contains(self, configurations: ArrayLike) -> NDArray[np.bool_]:

@@ -51,7 +51,6 @@ class View:
         return unpack_view(data) if is_view(data) else cls((data,))
 
     def digest(self) -> bytes:
-        """SHA-256 of all of it."""
         sizes = [len(one) for one in self.pictures]
         rest = json.dumps([sizes, list(self.cameras), self.state, self.depth_scale_m])
         found = hashlib.sha256(rest.encode())

@@ -96,7 +96,6 @@ class Finding:
 
     @property
     def message(self) -> str:
-        """All of it in a sentence."""
         return f"{self.seen}: {self.effect}; {self.remedy}"
 
 

@@ -184,7 +184,6 @@ class GoldenCase:
     confidence: NDArray[np.float32] | None = None  # (n,), models with a validity head only
 
     def to_npz(self) -> bytes:
-        """``golden.npz``."""
         query = self.query
         values: dict[str, Any] = {
             "count": query.n,

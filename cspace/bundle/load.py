@@ -125,7 +125,6 @@ class Bundle:
 
     @property
     def has_validity(self) -> bool:
-        """Whether the bundle scores its samples."""
         return self._validity is not None
 
     @property
@@ -186,7 +185,6 @@ class Bundle:
         check_cancelled: CheckCancelled = lambda: None,
         **options: Unpack[QueryOptions],
     ) -> SampleSet:
-        """:meth:`answer` to the query of these arguments."""
         query = SampleQuery.checked(n, seed, **options)
         return self.answer(image, query, report_confidence=report_confidence, check_cancelled=check_cancelled)
 
@@ -276,7 +274,6 @@ class Bundle:
         return OccupancyGrid(grid.low_m, 2.0 * grid.voxel_m, cells)
 
     def require_field(self) -> None:
-        """Raises InputError where the model has no field."""
         if self._graphs.field is None:
             raise InputError(
                 "the model cannot tell what it takes the scene to be",

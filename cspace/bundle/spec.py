@@ -114,11 +114,9 @@ class BundleSpec:
 
     @property
     def endpoints(self) -> tuple[str, ...]:
-        """Configurations that the generator is conditioned on."""
         return ENDPOINTS if self.kind == "path" else ()
 
     def calibration_for(self, pictures: int) -> tuple[float, float]:
-        """(a, b) of plans by so many pictures."""
         each = self.plan_calibration or ((0.0, 1.0),)
         return each[min(pictures, len(each)) - 1]
 
@@ -142,7 +140,6 @@ class BundleSpec:
         }
 
     def to_json(self) -> bytes:
-        """``bundle.json``, UTF-8."""
         values = adapter_of(BundleSpec).dump_python(self) | {"schema_version": SCHEMA_VERSION} | self._derived
         for name in _LOOKS:
             del values[name]

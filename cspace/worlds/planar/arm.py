@@ -42,7 +42,6 @@ class PlanarArm(Record):
 
     @property
     def reach_m(self) -> float:
-        """Distance from the base to the tip of the stretched arm."""
         return float(sum(self.link_lengths_m))
 
     @property

@@ -54,7 +54,6 @@ class FreeGrid:
 
     @cached_property
     def spacing_rad(self) -> NDArray[np.float64]:
-        """Size of a cell along each joint, (d,)."""
         space = self.scenario.robot.space
         return np.subtract(space.upper, space.lower) / self.cells
 

@@ -159,7 +159,6 @@ class PlanarSimulator(Simulator):
         return CollisionChecker(cast("Scenario", scene))
 
     def proposals(self, scene: Scene, rng: np.random.Generator, count: int) -> Proposals:
-        """Half of them uniform, half near contact."""
         checker, anywhere = self.checker(scene), count - count // 2
         rows = (
             self.world.space.sample_uniform(rng, anywhere),
@@ -194,7 +193,6 @@ class PlanarSimulator(Simulator):
         return super().obstruction(problem) or apart(cast("Scenario", problem.scenario), ends)
 
     def count(self, split: Split) -> int | None:
-        """How many were given; a family has no end."""
         return len(self._scenes.part(split)) if isinstance(self._scenes, GivenScenes) else None
 
     def draw_picture(self, axes: Any, picture: Image) -> None:

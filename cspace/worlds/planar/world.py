@@ -213,7 +213,6 @@ class KnownDiscs:
     def _gaps(
         self, offsets: NDArray[np.float64], radii: NDArray[np.float64] | np.float64
     ) -> NDArray[np.float64]:
-        """Between links and discs, m."""
         return np.asarray(np.linalg.norm(offsets, axis=-1) - radii - self.arm.half_width_m)
 
 
@@ -242,7 +241,6 @@ class PlanarWorld(World):
         return Examined(known.drawn(self.sensor, check_cancelled)[None], known=known)
 
     def contact(self, configuration: NDArray[np.floating], image: object, known: object) -> Contact | None:
-        """With known discs alone: all else is seen."""
         del image
         return known.contact(configuration) if isinstance(known, KnownDiscs) else None
 
@@ -347,12 +345,10 @@ class Scenario:
 
     @property
     def disc_array(self) -> NDArray[np.float64]:
-        """(D, 3): x, y, radius in m."""
         return np.array([(d.x_m, d.y_m, d.radius_m) for d in self.discs], dtype=np.float64).reshape(-1, 3)
 
     @classmethod
     def from_array(cls, robot: PlanarArm, discs: NDArray[Any], camera: Camera | None = None) -> "Scenario":
-        """A scenario from (D, 3) discs: x, y, radius in m."""
         return cls(robot, tuple(Disc(float(x), float(y), float(r)) for x, y, r in discs), camera or Camera())
 
     def to_dict(self) -> dict[str, Any]:

@@ -134,7 +134,6 @@ class SerialArm(Record):
 
     @property
     def sphere_count(self) -> int:
-        """S, spheres of all parts."""
         return sum(len(part.spheres_m) for part in self.parts)
 
     @property
@@ -241,7 +240,6 @@ class SerialArm(Record):
 
     @classmethod
     def from_dict(cls, values: object) -> "SerialArm":
-        """The inverse of :meth:`to_dict`."""
         members = {"kind": KIND} | read_object(dict[str, Any], values, "the robot", ScenarioError)
         if (kind := members.pop("kind")) != KIND:
             raise ScenarioError("the robot is unknown", expected=KIND, got=repr(kind)[:200])

@@ -139,12 +139,10 @@ class SpatialPartlySeen:
 
     @property
     def hard(self) -> tuple[str, ...]:
-        """Thin and tall shelves, the cage and the bin."""
         return tuple(PREFIX + family for family in ("bookshelf_thin", "bookshelf_tall", "cage", "box"))
 
     @property
     def grasping(self) -> tuple[str, ...]:
-        """The two sets with a table."""
         return _GRASPING if has_problems(self.world.body) else ()
 
     def count(self, family: str, split: Split) -> int | None:

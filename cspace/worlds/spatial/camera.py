@@ -83,7 +83,6 @@ class DepthCamera(Record):
         return np.asarray(within & (projected[..., 2] > 0.0))
 
     def resized(self, width: int, height: int) -> "DepthCamera":
-        """The camera of the same pictures in another size."""
         across, down = width / self.width, height / self.height
         return replace(
             self,

@@ -71,7 +71,6 @@ class ToolConstraints:
 
     @property
     def reach(self) -> str:
-        """The tolerances of the goal in words."""
         goal = self._goal
         turn = f"{goal.tolerance_rad:g} rad{' of its z axis' if goal.free_z_rotation else ''}"
         return f"goal_pose within {goal.tolerance_m:g} m and {turn}"
@@ -168,7 +167,6 @@ class _UprightChecker(Checker):
         return len(taken), side, -1, -1
 
     def _turned(self, configuration: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Until the axis is well within its angle."""
         axis, up = self._row[:3], self._row[3:6]
         turned = aligned(self._arm, configuration[None], axis, up, self._aligned_rad, self.space)
         return np.asarray(turned[0])

@@ -40,7 +40,6 @@ class Patches:
     ranges: NDArray[np.float32]  # (2, 2, N) least and greatest multiple of each step
 
     def chosen(self, numbers: NDArray[np.int64] | slice) -> "Patches":
-        """Some of them."""
         return Patches(self.points[:, numbers], self.sides[:, :, numbers], self.ranges[:, :, numbers])
 
 

@@ -89,12 +89,10 @@ class Request:
         return self.arm.spheres_at(self.state)
 
     def with_pose(self, matrix: Array) -> "Request":
-        """The same with another pose of the camera."""
         place = np.clip(matrix[:3, 3], -MAX_PLACE_M, MAX_PLACE_M)
         return replace(self, camera=replace(self.camera, pose=pose_of(make_pose(matrix[:3, :3], place))))
 
     def coarse(self) -> "Request":
-        """The same with fewer pixels."""
         step, one = -(-max(self.units.shape) // _COARSE_SIDE), self.camera
         units = self.units[step // 2 :: step, step // 2 :: step]
         cx, cy = (one.cx - step // 2) / step, (one.cy - step // 2) / step

@@ -50,7 +50,6 @@ class RobotMeshes:
         )
 
     def among(self, obstacles: Obstacles) -> "MeshChecker":
-        """The checker of a scene."""
         return MeshChecker(self, obstacles)
 
     def configuration(self, row: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -80,7 +79,6 @@ class RobotMeshes:
         return geometry
 
     def _loaded(self, description: Description) -> tuple[Any, Any]:
-        """Model and geometry, without the joints that do not move."""
         urdf = description.urdf.resolve()
         folders = [str(folder) for folder in (*description.packages, *urdf.parents)]
         whole = self.pin.buildModelFromUrdf(str(urdf))

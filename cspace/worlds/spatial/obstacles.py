@@ -72,7 +72,6 @@ class Obstacles(Record):
 
     @classmethod
     def of(cls, shapes: Iterable[Box | Cylinder]) -> "Obstacles":
-        """Of both kinds, in any order."""
         every = tuple(shapes)
         return cls(
             tuple(one for one in every if isinstance(one, Box)),

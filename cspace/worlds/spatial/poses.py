@@ -165,7 +165,6 @@ class Frame:
 
     @classmethod
     def of(cls, matrix: NDArray[np.float64]) -> "Frame":
-        """The inverse of :meth:`matrix`."""
         level = float(np.hypot(matrix[0, 0], matrix[1, 0]))
         pitch = np.arctan2(-matrix[2, 0], level)
         if level > _LOCKED:

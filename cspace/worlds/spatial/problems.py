@@ -174,7 +174,6 @@ class Ends:
         return start, goal
 
     def home(self) -> NDArray[np.float64] | None:
-        """About the ready pose."""
         space = self.arm.space
         ready = ready_rad(self.arm)
         homes = ready + self.rng.normal(size=(_HOMES, self.arm.dim)) * _HOME_SIGMA_RAD

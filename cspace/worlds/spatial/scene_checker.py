@@ -83,7 +83,6 @@ class SceneChecker:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the bodies, in the order of the arrays."""
         kinds = ("box", "cylinder", "sphere", "mesh")
         return tuple(one.name for kind in kinds for one in self.known.scene if getattr(one, kind) is not None)
 

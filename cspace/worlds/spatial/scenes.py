@@ -227,11 +227,9 @@ class SpatialScene:
 
     @property
     def arm(self) -> SerialArm:
-        """The arm, with what it holds."""
         return self.world.body if self.holding is None else self.holding
 
     def view(self) -> DepthView:
-        """What the cameras see."""
         rng = np.random.default_rng(self.noise_seed)
         spheres = None if self.state is None else self.arm.spheres_at(self.state)
         pictures = []

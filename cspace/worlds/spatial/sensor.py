@@ -67,11 +67,9 @@ class GridBox(Record):
 
     @property
     def high_m(self) -> NDArray[np.float64]:
-        """(3,): its highest corner."""
         return np.asarray(np.array(self.low_m) + self.voxel_m * np.array(self.counts))
 
     def centres_m(self) -> NDArray[np.float64]:
-        """(X, Y, Z, 3): of all voxels."""
         index = np.stack(np.meshgrid(*(np.arange(count) for count in self.counts), indexing="ij"), axis=-1)
         return np.asarray(np.array(self.low_m) + self.voxel_m * (index + 0.5))
 
@@ -176,7 +174,6 @@ class DepthSensor(Record):
 
     @property
     def extent_m(self) -> None:
-        """An array of space shows no plane."""
         return
 
     def to_network(self, images: NDArray[np.uint8]) -> NDArray[np.float32]:

@@ -53,7 +53,6 @@ class DepthView:
 
     @property
     def states(self) -> tuple[State | None, ...]:
-        """The state of each picture."""
         return _for_each(self.state, len(self.pictures))
 
     def __post_init__(self) -> None:

@@ -130,7 +130,6 @@ class SpatialWorld(World):
         return self.diagnosed(read_view(data, self.body, check_cancelled), check_cancelled)
 
     def diagnosed(self, view: DepthView, check_cancelled: CheckCancelled = lambda: None) -> Diagnosis:
-        """:meth:`diagnosis` of a view that was read."""
         try:
             cheap = self.examined(view, check_cancelled).findings
         except ImageError as error:
@@ -142,7 +141,6 @@ class SpatialWorld(World):
     def _each(
         self, view: DepthView, check_cancelled: CheckCancelled, known: Any = None
     ) -> list[NDArray[np.uint8]]:
-        """What each picture of a view says alone."""
         arm, explained = (self.body, None) if known is None else (known.arm, known.explains)
         # Several pictures may share a state.
         spheres = {one: None if one is None else arm.spheres_at(one) for one in set(view.states)}
