@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from cspace.bundle import Bundle
-from cspace.query import MAX_SAMPLES
 from cspace.worlds import examples, robot_digest
 from tests.bundles import picture
 from tests.inference_api.answers import IMAGE, PNG, assert_answers, assert_problem
@@ -100,7 +99,6 @@ WRONG = {
     "an array of too many": npy(np.zeros((20_001, 2), np.float32)),
     "an array of another robot's": npy(np.zeros((3, 3))),
     "a vector": npy(np.zeros(4)),
-    "too many": npy(np.zeros((MAX_SAMPLES + 1, 2))),
     "not finite": npy(np.full((2, 2), np.nan)),
     "Python objects": npy(np.array([[print, print]], dtype=object)),
     "with more behind it": npy(np.zeros((2, 2))) + b"0",
