@@ -31,9 +31,6 @@ def test_the_digest_is_that_of_the_sums_and_tells_models_apart(tmp_path: Path, f
         for scale in (1.0, 2.0)
     )
     assert again == bundle.digest != other
-    assert Bundle.load(folder, digest=again, check=False).digest == again
-    with pytest.raises(BundleIntegrityError):
-        Bundle.load(folder, digest=other, check=False)
 
 
 @pytest.mark.parametrize("name", ["bundle.json", "generator.onnx", "golden.npz", "SHA256SUMS"])

@@ -67,6 +67,8 @@ CASES = [
     ("GET", {"origin": SITE, "sec-fetch-site": "cross-site"}, 200),
     ("GET", {"origin": "http://localhost:8001"}, 403),
     ("GET", {"origin": "https://localhost:8000"}, 403),
+    ("GET", {"origin": "http://localhost:8000.evil.example"}, 403),
+    ("GET", {"origin": f"{SITE}.evil.example"}, 403),
     ("GET", {"origin": "null"}, 403),
     ("GET", {"origin": ""}, 403),
     ("GET", {"sec-fetch-site": "same-origin"}, 200),
@@ -154,6 +156,18 @@ def test_one_client_takes_neither_all_places_nor_all_bytes_and_gives_back_what_i
         return statuses + await asyncio.gather(*held) + [await ask("192.0.2.1") for _ in range(3)]
 
     assert asyncio.run(scenario()) == [503, 503] + [500] * 4 + [500] * 3
+
+
+def test_bytes_of_bodies_are_given_back() -> None:
+    async def app(scope: Scope, receive: Receive, send: Send) -> None:
+        await receive()
+        await send({"type": "http.response.start", "status": 200, "headers": []})
+
+    async def scenario() -> list[int]:
+        limited = LimitRequests(app, 4, 30.0)
+        return [(await _through(limited, [], bytes(limits.MAX_BODY_BYTES)))[0]["status"] for _ in range(10)]
+
+    assert asyncio.run(scenario()) == [200] * 10
 
 
 class Computing:

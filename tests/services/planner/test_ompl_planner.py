@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import mannwhitneyu
@@ -104,6 +106,10 @@ def test_a_path_that_the_planner_believes_in_is_still_checked(disconnected, monk
     monkeypatch.setattr(checks.KERNELS, "checked_edge", lambda *_: (True, 1))
     result = solve(disconnected, SETTINGS)
     assert (result.solved, result.reason, len(result.path)) == (False, Reason.REJECTED, 0)
+    # The search begins again with what is left of its limits.
+    first = result.iterations // 2
+    limited = solve(disconnected, replace(SETTINGS, max_iterations=first))
+    assert (limited.reason, limited.iterations) == (Reason.REJECTED, first)
 
 
 @pytest.mark.parametrize(
