@@ -77,17 +77,6 @@ def test_an_api_without_a_registry_restarts_once_there_is_one(
     ]
 
 
-def test_up_again_leaves_running_services_alone(settings: Settings) -> None:
-    up(settings, ["mlflow", "api"], ignore)
-    first, said = pids(settings), []
-    up(settings, SERVICES, said.append)
-    assert {name: pids(settings)[name] for name in first} == first
-    assert [line.split(",")[0] for line in said if "already" in line] == [
-        "mlflow: runs already",
-        "api: runs already",
-    ]
-
-
 def test_a_killed_service_is_started_again_by_supervisord(settings: Settings) -> None:
     up(settings, SERVICES, ignore)
     first = pids(settings)["mlflow"]
