@@ -12,7 +12,7 @@ from cspace.query import SampleQuery
 from cspace.worlds import named_world, robot_digest
 from cspace.worlds.spatial.world import shipped, usual
 from services.local.quickstart import import_arm, serve_untrained, tour_of_arm
-from services.local.settings import Settings
+from services.local.stack import Settings
 from services.names import label
 from services.planner.__main__ import main
 from services.planner.planning import SampleRequest

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from services.local.__main__ import main
-from services.local.settings import Settings, make_state
+from services.local.stack import Settings, make_state
 
 pytestmark = pytest.mark.usefixtures("settings")
 COMMANDS = ("up", "down", "status", "demo", "quickstart", "arm", "clean-state", "env")

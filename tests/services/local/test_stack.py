@@ -11,8 +11,7 @@ import pytest
 
 from cspace.errors import PortTakenError, ServiceError, ServiceStartError
 from cspace.files import holding
-from services.local.settings import BIN, Settings, drop_state
-from services.local.stack import SERVICES, connect, down, leftovers, status, up
+from services.local.stack import BIN, SERVICES, Settings, connect, down, drop_state, leftovers, status, up
 from tests.services.local.conftest import STUB, WriteStub, ignore, settings_in
 
 pytestmark = pytest.mark.usefixtures("programs")
