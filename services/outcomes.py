@@ -474,7 +474,8 @@ def _private(folder: Path) -> Path:
 
 def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] = os.environ) -> int:
     """Delete what expired, upload what the setting names; returns the exit code."""
-    from services.registry.tracking import Tracking  # noqa: PLC0415 - servers import this module
+    from services.registry.errors import check_reachable  # noqa: PLC0415 - servers import this module
+    from services.registry.tracking import Tracking  # noqa: PLC0415 - as above
 
     argparse.ArgumentParser(
         prog="python -m services.outcomes",
@@ -491,6 +492,8 @@ def main(arguments: Sequence[str] | None = None, environment: Mapping[str, str] 
                 got=f"the folder {str(folder)!r}, and {'an' if uri else 'no'} address",
                 remedy='`eval "$(make -s env)"` sets both; a server makes the folder with the first outcome',
             )
+        # MLflow itself would try for minutes.
+        check_reachable(uri, WAIT_S)
         tracking, here, there = Tracking(uri), 0, 0
         if clock_agrees(uri):
             here, there = delete_expired(folder), forget(tracking)

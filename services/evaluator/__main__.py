@@ -1,7 +1,4 @@
-"""Evaluate a registered version: ``python -m services.evaluator --model cspace-sampler@challenger``.
-
-Exit codes: 0 evaluated, whether promoted or not; 1 the evaluation failed; 2 the request was wrong.
-"""
+"""Evaluate a registered version: ``python -m services.evaluator --model cspace-sampler@challenger``."""
 
 import argparse
 import os
@@ -49,7 +46,6 @@ def make_request(options: argparse.Namespace) -> Request:
         ModelReference.parse_version(options.model, "the model reference is unknown"),
         budget if options.scenarios is None else replace(budget, scenarios=options.scenarios),
         options.seed,
-        promote=not options.no_promote,
     )
 
 
@@ -57,16 +53,14 @@ def _report(outcome: Outcome, environment: Mapping[str, str]) -> None:
     version, verdict, scenes = outcome.version, outcome.verdict, scenes_text(outcome.evaluation.setting)
     moved = "promoted" if verdict.promoted else "not promoted"
     print(f"\n{scenes}\n\n{terminal_table(outcome.evaluation, verdict.bar.comparisons)}\n")
-    print(f"{moved}{'' if outcome.recorded else ' (evaluated only, nothing recorded)'}:")
+    print(f"{moved}:")
     print("\n".join(f"  {reason}" for reason in verdict.reasons))
-    promoted = verdict.promoted and outcome.recorded
     result = {
         "run_id": outcome.run_id,
         "model": version.name,
         "version": version.number,
         "digest": version.digest,
-        "promoted": promoted,
-        "recorded": outcome.recorded,
+        "promoted": verdict.promoted,
         "judged_on": scenes,
         "reasons": list(verdict.reasons),
         "metrics": run_metrics(outcome.evaluation),
@@ -74,7 +68,7 @@ def _report(outcome: Outcome, environment: Mapping[str, str]) -> None:
     }
     rows = {
         "model": f"{version}, digest {version.digest[:12]}",
-        "promoted": "yes, it is the champion" if promoted else "no",
+        "promoted": "yes, it is the champion" if verdict.promoted else "no",
         "run": outcome.run_id,
         "report": f"{REPORT_FOLDER}/evaluation.md among the run's artifacts",
     }
@@ -94,7 +88,6 @@ def _parser() -> argparse.ArgumentParser:
     add("--budget", choices=sorted(BUDGETS), default="quick", help="how much is evaluated")
     add("--scenarios", type=COUNT, help="per split, instead of the budget's")
     add("--seed", type=ANY_SEED, default=0, help="of scenarios, samples and problems")
-    add("--no-promote", action="store_true", help="record no decision, move no alias")
     return parser
 
 

@@ -264,10 +264,7 @@ def plan_problem(
         if len(accepted) == LEARNED_SAMPLES:
             groups["confident"] = accepted
     found = {name: solve(problem, seeded, samples, UNIFORM_SHARE) for name, samples in groups.items()}
-    return {
-        name: Run(one.solved, one.iterations, one.edge_checks, one.solve_time_s)
-        for name, one in found.items()
-    }
+    return {name: Run(one.solved, one.iterations, one.edge_checks) for name, one in found.items()}
 
 
 def learned_samples(

@@ -35,7 +35,6 @@ from services.evaluator.evaluation import (
 from services.evaluator.gate import (
     Bar,
     Champion,
-    Comparison,
     Gain,
     Verdict,
     compare,
@@ -69,25 +68,20 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """One evaluation; ``promote`` records the decision and moves the alias."""
+    """One evaluation."""
 
     model: ModelReference
     budget: Budget
     seed: int = 0
-    promote: bool = True
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """A finished evaluation with its run and the names of the pictures there.
-
-    ``recorded`` says whether the decision was recorded, and the alias moved if it was a promotion.
-    """
+    """A finished evaluation with its run and the names of the pictures there."""
 
     version: ModelVersion
     evaluation: Evaluation
     verdict: Verdict
-    recorded: bool
     run_id: str
     figures: tuple[str, ...]
 
@@ -185,22 +179,16 @@ def evaluate_version(
             rival = f"version {bar.against}, the present champion"
             evaluation = _measure(execute, setting, str(version), bundle, champion, rival, progress)
             if champion is not None:
-                compared = _with_reports(compare(evaluation, rival), bundle, champion, tracking)
+                compared = compare(evaluation, rival)
+                # A recalibrated version counts the outcomes that it was calibrated by.
+                if predicted := predicted_reports(bundle, champion, tracking):
+                    gain = Gain("log loss of reported plans", *predicted)
+                    compared = replace(compared, gains=(*compared.gains, gain))
                 bar = replace(bar, comparisons=(compared,))
             verdict = decide(evaluation, bar)
             figures = log_evaluation(run, evaluation, verdict, bundle_sampler(bundle))
-        if request.promote:
-            _record(registry, version, evaluation, verdict, progress)
-    return Outcome(version, evaluation, verdict, request.promote, run.run_id, figures)
-
-
-def _with_reports(comparison: Comparison, bundle: Bundle, champion: Bundle, tracking: Tracking) -> Comparison:
-    """The comparison of a recalibrated version counts the outcomes that it was calibrated by."""
-    predicted = predicted_reports(bundle, champion, tracking)
-    if predicted is None:
-        return comparison
-    gain = Gain("log loss of reported plans", *predicted)
-    return replace(comparison, gains=(*comparison.gains, gain))
+        _record(registry, version, evaluation, verdict, progress)
+    return Outcome(version, evaluation, verdict, run.run_id, figures)
 
 
 def _measure(

@@ -12,17 +12,22 @@ from pathlib import Path
 from cspace.errors import ConfigError, CspaceError, PortTakenError, ServiceError
 from services.commands import aligned, confirmed
 from services.local.quickstart import TOURS, addresses, import_arm, quickstart, serve_untrained, tour_of_arm
-from services.local.settings import (
+from services.local.stack import (
     BIN,
     HOST,
+    SERVICES,
     Settings,
+    down,
     drop_state,
+    leftovers,
     read_settings,
     shell_values,
     size_text,
     state_parts,
+    status,
+    up,
+    viewer_page,
 )
-from services.local.stack import SERVICES, down, leftovers, status, up, viewer_page
 
 # Of a desktop, or what somebody set for the purpose; browsers of a terminal would take it over.
 SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")

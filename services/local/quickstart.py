@@ -19,8 +19,7 @@ from cspace.simulator import Split
 from cspace.world import World
 from cspace.worlds import named_world, robot_digest, simulator_of
 from services.commands import PREFIX, aligned
-from services.local.settings import BIN, Settings, make_state, shell_values
-from services.local.stack import POLL_S, SERVICES, Report, up
+from services.local.stack import BIN, POLL_S, SERVICES, Report, Settings, make_state, shell_values, up
 from services.names import MLFLOW_TRAINING, MODEL_NAME, label, model_name
 
 EVALUATE = "python -m services.evaluator --model {model}"

@@ -2,9 +2,6 @@
 
 ``python -m services.planner plan scene.yaml``, or a problem of a family: ``--family narrow --seed 7``. With
 ``--whole-plan`` the API plans by what its model predicts from the picture.
-
-Exit codes: 0 solved, 1 not solved or the API's path collides, 2 wrong usage or input, or the API refused the
-request.
 """
 
 import argparse
@@ -15,7 +12,6 @@ from pathlib import Path
 from cspace.errors import CspaceError
 from cspace.query import PlanQuery, SampleQuery
 from cspace.simulator import Problem, Split
-from cspace.world import World
 from cspace.worlds import examples, named_world, simulator_of
 from cspace_client import DEFAULT_TIMEOUT_S
 from services.commands import ANY_SEED, COUNT, POSITIVE, SHARE, report_error
@@ -31,7 +27,7 @@ from services.planner.planning import (
 from services.planner.plotting import check_figure_path, plot_plan, save_figure
 from services.planner.result import LEARNED_PLANNERS, RRT, PlannerSettings
 from services.planner.samples import SamplingClient, usual_api
-from services.scene_files import SceneFile, read_scene_file
+from services.scene_files import read_scene_file
 
 WORLDS = examples()
 
@@ -54,21 +50,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if (obstruction := simulator.obstruction(problem)) is not None:
                 print(f"there is no path: {obstruction}", file=sys.stderr)
                 return 1
-        request = sample_request(options, world, scene)
+        query = SampleQuery.checked(options.n, options.seed, min_confidence=options.min_confidence)
+        request = SampleRequest(query, options.model, with_ends=options.path_model)
+        if scene is not None or options.robot not in WORLDS:
+            # A robot of one's own has its own model.
+            request = request.of_robot(world, None if scene is None else scene.name)
         return (_plan_whole if options.whole_plan else _compare)(options, problem, request)
     except CspaceError as error:
         return report_error(error, CspaceError)
-
-
-def sample_request(
-    options: argparse.Namespace, world: World, scene: SceneFile | None = None
-) -> SampleRequest:
-    """What is asked of the API; a robot of one's own has its own model."""
-    query = SampleQuery.checked(options.n, options.seed, min_confidence=options.min_confidence)
-    request = SampleRequest(query, options.model, with_ends=options.path_model)
-    if scene is None and options.robot in WORLDS:
-        return request
-    return request.of_robot(world, None if scene is None else scene.name)
 
 
 def make_parser() -> argparse.ArgumentParser:

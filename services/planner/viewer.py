@@ -135,13 +135,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--api", default=usual_api(), help="address of the API (default: %(default)s)")
     parser.add_argument("--model", default="pretrained-panda", help="that answers (default: %(default)s)")
-    parser.add_argument("--host", default="127.0.0.1", help="default: %(default)s")
     parser.add_argument("--port", type=int, default=8090, help="where to listen (default: %(default)s)")
     options = parser.parse_args(arguments)
     try:
         with SamplingClient(options.api) as api:
             with contextlib.redirect_stdout(io.StringIO()):  # viser prints its address without the token
-                viewer = Viewer(api, options.model, options.host, options.port)
+                viewer = Viewer(api, options.model, "127.0.0.1", options.port)
             sys.stdout.write(f"{viewer.address}\n")
             sys.stdout.flush()
             threading.Event().wait()

@@ -1,7 +1,4 @@
-"""Registered models: ``python -m services.registry models list|show|history|promote|rollback|...``.
-
-Exit codes: 0 done; 1 the registry or a bundle failed; 2 the request was wrong.
-"""
+"""Registered models: ``python -m services.registry models list|show|history|promote|rollback|...``."""
 
 import argparse
 import os

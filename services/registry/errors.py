@@ -19,8 +19,8 @@ from cspace.errors import ModelNotFoundError, RegistryError, RegistryUnavailable
 
 Answer = TypeVar("Answer")
 MAX_LENGTH = 500
-# Between two attempts, and two lines of the log that say the same.
-LOOK_EVERY_S, LINE_EVERY_S = 5.0, 60.0
+# Between two attempts.
+LOOK_EVERY_S = 5.0
 _LOG = logging.getLogger("training")
 
 # A password may hold nearly anything, so all up to the last @ goes.
@@ -145,7 +145,7 @@ def set_timeouts(environment: MutableMapping[str, str]) -> None:
 
 def retry(action: str, call: Callable[[], Answer], wait_s: float) -> Answer:
     """The answer of ``call``, asked again while the tracking server is away, for at most ``wait_s``."""
-    began, said = time.monotonic(), float("-inf")
+    began, is_said = time.monotonic(), False
     while True:
         try:
             return call()
@@ -155,7 +155,7 @@ def retry(action: str, call: Callable[[], Answer], wait_s: float) -> Answer:
                 what = f"{action}: the tracking server stayed away for {waited:.0f} s"
                 remedy = "nothing is lost: start it, then submit the job again by name or resume its run"
                 raise RegistryUnavailableError(what, got=error.got, remedy=remedy) from error
-        if time.monotonic() - said >= LINE_EVERY_S:
-            said = time.monotonic()
-            _LOG.info("%s: the tracking server is away, waiting up to %.0f s", action, wait_s - waited)
+        if not is_said:
+            _LOG.info("%s: the tracking server is away, waiting up to %.0f s", action, wait_s)
+        is_said = True
         time.sleep(LOOK_EVERY_S)

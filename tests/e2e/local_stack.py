@@ -11,8 +11,7 @@ from pathlib import Path
 
 import psutil
 
-from services.local.settings import Settings
-from services.local.stack import SERVICES, connect, free_ports, leftovers
+from services.local.stack import SERVICES, Settings, connect, free_ports, leftovers
 
 ROOT = Path(__file__).parents[2]
 FOREIGN = ("CSPACE_", "MLFLOW_", "RAY_", "PYTEST_")

@@ -1,7 +1,7 @@
 import pytest
 
 from cspace.errors import BundleError, ConfigError, ModelNotFoundError, ScenarioError
-from services.commands import Estimate, Progress, report_error, time_left
+from services.commands import Estimate, Progress, report_error
 
 
 @pytest.mark.parametrize(
@@ -47,18 +47,3 @@ def test_the_estimate_goes_by_the_pace_of_what_this_attempt_has_done():
     assert estimate.left(51) == ""
     clock.now += 9.0
     assert [estimate.left(done) for done in (50, 60, 100)] == ["", ", about 40 s left", ""]
-
-
-@pytest.mark.parametrize(
-    ("seconds", "words"),
-    [
-        (None, ""),
-        (0.0, ", almost done"),
-        (5.1, ", about 10 s left"),
-        (60.0, ", about 60 s left"),
-        (61.0, ", about 2 min left"),
-        (7200.0, ", about 2.0 h left"),
-    ],
-)
-def test_times_are_told_in_round_words(seconds, words):
-    assert time_left(seconds) == words

@@ -8,12 +8,14 @@ from pathlib import Path
 import pytest
 
 from cspace.errors import ConfigError, JobError, PlanningError, ScenarioError
+from cspace.query import SampleQuery
 from cspace.worlds import named_world, robot_digest
 from cspace.worlds.spatial.world import shipped, usual
 from services.local.quickstart import import_arm, serve_untrained, tour_of_arm
-from services.local.settings import Settings
+from services.local.stack import Settings
 from services.names import label
-from services.planner.__main__ import main, make_parser, sample_request
+from services.planner.__main__ import main
+from services.planner.planning import SampleRequest
 from services.scene_files import read_scene_file
 from tests.training.robots.descriptions import TWO_LINKS
 from training.config import TrainConfig
@@ -57,7 +59,7 @@ def test_a_job_refuses_a_robots_file_that_it_cannot_find(robot: str, says: str) 
 
 
 def test_the_planner_takes_a_robots_file_and_asks_for_its_own_model(file: Path) -> None:
-    request = sample_request(make_parser().parse_args(["--robot", str(file)]), named_world(str(file)))
+    request = SampleRequest(SampleQuery(3, 0)).of_robot(named_world(str(file)))
     assert (request.model, request.or_uniform) == ("bench-arm-5-sampler", True)
     assert main(["--robot", "pandora"]) == 2
 

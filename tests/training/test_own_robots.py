@@ -112,7 +112,7 @@ def test_an_own_robot_goes_from_its_file_to_a_version_and_a_verdict(name, server
     samples = bundle.sample(picture, 200, 1).samples
     assert bundle.spec.world.space.holds(samples).all()
     judged = ("-m", "services.evaluator", "--model", f"{result['model']}/{result['version']}")
-    few = run(server, tmp_path, *judged, "--scenarios", "4", "--no-promote")
+    few = run(server, tmp_path, *judged, "--scenarios", "4")
     assert "promoted" in few
 
 

@@ -11,7 +11,7 @@ from cspace.errors import ConfigError, CspaceError, ScenarioError
 from cspace.query import MAX_SAMPLES
 from cspace.simulator import ProblemRequest, Split
 from cspace.worlds import examples, named_world, partly_seen
-from services.commands import ANY_SEED, COUNT, POSITIVE, number, report_error
+from services.commands import ANY_SEED, COUNT, number, report_error
 from services.evaluator.benchmark.job import REPORT, Request, executor, packed_bundle, run_benchmark
 from services.evaluator.benchmark.variants import (
     GROUPS,
@@ -89,9 +89,6 @@ def parser() -> argparse.ArgumentParser:
     what("--samples", type=count, default=SAMPLES, help=drawn)
     shares = "of learned samples, above 0 to 1; one variant for each (default: 0.7 1)"
     what("--shares", type=ABOVE_0, nargs="+", default=SHARES, metavar="SHARE", help=shares)
-    what("--iterations", type=COUNT, help="after which a search ends (default: 20000)")
-    limit = "default: 10, of the paper's protocol 1, of plans 2"
-    what("--time-limit", type=POSITIVE, metavar="S", help=limit)
     _add_plan_options(parser.add_argument_group("protocol plans: scenes that depth pictures show in part"))
     how = parser.add_argument_group("how").add_argument
     times = "on this machine; one gives the truest times (default: one a core)"
@@ -128,13 +125,13 @@ def _variants(options: argparse.Namespace) -> tuple[Variant, ...]:
 
 def make_request(options: argparse.Namespace) -> Request:
     """What the options ask for; bundles are loaded."""
-    limits, world = LIMITS[options.protocol], named_world(options.robot)
+    world, (max_iterations, time_limit_s) = named_world(options.robot), LIMITS[options.protocol]
     setting = Setting(
         options.protocol,
         options.split,
         options.seed,
-        options.iterations or int(limits["max_iterations"]),
-        options.time_limit or limits["time_limit_s"],
+        max_iterations,
+        time_limit_s,
         world=world,
         held=options.held,
     )

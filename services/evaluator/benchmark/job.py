@@ -166,7 +166,8 @@ class _Case:
         if variant.sampler is None:
             result = solve(self.problem, settings)
         else:
-            batch = self.batch(variant.sampler, variant.query(settings.seed))
+            query = SampleQuery(variant.samples, settings.seed, min_confidence=0.0)
+            batch = self.batch(variant.sampler, query)
             result = solve(self.problem, settings, batch.samples, 1.0 - variant.share)
             row["request_s"] = batch.round_trip_s
         total_s = row.get("request_s", 0.0) + result.solve_time_s
@@ -379,12 +380,9 @@ class RunStore:
 
 def executor(environment: Mapping[str, str], count: int) -> Execute:
     """Over the Ray cluster where RAY_ADDRESS names one, else over so many processes of this machine."""
-    return run_on_ray if on_cluster(environment) else processes(count)
-
-
-def run_on_ray(work: Sequence[Unit], setting: Setting, models: Models) -> Iterator[list[Row]]:
-    """Runs as they come from the cluster that RAY_ADDRESS names; a lost worker's unit is run again."""
-    return spread(run_unit, work, (setting, models), "benchmark")
+    if on_cluster(environment):
+        return lambda work, setting, models: spread(run_unit, work, (setting, models), "benchmark")
+    return processes(count)
 
 
 def processes(count: int) -> Execute:

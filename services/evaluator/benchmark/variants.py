@@ -6,7 +6,6 @@ from enum import StrEnum
 from pathlib import Path
 
 from cspace.errors import ConfigError
-from cspace.query import SampleQuery
 from cspace.simulator import Families, Problem, ProblemRequest, Split, UnseenPolicy
 from cspace.world import World
 from cspace.worlds import default_world, partly_seen, simulator_of
@@ -51,11 +50,12 @@ GROUPS: Mapping[Protocol, tuple[Group, ...]] = {
     Protocol.PLANS: (Group.PLANS,),
 }
 RUNS = {Protocol.FAMILIES: 1, Protocol.PAPER: 100, Protocol.PLANS: 1}
-LIMITS: Mapping[Protocol, Mapping[str, float]] = {
-    Protocol.FAMILIES: {"max_iterations": 20_000, "time_limit_s": 10.0},
+# Iterations and seconds after which a search ends.
+LIMITS: Mapping[Protocol, tuple[int, float]] = {
+    Protocol.FAMILIES: (20_000, 10.0),
     # The paper stops by the clock alone; no planner here makes so many iterations in a second.
-    Protocol.PAPER: {"max_iterations": 200_000, "time_limit_s": 1.0},
-    Protocol.PLANS: {"max_iterations": 200_000, "time_limit_s": 2.0},
+    Protocol.PAPER: (200_000, 1.0),
+    Protocol.PLANS: (200_000, 2.0),
 }
 
 
@@ -80,10 +80,6 @@ class Variant:
     def pictured(self) -> bool:
         """Whether the result depends on the depth pictures."""
         return self.sampler is not None or self.unseen not in (None, UnseenPolicy.KNOWN)
-
-    def query(self, seed: int) -> SampleQuery:
-        """The request for samples, unfiltered and without start and goal."""
-        return SampleQuery(self.samples, seed, min_confidence=0.0)
 
 
 def table(

@@ -60,12 +60,11 @@ class Head:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One run of a planner on one problem; the time is without sampling."""
+    """One run of a planner on one problem."""
 
     success: bool
     iterations: int
     edge_checks: int
-    solve_time_s: float
 
 
 # Values (n, k) of a sampler and of uniform samples in the same scenarios, and a generator, to estimates.

@@ -29,14 +29,13 @@ def success(run: Run) -> float:
     return float(run.success)
 
 
-def _cost(
-    name: str, least: float, values: Floats, uniform: Floats, rng: np.random.Generator
-) -> Mapping[str, Interval]:
+def _cost(name: str, values: Floats, uniform: Floats, rng: np.random.Generator) -> Mapping[str, Interval]:
     costs = censored_as_largest(values[:, 0], values[:, 1] == 0.0)
     median, p90 = np.quantile(costs, [0.5, 0.9], method="higher").tolist()
-    # Both share the largest value, so that a failure weighs the same on either side.
+    # Both share the largest value, so that a failure weighs the same on either side. A direct connection
+    # takes no iteration to speak of; one unit keeps the ratio finite.
     both = np.concatenate([uniform, values])
-    theirs, ours = np.split(np.maximum(censored_as_largest(both[:, 0], both[:, 1] == 0.0), least), 2)
+    theirs, ours = np.split(np.maximum(censored_as_largest(both[:, 0], both[:, 1] == 0.0), 1.0), 2)
     return {
         f"{name}_ratio": ratio_of_medians_interval(theirs, ours, rng),
         f"{name}_median": point(median, len(costs)),
@@ -44,20 +43,13 @@ def _cost(
     }
 
 
-# A direct connection takes no iteration to speak of; one unit keeps the ratio finite.
-@metric("iterations", Task.PLANNING, estimates=partial(_cost, "iterations", 1.0), logged=("learned",))
+@metric("iterations", Task.PLANNING, estimates=partial(_cost, "iterations"), logged=("learned",))
 def iterations(run: Run) -> tuple[float, float]:
     """Iterations until the planner stopped, and whether it succeeded."""
     return run.iterations, run.success
 
 
-@metric("edge_checks", Task.PLANNING, estimates=partial(_cost, "edge_checks", 1.0), logged=("learned",))
+@metric("edge_checks", Task.PLANNING, estimates=partial(_cost, "edge_checks"), logged=("learned",))
 def edge_checks(run: Run) -> tuple[float, float]:
     """Edge checks until the planner stopped, and whether it succeeded."""
     return run.edge_checks, run.success
-
-
-@metric("solve_time_s", Task.PLANNING, estimates=partial(_cost, "solve_time_s", 1e-6), logged=())
-def solve_time_s(run: Run) -> tuple[float, float]:
-    """Time until the planner stopped, without sampling, and whether it succeeded."""
-    return run.solve_time_s, run.success

@@ -32,8 +32,8 @@ TINY = Budget(
 )
 
 
-def request(model=f"{MODEL_NAME}@{ALIAS_CHALLENGER}", *, promote=True):
-    return Request(ModelReference.parse(model), TINY, promote=promote)
+def request(model=f"{MODEL_NAME}@{ALIAS_CHALLENGER}"):
+    return Request(ModelReference.parse(model), TINY)
 
 
 @pytest.fixture(scope="module")
@@ -137,14 +137,6 @@ def test_a_promoted_version_is_the_champion_and_is_not_compared_with_its_own_pro
     assert evaluated(stores).verdict.bar.against is None
 
 
-def test_without_promotion_nothing_is_recorded_or_shown(stores, passing):
-    outcome = evaluated(stores, promote=False)
-    assert not outcome.recorded
-    tracking, registry = stores
-    assert (decisions(registry, MODEL_NAME), registry.shown) == ((), {})
-    assert tracking.runs[outcome.run_id].status == "FINISHED"
-
-
 def test_an_evaluation_that_fails_leaves_a_failed_run_and_no_decision(stores):
     def failing(work, setting, packed):
         raise EvaluationError("a unit failed")
@@ -170,7 +162,7 @@ def test_a_path_model_is_not_judged_without_problems(stores, tmp_path):
 def commanded(stores, monkeypatch):
     """The command finds these stores where MLflow would be, and asks for little."""
     monkeypatch.setattr(command, "connect", lambda uri: stores)
-    monkeypatch.setattr(command, "make_request", lambda options: request(options.model, promote=False))
+    monkeypatch.setattr(command, "make_request", lambda options: request(options.model))
     return stores
 
 

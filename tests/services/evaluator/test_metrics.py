@@ -155,7 +155,7 @@ def test_the_calibration_error_is_the_gap_between_confidence_and_share():
 
 
 def test_a_failed_run_costs_as_much_as_the_worst_and_ratios_are_paired():
-    runs = [Run(solved, cost, 7, 0.1) for solved, cost in ((True, 100), (True, 300), (False, 5))]
+    runs = [Run(solved, cost, 7) for solved, cost in ((True, 100), (True, 300), (False, 5))]
     uniform = [value("iterations", run, Task.PLANNING) for run in runs]
     found = estimates("iterations", [[20, 1], [40, 1], [60, 1]], uniform, Task.PLANNING)
     assert found["iterations_ratio"].estimate == pytest.approx(300 / 40)

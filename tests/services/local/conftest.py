@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from services.local import quickstart, stack
-from services.local.settings import BIN, Settings
-from services.local.stack import down, free_ports
+from services.local.stack import BIN, Settings, down, free_ports
 
 # Serves each health page on its port, and starts a process that leaves its process group.
 STUB = f"""#!{sys.executable} -S

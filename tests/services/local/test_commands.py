@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from services.local.__main__ import main
-from services.local.settings import BIN, Settings, make_state
+from services.local.stack import Settings, make_state
 
 pytestmark = pytest.mark.usefixtures("settings")
 COMMANDS = ("up", "down", "status", "demo", "quickstart", "arm", "clean-state", "env")
@@ -125,7 +125,3 @@ def test_make_refuses_a_path_below_which_ray_cannot_run_before_it_installs(tmp_p
     refused = any(character in name for character in " &$:")
     assert done.stderr.startswith("Ray cannot run below the folder" if refused else "Python")
     assert not (folder / ".venv").exists()
-
-
-def test_programs_of_the_configuration_are_there() -> None:
-    assert all((BIN / name).exists() for name in ("mlflow", "ray", "python", "supervisord", "supervisorctl"))

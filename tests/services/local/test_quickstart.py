@@ -11,7 +11,7 @@ import pytest
 
 from cspace.errors import JobError, PlanningError, ServiceStartError
 from services.local.quickstart import plan_and_draw, run_job, wait_served
-from services.local.settings import Settings
+from services.local.stack import Settings
 from tests.services.local.conftest import WriteStub, ignore
 
 RESULT = {"run_id": "r2", "model": "cspace-sampler", "version": 3, "promoted": True, "reasons": ["better"]}

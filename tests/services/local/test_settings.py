@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from cspace.errors import ConfigError
-from services.local.settings import (
+from services.local.stack import (
     FOLDERS,
     IGNORE,
     MARKER,

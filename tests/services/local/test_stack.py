@@ -11,8 +11,7 @@ import pytest
 
 from cspace.errors import PortTakenError, ServiceError, ServiceStartError
 from cspace.files import holding
-from services.local.settings import BIN, Settings, drop_state
-from services.local.stack import SERVICES, connect, down, leftovers, status, up
+from services.local.stack import BIN, SERVICES, Settings, connect, down, drop_state, leftovers, status, up
 from tests.services.local.conftest import STUB, WriteStub, ignore, settings_in
 
 pytestmark = pytest.mark.usefixtures("programs")
@@ -74,17 +73,6 @@ def test_an_api_without_a_registry_restarts_once_there_is_one(
     assert [line for line in log.splitlines() if line in ("None", settings.url("mlflow"))] == [
         "None",
         settings.url("mlflow"),
-    ]
-
-
-def test_up_again_leaves_running_services_alone(settings: Settings) -> None:
-    up(settings, ["mlflow", "api"], ignore)
-    first, said = pids(settings), []
-    up(settings, SERVICES, said.append)
-    assert {name: pids(settings)[name] for name in first} == first
-    assert [line.split(",")[0] for line in said if "already" in line] == [
-        "mlflow: runs already",
-        "api: runs already",
     ]
 
 

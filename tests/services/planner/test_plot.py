@@ -7,7 +7,6 @@ from cspace.worlds.planar.arm import PlanarArm
 from services.planner.ompl_planner import solve
 from services.planner.plotting import (
     check_figure_path,
-    collision_share,
     plot_plan,
     save_figure,
     wrapped_segments,
@@ -35,14 +34,6 @@ def test_a_solved_problem_shows_all_its_parts(blocked, samples, tmp_path):
     with Image.open(target) as picture:
         assert min(picture.size) > 500
         assert len(picture.convert("RGB").getcolors(10**6) or []) > 50
-
-
-def test_the_collision_region_of_two_joints_is_exact(blocked):
-    share = collision_share(blocked, (0, 1), 64)
-    assert set(np.unique(share)) == {0.0, 1.0}
-    # theta1 = pi / 2 by columns, theta2 = 0 by rows: the arm points at the disc.
-    assert share[32, 48] == 1.0
-    assert share[32, 16] == 0.0
 
 
 def test_a_segment_over_a_seam_is_plotted_at_both_sides_and_a_limited_joint_has_none():

@@ -19,7 +19,7 @@ from cspace.errors import (
     StorageError,
 )
 from services.registry.entities import ModelVersion
-from services.registry.errors import mapped, set_timeouts
+from services.registry.errors import mapped
 from services.registry.models import ModelRegistry
 from tests.bundles import write_tiny_bundle
 from tests.services.registry.strange_server import strange_server
@@ -139,10 +139,3 @@ def test_none_is_an_answer_only_in_a_lookup_and_errors_of_the_project_pass_uncha
         with pytest.raises(type(ours)) as passed, mapped("trying"):
             raise ours
         assert passed.value is ours
-
-
-def test_lowering_the_patience_keeps_what_is_set() -> None:
-    environment = {"MLFLOW_HTTP_REQUEST_TIMEOUT": "60"}
-    set_timeouts(environment)
-    assert environment["MLFLOW_HTTP_REQUEST_TIMEOUT"] == "60"
-    assert int(environment["MLFLOW_HTTP_REQUEST_MAX_RETRIES"]) <= 2

@@ -1,10 +1,13 @@
 """Metrics are sent in batches, and what a server missed arrives later, once."""
 
+import time
+from types import SimpleNamespace
+
 import pytest
 import requests
 from mlflow import MlflowClient
 
-from cspace.errors import RegistryError, RegistryUnavailableError
+from cspace.errors import RegistryUnavailableError
 from services.names import NOTE
 from services.registry import errors
 from services.registry.tracking import MAX_BATCH, VIEW, VIEWS, RunLog, Tracking
@@ -89,47 +92,18 @@ def test_metrics_go_in_batches_that_the_server_takes(line):
     assert line.sent == [MAX_BATCH, 5]
 
 
-class Time:
-    """A clock that sleeping moves; the server comes back at a moment of it."""
+def test_calls_of_a_tracking_that_waits_wait_for_a_bounded_time(line, monkeypatch):
+    def sleep(_: float) -> None:
+        line.away = False
 
-    def __init__(self, back_s, error=None):
-        self.now_s, self.back_s, self.error = 0.0, back_s, error or RegistryUnavailableError("away")
-
-    def sleep(self, seconds):
-        self.now_s += seconds
-
-    def monotonic(self):
-        return self.now_s
-
-    def ask(self):
-        if self.now_s < self.back_s:
-            raise self.error
-        return "answer"
-
-
-def test_a_driver_waits_for_a_server_that_comes_back_and_for_nothing_else(monkeypatch):
-    def ask(time, wait_s):
-        monkeypatch.setattr(errors, "time", time)
-        return errors.retry("asking", time.ask, wait_s)
-
-    time = Time(back_s=20.0)
-    assert (ask(time, 600.0), time.now_s) == ("answer", 20.0)
-    with pytest.raises(RegistryUnavailableError, match=r"asking: .* 30 s; .*submit the job again"):
-        ask(Time(back_s=1000.0), 30.0)
-    refusal = Time(1000.0, RegistryError("no"))
-    with pytest.raises(RegistryError, match="no"):
-        ask(refusal, 600.0)
-    assert refusal.now_s == 0.0
-
-
-def test_calls_of_a_tracking_that_waits_wait(line, monkeypatch):
-    time = Time(0.0)
-    monkeypatch.setattr(errors, "time", time)
-    monkeypatch.setattr(time, "sleep", lambda _: setattr(line, "away", False))
+    monkeypatch.setattr(errors, "time", SimpleNamespace(monotonic=time.monotonic, sleep=sleep))
     run = Tracking(line.uri, wait_s=600.0).start("outage", "patient")
     line.away = True
     run.history(rows(1))
     assert line.history(run.run_id) == [(1, 1 / 7)]
+    line.away = True
+    with pytest.raises(RegistryUnavailableError, match=r"stayed away.*submit the job again"):
+        Tracking(line.uri, wait_s=0.0).run(run.run_id)
 
 
 def test_the_searches_are_ones_that_mlflow_understands(line):

@@ -157,9 +157,7 @@ def test_a_wrong_request_ends_with_2_before_anything_runs(tmp_path, arguments, w
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize(
-    "arguments", [["--seed", "-1"], ["--time-limit", "0"], ["--shares", "0.7", "0"], ["--samples", "20001"]]
-)
+@pytest.mark.parametrize("arguments", [["--seed", "-1"], ["--shares", "0.7", "0"], ["--samples", "20001"]])
 def test_a_number_out_of_range_ends_with_2(tmp_path, arguments):
     with pytest.raises(SystemExit, match="2"):
         command.main(["--out", str(tmp_path / "out"), "--no-mlflow", *arguments], {})
