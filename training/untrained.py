@@ -70,7 +70,7 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--plan-problems",
         type=int,
-        default=70,
+        default=40,
         help="simulated ones by which plans are calibrated; 0 for none (default: %(default)s)",
     )
     parser.add_argument("--register", choices=ALIASES, help="make it a version of the robot's model")
