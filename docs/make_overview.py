@@ -16,7 +16,7 @@ from cspace.bundle import Bundle, SampleSet
 from cspace.errors import CspaceError
 from cspace.files import encode_png
 from cspace.simulator import Problem, Split
-from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.problems import Family, draw_problem
 from cspace.worlds.planar.simulator import render
 from services.planner.ompl_planner import solve

@@ -26,11 +26,11 @@ from inference_api.limits import (
     LimitRequests,
     RefuseForeignOrigins,
 )
-from inference_api.models import ModelStore
 from inference_api.pictures import PictureCache
 from inference_api.problems import PROBLEM_RESPONSES, add_problem_handlers
 from inference_api.routes import belief, doctor, models, outcomes, plan, sample, validity
 from inference_api.routes.documentation import add_docs_page, add_guide, document
+from inference_api.served_models import ModelStore
 from inference_api.settings import MIB, ApiSettings
 from inference_api.telemetry import Metrics, Telemetry, add_tracing
 from inference_api.workbench.routes import add_workbench

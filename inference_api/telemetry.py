@@ -25,8 +25,8 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from cspace.errors import ConfigError
 from cspace.query import Status
 from inference_api.limits import HEALTH, METRICS
-from inference_api.models import Reload, ServedModel
 from inference_api.problems import PROBLEMS, SHUTTING_DOWN, RequestError, problem_response
+from inference_api.served_models import Reload, ServedModel
 from services.outcomes import RESULTS
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"

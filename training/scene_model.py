@@ -25,7 +25,7 @@ from cspace.simulator import Split, scenario_rng
 from cspace.worlds import examples
 from cspace.worlds.spatial.arm import Joint, Part, SerialArm
 from cspace.worlds.spatial.camera import DepthCamera
-from cspace.worlds.spatial.checks import CollisionChecker, group_hits
+from cspace.worlds.spatial.collision import CollisionChecker, group_hits
 from cspace.worlds.spatial.poses import Frame, make_pose, pose_of, turned
 from cspace.worlds.spatial.problems import draw_proposals
 from cspace.worlds.spatial.scenes import draw_layout, scenes_of, seen, waiting

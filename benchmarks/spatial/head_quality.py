@@ -31,7 +31,7 @@ from cspace.simulator import Split
 from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.benchmark import LIMITS_RAD, BenchProblem, problems
 from cspace.worlds.spatial.bodies import clearance_m
-from cspace.worlds.spatial.checks import CollisionChecker
+from cspace.worlds.spatial.collision import CollisionChecker
 from cspace.worlds.spatial.furniture import FAMILIES, Layout, SpatialScenes
 from cspace.worlds.spatial.obstacles import Obstacles
 from cspace.worlds.spatial.problems import SpatialProblem, draw_problem

@@ -22,7 +22,7 @@ from cspace.world import Body, Image, Known, Scene, World
 
 # Each folder has ``world`` (NumPy alone) with ``read``, ``EXAMPLES`` (worlds by name), ``add_options`` and
 # ``described``, which gives None where none of its options was used and the kind is not the first;
-# ``simulator`` with ``open_simulator``; ``checks`` with ``seen_checkers``. One that no picture shows whole
+# ``simulator`` with ``open_simulator``; ``collision`` with ``seen_checkers``. One that no picture shows whole
 # has ``benchmark`` with ``open_partly_seen``; one whose robot has a tool ``constraints`` with
 # ``ToolConstraints``.
 KINDS = ("planar", "spatial")
@@ -122,7 +122,7 @@ def seen_checkers(
 ) -> Sequence[Checker]:
     """Checks by what a picture shows, the most careful first; the robot is free at ``ends`` (k, d) rad."""
     options = {} if known is None else {"known": known}
-    found = _part(world.kind, "checks").seen_checkers(world, picture, ends, **options)
+    found = _part(world.kind, "collision").seen_checkers(world, picture, ends, **options)
     return cast("Sequence[Checker]", found)
 
 

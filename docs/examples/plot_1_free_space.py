@@ -11,7 +11,7 @@ alone, and draws configurations of that region.
 
 from cspace.bundle import Bundle
 from cspace.simulator import Split
-from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.problems import Family, draw_problem
 from cspace.worlds.planar.simulator import render
 from inference_api.settings import PRETRAINED_FOLDER

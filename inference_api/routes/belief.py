@@ -12,7 +12,6 @@ from cspace.bundle.spec import require_robot
 from cspace_client.wire import BeliefAnswer, ScoreTimingMs
 from inference_api.body import body_of, both_bodies
 from inference_api.limits import ComputePlace
-from inference_api.models import ServedModel
 from inference_api.pictures import PreparedPictures
 from inference_api.scene import (
     BeliefRequest,
@@ -24,6 +23,7 @@ from inference_api.scene import (
     view_of,
     warnings_of,
 )
+from inference_api.served_models import ServedModel
 from inference_api.telemetry import request_fields
 
 router = APIRouter()

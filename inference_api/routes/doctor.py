@@ -11,7 +11,6 @@ from cspace.errors import ImageError
 from cspace_client.wire import DoctorAnswer, DoctorTimingMs, ScenarioInfo, SuggestedPose, Verdict
 from inference_api.body import body_of, both_bodies
 from inference_api.limits import ComputePlace
-from inference_api.models import ServedModel
 from inference_api.pictures import PreparedPictures
 from inference_api.scene import (
     DoctorRequest,
@@ -22,6 +21,7 @@ from inference_api.scene import (
     served_for,
     view_of,
 )
+from inference_api.served_models import ServedModel
 from inference_api.telemetry import request_fields
 
 router = APIRouter()

@@ -14,9 +14,9 @@ from cspace.world import World
 from cspace.worlds import read_world, robot_digest
 from cspace_client.wire import Answer, JointSpaceInfo, ModelInfo
 from inference_api.kernels import Kernels
-from inference_api.models import PRETRAINED_VERSION, Models, ModelStore, ServedModel, Shipped
 from inference_api.problems import ModelNotReadyError
 from inference_api.scene import model_info
+from inference_api.served_models import PRETRAINED_VERSION, Models, ModelStore, ServedModel, Shipped
 from inference_api.telemetry import CONTENT_TYPE, Metered
 from services.names import MAX_WORLD, TAG_ROBOT, TAG_WORLD
 from services.registry.entities import ModelVersion, is_model_name

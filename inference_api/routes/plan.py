@@ -19,7 +19,6 @@ from cspace_client.wire import Alternative, Contact, LeastSure, PlanAnswer, Plan
 from inference_api.body import body_of, both_bodies
 from inference_api.kernels import Kernels, needs_kernels
 from inference_api.limits import ComputePlace
-from inference_api.models import ServedModel
 from inference_api.pictures import Prepared, PreparedPictures
 from inference_api.routes.outcomes import keep_plan, key_name
 from inference_api.scene import (
@@ -33,6 +32,7 @@ from inference_api.scene import (
     view_of,
     warnings_of,
 )
+from inference_api.served_models import ServedModel
 from inference_api.telemetry import Metered, request_fields
 from services.outcomes import problem_of
 

@@ -12,7 +12,6 @@ from cspace_client.wire import ProposalCounts, SampleAnswer, TimingMs
 from inference_api.body import body_of, both_bodies
 from inference_api.kernels import Kernels, needs_kernels
 from inference_api.limits import ComputePlace
-from inference_api.models import ServedModel
 from inference_api.pictures import PreparedPictures
 from inference_api.scene import (
     SampleRequest,
@@ -27,6 +26,7 @@ from inference_api.scene import (
     view_of,
     warnings_of,
 )
+from inference_api.served_models import ServedModel
 from inference_api.telemetry import Metered, request_fields
 
 _HEADERS = {

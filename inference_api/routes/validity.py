@@ -17,7 +17,6 @@ from cspace_client.wire import MAX_EXPLAINED, MAX_SAMPLES, Contact, ScoreTimingM
 from inference_api.body import body_of, both_bodies
 from inference_api.kernels import Kernels
 from inference_api.limits import ComputePlace
-from inference_api.models import ServedModel
 from inference_api.pictures import PreparedPictures
 from inference_api.scene import (
     ValidityRequest,
@@ -32,6 +31,7 @@ from inference_api.scene import (
     view_of,
     warnings_of,
 )
+from inference_api.served_models import ServedModel
 from inference_api.telemetry import request_fields
 
 # Fewer configurations may well all collide.

@@ -15,7 +15,7 @@ from cspace.world import Scene, World
 from cspace.worlds import read_world, simulator_of
 from inference_api.body import body_of
 from inference_api.limits import ComputePlace
-from inference_api.models import Models
+from inference_api.served_models import Models
 from services.registry.entities import ModelReference
 
 # Free ones of these are covered or not: two percent of accuracy, in a few ms.

@@ -20,7 +20,7 @@ from cspace.errors import BundleError, InputError, SamplerError, SamplerUnavaila
 from cspace.query import MAX_SAMPLES, PlanQuery, QueryOptions, SampleQuery, random_seed
 from cspace.world import Examined
 from cspace_client import DEFAULT_TIMEOUT_S, FoundPlan, JointSpace, PictureWarning, SampleBatch
-from cspace_client.models import as_query
+from cspace_client.answers import as_query
 from services.names import API_URL
 
 __all__ = [

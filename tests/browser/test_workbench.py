@@ -13,7 +13,7 @@ from playwright.sync_api import Page, expect
 
 from cspace.files import encode_png
 from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.world import Disc, Scenario
 from inference_api.auth import digest_of
 from tests.browser.workbench import (

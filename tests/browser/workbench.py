@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from playwright.sync_api import Page, Response, expect
 
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.world import Disc, Scenario
 from tests.inference_api.server import api_server
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.world import Disc, Scenario
 from tests.docs.tiny_api import DOCUMENTED
 from tests.inference_api.server import ROOT, api_server

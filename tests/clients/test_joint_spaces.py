@@ -7,7 +7,7 @@ from hypothesis.extra.numpy import arrays
 
 from cspace import space
 from cspace_client import models
-from cspace_client.models import JointSpace
+from cspace_client.answers import JointSpace
 
 OURS = space.JointSpace((-np.pi, -4.0), (np.pi, 1.0), (True, False))
 MIXED = JointSpace(OURS.lower, OURS.upper, OURS.periodic)

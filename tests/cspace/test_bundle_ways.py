@@ -67,7 +67,7 @@ def test_a_confidence_to_reach_drops_samples_and_keeps_the_order_of_ways(bundle,
 
 
 def test_it_is_loaded_and_scores_where_nothing_compiles(folder, monkeypatch):
-    for name in ("numba", "cspace.worlds.planar.checks"):
+    for name in ("numba", "cspace.worlds.planar.collision"):
         monkeypatch.setitem(sys.modules, name, None)
     bundle = Bundle.load(folder)
     rows = np.zeros((3, 2), dtype=np.float32)

@@ -30,7 +30,7 @@ warnings.simplefilter("error")
 sys.meta_path.insert(0, Refuse())
 import os, threading
 before = dict(os.environ)
-import inference_api.__main__, inference_api.routes.sample, inference_api.models
+import inference_api.__main__, inference_api.routes.sample, inference_api.served_models
 from inference_api.app import create_app
 assert threading.active_count() == 1
 assert dict(os.environ) == before

@@ -9,7 +9,7 @@ import pytest
 from cspace.files import encode_png
 from cspace.simulator import Split
 from cspace.worlds import examples, simulator_of
-from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.world import Disc, KnownDiscs, Scenario
 from tests.inference_api.answers import assert_problem
 

@@ -164,8 +164,10 @@ def test_bytes_of_bodies_are_given_back() -> None:
         await send({"type": "http.response.start", "status": 200, "headers": []})
 
     async def scenario() -> list[int]:
-        limited = LimitRequests(app, 4, 30.0)
-        return [(await _through(limited, [], bytes(limits.MAX_BODY_BYTES)))[0]["status"] for _ in range(10)]
+        transport = httpx.ASGITransport(LimitRequests(app, 4))
+        async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as client:
+            body = bytes(limits.MAX_BODY_BYTES)
+            return [(await client.post("/", content=body)).status_code for _ in range(10)]
 
     assert asyncio.run(scenario()) == [200] * 10
 

@@ -9,7 +9,7 @@ from cspace.bundle import Bundle
 from cspace.bundle.files import SPEC_FILE
 from cspace.simulator import Split, scenario_rng
 from cspace.worlds import checker_of, examples, picture_of, simulator_of
-from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.simulator import render
 from inference_api.settings import PRETRAINED_FOLDER, further_folders
 from tests.scenarios import random_scenarios

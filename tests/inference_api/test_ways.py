@@ -8,7 +8,7 @@ import pytest
 from cspace.files import encode_png
 from cspace.simulator import Split
 from cspace.worlds import examples, simulator_of
-from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.world import Disc, Scenario
 from tests.bundles import write_tiny_bundle
 from tests.inference_api.conftest import CountingRegistry, api_over, stock

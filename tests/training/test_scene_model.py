@@ -11,7 +11,7 @@ from cspace.errors import ConfigError
 from cspace.worlds import examples, usual_world
 from cspace.worlds.spatial.arm import Joint, Part, SerialArm, ready_rad
 from cspace.worlds.spatial.camera import DepthCamera, looking
-from cspace.worlds.spatial.checks import CollisionChecker
+from cspace.worlds.spatial.collision import CollisionChecker
 from cspace.worlds.spatial.obstacles import Obstacles
 from cspace.worlds.spatial.poses import Frame
 from cspace.worlds.spatial.view import DepthView

@@ -11,7 +11,7 @@ from cspace.bundle import Bundle
 from cspace.query import SampleQuery
 from cspace.simulator import Split
 from cspace.worlds import picture_file_of, picture_of, robot_digest, simulator_of
-from cspace.worlds.spatial.checks import CollisionChecker
+from cspace.worlds.spatial.collision import CollisionChecker
 from cspace.worlds.spatial.obstacles import Obstacles
 from cspace.worlds.spatial.world import shipped, usual
 from services.planner.samples import SamplingClient

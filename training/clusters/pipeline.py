@@ -24,7 +24,7 @@ from training.config import CLUSTERS_FILE, TrainConfig
 from training.data.generate import generate
 from training.jobs.job import BUNDLE_FOLDER, Job, JobResult, kept_bundle, registered_name, world_tag
 from training.jobs.launch import TrialOutcome, run_trials
-from training.jobs.trainables import VAE, VALIDITY, family_trial, has_occupancy, picture_trial
+from training.jobs.trials import VAE, VALIDITY, family_trial, has_occupancy, picture_trial
 from training.models.autoencoders import encode, load_encoder, shown
 from training.models.data import TrainingArrays
 from training.models.families import family

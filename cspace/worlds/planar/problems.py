@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from cspace.errors import ScenarioError
 from cspace.simulator import NARROW, UNIFORM, Problem, Split, scenario_rng
 from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
-from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.world import DiscScenes, Scenario, Scenes
 
 

@@ -26,7 +26,7 @@ from cspace.simulator import (
 from cspace.world import Image, Scene, World
 from cspace.worlds.planar.arm import PlanarArm
 from cspace.worlds.planar.camera import Camera, Length, Place
-from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.problems import (
     Family,
     PathFinder,

@@ -167,7 +167,7 @@ class KnownDiscs:
     def free(
         self, configurations: NDArray[np.floating], check_cancelled: CheckCancelled = lambda: None
     ) -> NDArray[np.bool_]:
-        """Which of (N, d) rad touch no disc: those that :mod:`cspace.worlds.planar.checks` finds free."""
+        """Which of (N, d) rad touch no disc: those that :mod:`cspace.worlds.planar.collision` finds free."""
         joints = self.arm.joint_positions_m(configurations)
         found = np.ones(len(joints), dtype=np.bool_)
         # One by one: all at once would take 100 MB.

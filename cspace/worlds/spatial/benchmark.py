@@ -19,7 +19,7 @@ from cspace.simulator import Problem, ProblemRequest, Split, UnseenPolicy
 from cspace.world import Image, World
 from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.bodies import distance_m
-from cspace.worlds.spatial.checks import CollisionChecker, seen_checkers
+from cspace.worlds.spatial.collision import CollisionChecker, seen_checkers
 from cspace.worlds.spatial.furniture import FAMILIES, GoalRegion, Layout
 from cspace.worlds.spatial.mesh_checker import Description, MeshChecker, RobotMeshes, panda_urdf
 from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles

@@ -8,7 +8,7 @@ from scipy.ndimage import distance_transform_edt
 
 from cspace.kernel_cache import njit
 from cspace.worlds.spatial.bodies import NO_BODIES
-from cspace.worlds.spatial.checks import CollisionChecker, world_checkers
+from cspace.worlds.spatial.collision import CollisionChecker, world_checkers
 from cspace.worlds.spatial.kinematics import arm_arrays, link_frames_into, points_into, sphere_centres_batch
 from cspace.worlds.spatial.sensor import FREE
 from cspace.worlds.spatial.visibility import distances_m

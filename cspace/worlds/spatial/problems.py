@@ -12,7 +12,7 @@ from cspace.planning.rrt_connect import Growth, grow_connect
 from cspace.simulator import Proposals, Split, near_contact, scenario_rng
 from cspace.worlds.spatial.arm import SerialArm, ready_rad
 from cspace.worlds.spatial.bodies import distance_m
-from cspace.worlds.spatial.checks import CollisionChecker
+from cspace.worlds.spatial.collision import CollisionChecker
 from cspace.worlds.spatial.furniture import GoalRegion, Layout, SpatialScenes
 from cspace.worlds.spatial.kinematics import Solving, solve_pose
 from cspace.worlds.spatial.obstacles import Obstacles

@@ -19,7 +19,7 @@ from cspace.worlds.spatial.bodies import (
     points_to_bodies,
     write_body,
 )
-from cspace.worlds.spatial.checks import KERNELS, scene_arrays
+from cspace.worlds.spatial.collision import KERNELS, scene_arrays
 from cspace.worlds.spatial.kinematics import arm_arrays, sphere_centres_batch
 from cspace.worlds.spatial.obstacles import Obstacles, kernel_row
 from cspace.worlds.spatial.planning_scene import Attached, Body, BoxShape, PlanningScene

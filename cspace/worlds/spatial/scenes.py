@@ -11,7 +11,7 @@ from cspace.simulator import Split, scenario_rng
 from cspace.worlds.spatial.arm import SerialArm, ready_rad
 from cspace.worlds.spatial.bodies import clearance_m, distance_m
 from cspace.worlds.spatial.camera import DepthCamera, camera_place, looking, to_mm
-from cspace.worlds.spatial.checks import CollisionChecker
+from cspace.worlds.spatial.collision import CollisionChecker
 from cspace.worlds.spatial.furniture import (
     FAMILIES,
     Bins,

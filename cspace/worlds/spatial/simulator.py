@@ -26,7 +26,7 @@ from cspace.view_file import MAX_PICTURES
 from cspace.world import Image, Scene, World
 from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.camera import MAX_FIELD_DEG, MIN_FIELD_DEG, DepthCamera, looking
-from cspace.worlds.spatial.checks import CollisionChecker, group_hits
+from cspace.worlds.spatial.collision import CollisionChecker, group_hits
 from cspace.worlds.spatial.furniture import FAMILIES
 from cspace.worlds.spatial.obstacles import MAX_OBSTACLES, Box, Cylinder, Obstacles, obstacles_of, rows_of
 from cspace.worlds.spatial.poses import Pose, make_pose, pose_of, turned, vector

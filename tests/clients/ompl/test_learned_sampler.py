@@ -8,7 +8,7 @@ from ompl import util as ou
 
 from cspace.worlds import picture_file_of
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.world import Disc, Scenario
 from cspace_client import JointSpace, PlanningError, SampleBatch
 from cspace_client.ompl import LearnedSampler, Problem, learned_sampler

@@ -13,7 +13,7 @@ from cspace.worlds.planar.simulator import render
 from cspace.worlds.planar.world import Disc, Scenario
 from cspace.worlds.spatial.arm import ready_rad
 from cspace.worlds.spatial.bodies import distance_m
-from cspace.worlds.spatial.checks import CollisionChecker
+from cspace.worlds.spatial.collision import CollisionChecker
 from cspace.worlds.spatial.furniture import block
 from cspace.worlds.spatial.obstacles import Obstacles
 

@@ -5,7 +5,7 @@ import pytest
 
 from cspace.planning.rrt_connect import Growth, grow_connect
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.world import Scenario
 
 RANGE_RAD, RESOLUTION_RAD = 0.5, 0.05

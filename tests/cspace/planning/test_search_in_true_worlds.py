@@ -11,7 +11,7 @@ from cspace.simulator import Split
 from cspace.worlds import examples
 from cspace.worlds.spatial.benchmark import problems, with_benchmark_limits
 from cspace.worlds.spatial.bodies import distance_m
-from cspace.worlds.spatial.checks import CollisionChecker, world_checkers
+from cspace.worlds.spatial.collision import CollisionChecker, world_checkers
 from cspace.worlds.spatial.furniture import FAMILIES, SpatialScenes
 from cspace.worlds.spatial.problems import PathLimits, draw_problem
 

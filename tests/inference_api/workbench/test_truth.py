@@ -10,7 +10,7 @@ import pytest
 
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.camera import decode_png
-from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.simulator import render
 from cspace.worlds.planar.world import Disc, Scenario
 from tests.inference_api.answers import assert_problem

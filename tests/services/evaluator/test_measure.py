@@ -12,7 +12,7 @@ from cspace.simulator import Problem, Split
 from cspace.worlds import examples, simulator_of
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.camera import Camera
-from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.problems import Family, draw_problem
 from cspace.worlds.planar.world import Disc, PlanarWorld, Scenario
 from services.evaluator.evaluation import (

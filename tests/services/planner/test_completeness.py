@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cspace.simulator import Split
-from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.problems import Family, draw_problem
 from services.planner.ompl_planner import solve
 from services.planner.result import LEARNED_PLANNERS, RRT, RRT_STAR, PlannerSettings

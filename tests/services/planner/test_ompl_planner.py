@@ -6,9 +6,9 @@ from scipy.stats import mannwhitneyu
 
 from cspace.errors import PlanningError
 from cspace.simulator import Problem
-from cspace.worlds.planar import checks
+from cspace.worlds.planar import collision
 from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.problems import Family
 from cspace.worlds.planar.world import Scenario
 from services.planner.ompl_planner import solve
@@ -103,7 +103,7 @@ def test_rrt_star_that_goes_on_minimises_the_torus_length(make_problem):
 
 
 def test_a_path_that_the_planner_believes_in_is_still_checked(disconnected, monkeypatch):
-    monkeypatch.setattr(checks.KERNELS, "checked_edge", lambda *_: (True, 1))
+    monkeypatch.setattr(collision.KERNELS, "checked_edge", lambda *_: (True, 1))
     result = solve(disconnected, SETTINGS)
     assert (result.solved, result.reason, len(result.path)) == (False, Reason.REJECTED, 0)
     # The search begins again with what is left of its limits.
@@ -145,7 +145,7 @@ def test_samples_that_do_not_fit_are_an_error(blocked, samples):
 
 def test_an_error_in_a_callback_reaches_the_caller_and_the_next_solve_works(blocked, monkeypatch, capfd):
     with monkeypatch.context() as patch:
-        patch.setattr(checks.KERNELS, "checked_edge", lambda *_: 1 / 0)
+        patch.setattr(collision.KERNELS, "checked_edge", lambda *_: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             solve(blocked, SETTINGS)
     assert solve(blocked, SETTINGS, np.empty((0, 2))).solved

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import mannwhitneyu
 
 from cspace.query import AlternativePath
-from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.collision import CollisionChecker
 from services.planner.ompl_planner import solve, solve_with_paths
 from services.planner.result import RRT_CONNECT, SAMPLED_CONNECT, PlannerSettings
 

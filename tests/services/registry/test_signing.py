@@ -9,8 +9,8 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from cspace.bundle import Bundle
 from cspace.errors import BundleIntegrityError, ConfigError, ServiceError
-from inference_api.models import ModelStore
 from inference_api.problems import ModelNotReadyError
+from inference_api.served_models import ModelStore
 from inference_api.settings import ApiSettings
 from services.registry import promotion, signing
 from services.registry.entities import ModelReference, ModelVersion

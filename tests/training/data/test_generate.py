@@ -9,7 +9,7 @@ from cspace.dataset import open_dataset
 from cspace.errors import DamagedFileError, DatasetError, StorageError
 from cspace.worlds import simulator_of
 from cspace.worlds.planar.arm import PlanarArm
-from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.world import Disc, Scenario
 from cspace.worlds.spatial.obstacles import obstacles_of
 from cspace.worlds.spatial.scenes import SpatialScene
@@ -19,7 +19,7 @@ from training.data import generate as module
 from training.data.config import DatasetConfig
 from training.data.configurations import ConfigurationRecipe
 from training.data.generate import generate, save_shard
-from training.jobs.trainables import grid_samples
+from training.jobs.trials import grid_samples
 
 SMALL = DatasetConfig(
     seed=3,

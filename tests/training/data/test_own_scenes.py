@@ -11,7 +11,7 @@ import pytest
 from cspace.dataset import open_dataset
 from cspace.simulator import Split
 from cspace.worlds import simulator_of
-from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.world import DiscScenes, GivenScenes, Scenario
 from training.data.__main__ import main
 

@@ -6,7 +6,7 @@ import pytest
 from cspace.dataset import open_dataset
 from cspace.errors import DatasetError, ScenarioError
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
-from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.problems import FINE_CELLS, NARROW_RAD, FreeGrid
 from cspace.worlds.planar.simulator import render
 from cspace.worlds.planar.world import Disc, Scenario

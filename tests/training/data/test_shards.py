@@ -4,7 +4,7 @@ import pytest
 from cspace.errors import DatasetError
 from cspace.simulator import Split
 from cspace.worlds.planar.arm import THREE_LINK, PlanarArm
-from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.simulator import render
 from cspace.worlds.planar.world import Scenario
 from tests.capsules import self_clearance_by_hand

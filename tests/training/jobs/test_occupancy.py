@@ -12,7 +12,7 @@ from cspace.worlds.planar.world import PlanarWorld
 from tests.training.models.builders import run, save
 from training.clusters.bundling import head_graphs
 from training.config import GridConfig, HeadConfig, ValidityConfig
-from training.jobs.trainables import has_occupancy, head_module, occupancy_samples
+from training.jobs.trials import has_occupancy, head_module, occupancy_samples
 from training.models.checkpoint import load_scene_model
 
 HEAD = ValidityConfig()

@@ -7,7 +7,7 @@ import torch
 from cspace.simulator import Split
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.camera import Camera
-from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.simulator import render
 from cspace.worlds.planar.world import PlanarWorld
 from tests.scenarios import random_scenarios

@@ -3,6 +3,14 @@
 ``cspace_client.wire`` holds the fields of requests and answers. ``cspace_client.ompl`` plans with OMPL.
 """
 
+from cspace_client.answers import (
+    Belief,
+    Diagnosis,
+    FoundPlan,
+    JointSpace,
+    Predictions,
+    SampleBatch,
+)
 from cspace_client.client import DEFAULT_TIMEOUT_S, SamplingClient
 from cspace_client.errors import (
     ClientError,
@@ -14,14 +22,6 @@ from cspace_client.errors import (
     SamplerUnavailableError,
 )
 from cspace_client.known import Known
-from cspace_client.models import (
-    Belief,
-    Diagnosis,
-    FoundPlan,
-    JointSpace,
-    Predictions,
-    SampleBatch,
-)
 from cspace_client.outcomes import OutcomeSender
 from cspace_client.pictures import DepthPictures, Picture, PlanarPicture
 from cspace_client.wire import MAX_SAMPLES, Contact, ModelInfo, PictureWarning, PlanQuery, SampleQuery

@@ -12,14 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import ValidationError
 
-from cspace_client.errors import (
-    ConfigError,
-    SamplerAnswerError,
-    SamplerError,
-    SamplerModelError,
-    SamplerUnavailableError,
-)
-from cspace_client.models import (
+from cspace_client.answers import (
     Belief,
     Diagnosis,
     FoundPlan,
@@ -28,6 +21,13 @@ from cspace_client.models import (
     SampleBatch,
     as_query,
     seeded,
+)
+from cspace_client.errors import (
+    ConfigError,
+    SamplerAnswerError,
+    SamplerError,
+    SamplerModelError,
+    SamplerUnavailableError,
 )
 from cspace_client.pictures import NPY, Part, Picture, form_of, npy_file, shown
 from cspace_client.wire import PlanQuery, Problem, SampleAnswer, SampleQuery

@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 from ompl import base as ob
 from ompl import geometric as og
 
+from cspace_client.answers import Joints, JointSpace, SampleBatch, as_query, circles, seeded
 from cspace_client.client import SamplingClient
 from cspace_client.errors import ConfigError, PlanningError
-from cspace_client.models import Joints, JointSpace, SampleBatch, as_query, circles, seeded
 from cspace_client.pictures import Picture
 from cspace_client.wire import SampleQuery
 

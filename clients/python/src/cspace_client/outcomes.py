@@ -8,7 +8,7 @@ from typing import Any, Self
 
 import httpx
 
-from cspace_client.models import FoundPlan, SampleBatch
+from cspace_client.answers import FoundPlan, SampleBatch
 from cspace_client.wire import MAX_OUTCOMES, OutcomesRequest, PlanOutcome, SamplesOutcome
 
 MAX_WAITING = 10_000

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from cspace.errors import ScenarioError
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
-from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.world import Disc, Scenario
 from tests.capsules import self_clearance_by_hand
 

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from cspace.planning.paths import spread_points
 from cspace.simulator import Split
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.problems import RESOLUTION_RAD, Family, PathFinder, draw_problem
 
 SPACE = TWO_LINK.space

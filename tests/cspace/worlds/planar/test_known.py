@@ -10,7 +10,7 @@ from cspace.files import encode_png
 from cspace.plan import Seen, search_paths
 from cspace.view_file import pack_view
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
-from cspace.worlds.planar.checks import CollisionChecker, seen_checkers
+from cspace.worlds.planar.collision import CollisionChecker, seen_checkers
 from cspace.worlds.planar.simulator import render
 from cspace.worlds.planar.world import Disc, KnownDiscs, PlanarWorld, Scenario
 

@@ -8,7 +8,7 @@ from cspace.errors import ScenarioError
 from cspace.simulator import Split
 from cspace.worlds import simulator_of
 from cspace.worlds.planar.arm import THREE_LINK
-from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.problems import FINE_CELLS, NARROW_RAD, Family, FreeGrid, draw_problem
 from cspace.worlds.planar.world import PlanarWorld
 

@@ -3,7 +3,7 @@ import pytest
 
 from cspace.simulator import Split
 from cspace.worlds.planar.arm import TWO_LINK
-from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.collision import CollisionChecker
 from tests.scenarios import random_scenarios
 
 COUNT = 1500

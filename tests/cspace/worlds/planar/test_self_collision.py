@@ -9,7 +9,7 @@ from cspace.errors import ScenarioError
 from cspace.simulator import Problem
 from cspace.worlds import robot_digest
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
-from cspace.worlds.planar.checks import CollisionChecker
+from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.world import PlanarWorld, Scenario
 from services.planner.ompl_planner import solve
 from services.planner.result import RRT_CONNECT, SAMPLED_CONNECT, PlannerSettings

@@ -6,7 +6,7 @@ import pytest
 from cspace.simulator import Split
 from cspace.worlds.spatial.arm import Joint, Part, SerialArm
 from cspace.worlds.spatial.bodies import clearance_m
-from cspace.worlds.spatial.checks import CollisionChecker
+from cspace.worlds.spatial.collision import CollisionChecker
 from cspace.worlds.spatial.furniture import SpatialScenes
 from cspace.worlds.spatial.kinematics import arm_arrays, self_distance_batch
 from cspace.worlds.spatial.obstacles import Box, Obstacles

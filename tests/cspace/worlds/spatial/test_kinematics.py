@@ -3,7 +3,7 @@ from math import pi
 import numpy as np
 
 from cspace.worlds.spatial.arm import Joint, Part, SerialArm
-from cspace.worlds.spatial.checks import CollisionChecker
+from cspace.worlds.spatial.collision import CollisionChecker
 from cspace.worlds.spatial.kinematics import (
     arm_arrays,
     link_frames_into,

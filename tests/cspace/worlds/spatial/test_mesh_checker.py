@@ -9,7 +9,7 @@ import pytest
 from cspace.simulator import Split
 from cspace.worlds.spatial.arm import Joint, Part, SerialArm
 from cspace.worlds.spatial.benchmark import problems
-from cspace.worlds.spatial.checks import CollisionChecker
+from cspace.worlds.spatial.collision import CollisionChecker
 from cspace.worlds.spatial.mesh_checker import Description, RobotMeshes
 from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles
 from cspace.worlds.spatial.poses import Frame, pose_of

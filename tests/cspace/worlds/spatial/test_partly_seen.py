@@ -8,7 +8,7 @@ import pytest
 from cspace.simulator import ProblemRequest, Split, UnseenPolicy
 from cspace.worlds import checker_of, examples, partly_seen, picture_file_of, picture_of
 from cspace.worlds.spatial.benchmark import level_face
-from cspace.worlds.spatial.checks import CollisionChecker
+from cspace.worlds.spatial.collision import CollisionChecker
 from cspace.worlds.spatial.visibility import lookup
 
 REQUEST = ProblemRequest(Split.VALIDATION)

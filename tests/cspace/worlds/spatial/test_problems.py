@@ -5,7 +5,7 @@ import pytest
 
 from cspace.simulator import Split
 from cspace.worlds.spatial import problems
-from cspace.worlds.spatial.checks import CollisionChecker
+from cspace.worlds.spatial.collision import CollisionChecker
 from cspace.worlds.spatial.furniture import FAMILIES, SpatialScenes
 from cspace.worlds.spatial.problems import CONE_RAD, KINDS, PathLimits, draw_problem
 from tests.cspace.worlds.spatial.test_robots import PANDA, READY, UR5

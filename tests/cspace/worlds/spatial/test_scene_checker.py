@@ -15,7 +15,7 @@ from cspace.view_file import MAX_TRIANGLES, pack_view, unpack_view
 from cspace.worlds import examples, partly_seen
 from cspace.worlds.spatial.arm import ready_rad
 from cspace.worlds.spatial.bodies import points_to_bodies
-from cspace.worlds.spatial.checks import CollisionChecker
+from cspace.worlds.spatial.collision import CollisionChecker
 from cspace.worlds.spatial.obstacles import Obstacles
 from cspace.worlds.spatial.planning_scene import read_planning_scene, read_stl
 from cspace.worlds.spatial.scene_checker import SceneChecker, bodies_of, cover

@@ -10,7 +10,7 @@ from cspace.planning.rrt_connect import Growth, grow_connect
 from cspace.simulator import Split
 from cspace.space import circles
 from cspace.worlds.spatial.arm import Joint, Part, SerialArm
-from cspace.worlds.spatial.checks import CollisionChecker
+from cspace.worlds.spatial.collision import CollisionChecker
 from cspace.worlds.spatial.furniture import SpatialScenes, block
 from cspace.worlds.spatial.obstacles import Obstacles
 from cspace.worlds.spatial.poses import Frame

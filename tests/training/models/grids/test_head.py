@@ -11,7 +11,7 @@ from cspace.bundle.runtime import Graph
 from cspace.errors import ConfigError
 from cspace.worlds import default_world, examples
 from cspace.worlds.spatial.arm import grouped, ready_rad
-from cspace.worlds.spatial.checks import CollisionChecker
+from cspace.worlds.spatial.collision import CollisionChecker
 from cspace.worlds.spatial.obstacles import Obstacles
 from cspace.worlds.spatial.visibility import lookup
 from cspace.worlds.spatial.world import shipped, usual

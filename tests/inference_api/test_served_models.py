@@ -14,9 +14,9 @@ from cspace.bundle import Bundle
 from cspace.errors import CspaceError, ModelNotFoundError, RegistryError, StorageError
 from cspace.files import encode_png
 from cspace.view_file import View
-from inference_api.models import BundleFolders, ModelStore
 from inference_api.pictures import PictureCache
 from inference_api.problems import ModelNotReadyError
+from inference_api.served_models import BundleFolders, ModelStore
 from inference_api.settings import ApiSettings
 from services.registry.entities import ModelReference, ModelVersion
 from tests.bundles import picture
@@ -297,7 +297,7 @@ def test_a_slow_download_delays_neither_the_champion_nor_what_is_in_memory(
     slow.set_alias(MODEL, "champion", 3)
     store.refresh()
     assert (served(store), served(store, f"{MODEL}/1")) == ((MODEL, 3), (MODEL, 1))
-    monkeypatch.setattr("inference_api.models.LOAD_WAIT_S", 0.1)
+    monkeypatch.setattr("inference_api.served_models.LOAD_WAIT_S", 0.1)
     with pytest.raises(ModelNotReadyError, match="being loaded"):
         served(store, f"{MODEL}/2")
     free.set()
