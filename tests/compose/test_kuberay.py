@@ -156,15 +156,3 @@ def test_the_api_asks_for_keys() -> None:
     (api,) = (container for container in containers() if container["name"] == "inference-api")
     assert "--allow-unauthenticated" not in api["command"]
     assert "CSPACE_API_KEYS_FILE" in {setting["name"] for setting in api["env"]}
-
-
-def test_probes_ask_by_a_name_that_the_server_answers():
-    paths = [
-        container[kind]["httpGet"]
-        for container in containers()
-        for kind in ("livenessProbe", "readinessProbe")
-        if container.get(kind, {}).get("httpGet", {}).get("path", "").startswith("/health")
-    ]
-    assert paths
-    for one in paths:
-        assert one["httpHeaders"] == [{"name": "Host", "value": "localhost"}]
