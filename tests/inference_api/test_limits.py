@@ -162,6 +162,7 @@ def test_bytes_of_bodies_are_given_back() -> None:
     async def app(scope: Scope, receive: Receive, send: Send) -> None:
         await receive()
         await send({"type": "http.response.start", "status": 200, "headers": []})
+        await send({"type": "http.response.body"})
 
     async def scenario() -> list[int]:
         transport = httpx.ASGITransport(LimitRequests(app, 4))
