@@ -59,7 +59,7 @@ def test_the_handshake_needs_the_token_the_host_and_the_origin(page: Page) -> No
     assert status_of(page) == 101
     assert status_of(page, origin=place) == 101
     assert status_of(page, place) == 403
-    assert status_of(page, f"{page.address[:-2]}x/") == 403
+    assert status_of(page, f"{page.address[:-1]}x/") == 403
     assert status_of(page, origin="http://evil.example") == 403
     assert status_of(page, origin=f"{place}0") == 403
     # A name that was made to mean 127.0.0.1.
