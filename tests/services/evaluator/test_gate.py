@@ -105,6 +105,13 @@ def test_recorded_champions_may_be_better_by_the_margin_alone(change, promoted):
     assert "of the" in reason(verdict, "recorded of version 3")
 
 
+@pytest.mark.parametrize(("change", "promoted"), [(1.0, True), (-1.0, False)])
+def test_a_champion_with_a_smaller_edr_is_better(change, promoted):
+    case = first(lambda case, found: found["promoted"] and not case.path and not case.rivals)
+    edr = evaluated(case).estimate("edr", "sampler", "uniform").estimate
+    assert judged(case, recorded=(Champion(3, {"edr": edr + change}),)).promoted is promoted
+
+
 def test_what_a_champion_has_and_the_version_was_not_measured_by_is_a_refusal():
     case = first(lambda case, found: found["promoted"] and not case.path and not case.rivals)
     case = replace(case, ours=[row for row in case.ours if row[0] != "planning"])
