@@ -211,34 +211,29 @@ def posed(api: ApiClient, matrix: NDArray[np.float64], **fields: str) -> httpx.R
     return ask(api, "/validity", [PICTURE], [camera], **asked)
 
 
+def off(pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Ten degrees off."""
+    return make_pose(turn((0.0, 0.0, 1.0), np.radians(10)) @ pose[:3, :3], pose[:3, 3])
+
+
 @pytest.mark.parametrize(
-    ("cause", "turned"),
+    ("turned", "words"),
     [
-        ("inverted-pose", np.linalg.inv),
-        ("opengl-frame", lambda pose: pose @ np.diag([1.0, -1.0, -1.0, 1.0])),
-        ("quaternion-order", order_wxyz),
-        (
-            "elsewhere",
-            lambda pose: make_pose(turn((0.0, 0.0, 1.0), np.radians(10)) @ pose[:3, :3], pose[:3, 3]),
-        ),
+        (np.linalg.inv, "base in the camera"),
+        (lambda pose: pose @ np.diag([1.0, -1.0, -1.0, 1.0]), "OpenGL"),
+        (order_wxyz, "quaternion"),
+        (off, "arm-elsewhere"),
     ],
 )
 def test_a_pose_by_which_the_arm_is_elsewhere_is_refused_with_its_cause(
-    api: ApiClient, cause: str, turned: Any
+    api: ApiClient, turned: Any, words: str
 ) -> None:
-    words = {
-        "inverted-pose": "base in the camera",
-        "opengl-frame": "OpenGL",
-        "quaternion-order": "quaternion",
-        "elsewhere": "arm-elsewhere",
-    }
     problem = assert_problem(posed(api, turned(CAMERA.matrix)), 422, "invalid-image")
-    assert words[cause] in json.dumps(problem)
+    assert words in json.dumps(problem)
 
 
 def test_a_right_pose_is_answered_and_a_wrong_one_where_it_is_not_checked(api: ApiClient) -> None:
     assert posed(api, CAMERA.matrix).status_code == 200
-    turned = make_pose(turn((0.0, 0.0, 1.0), np.radians(10)) @ CAMERA.matrix[:3, :3], CAMERA.matrix[:3, 3])
-    answer = posed(api, turned, check_pose="false")
+    answer = posed(api, off(CAMERA.matrix), check_pose="false")
     assert answer.status_code == 200
     assert "arm-elsewhere" in codes(answer.json())

@@ -106,12 +106,6 @@ def test_json_of_other_languages_is_taken(api: ApiClient) -> None:
         assert answer.status_code == 200, answer.text
 
 
-def test_several_wrong_fields_are_all_reported(api: ApiClient) -> None:
-    answer = api.post("/sample", json={"n": 0, "seed": -1, "colour": 1})
-    problem = assert_problem(answer, 422, "invalid-value")
-    assert {item["field"] for item in problem["errors"]} == {"image", "n", "seed", "colour"}
-
-
 def claimed_size(width: int, height: int) -> bytes:
     """A PNG whose header claims a size that its data does not have."""
     header = b"IHDR" + struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
@@ -132,28 +126,6 @@ IMAGES = {
 @pytest.mark.parametrize("name", IMAGES)
 def test_a_picture_that_is_not_acceptable_is_422(api: ApiClient, name: str) -> None:
     assert_problem(api.post("/sample", files={"image": IMAGES[name]}), 422, "invalid-image")
-    assert_answers(api)
-
-
-MALFORMED = {
-    "empty": b"",
-    "open": b'{"image": ',
-    "not UTF-8": b'{"image": "\xff"}',
-    "list": b"[]",
-    "null": b"null",
-    "NaN": b'{"n": NaN}',
-    "deep value": b'{"start": ' + b"[" * 100_000 + b"]" * 100_000 + b"}",
-    "endless number": b'{"n": ' + b"9" * 10_000 + b"}",
-    "UTF-16": '{"n": 3}'.encode("utf-16"),
-    "after the end": b"{} {}",
-    "half a surrogate pair": b'{"model": "\\ud800"}',
-}
-
-
-@pytest.mark.parametrize("name", MALFORMED)
-def test_a_body_that_is_no_json_object_is_400(api: ApiClient, name: str) -> None:
-    answer = api.post("/sample", content=MALFORMED[name], headers=JSON)
-    assert_problem(answer, 400, "malformed-body")
     assert_answers(api)
 
 
@@ -253,6 +225,19 @@ def test_a_bound_is_met_and_not_passed(api: ApiClient, name: str) -> None:
     assert_problem(posted(api, BOUNDS[name](1) + END), 400, "malformed-body")
 
 
+NO_OBJECT = {
+    "empty": b"",
+    "open": b'{"image": ',
+    "not UTF-8": b'{"image": "\xff"}',
+    "list": b"[]",
+    "null": b"null",
+    "NaN": b'{"n": NaN}',
+    "deep value": b'{"start": ' + b"[" * 100_000 + b"]" * 100_000 + b"}",
+    "endless number": b'{"n": ' + b"9" * 10_000 + b"}",
+    "UTF-16": '{"n": 3}'.encode("utf-16"),
+    "after the end": b"{} {}",
+    "half a surrogate pair": b'{"model": "\\ud800"}',
+}
 TORN = {
     "something before": b"x" + part(b"1") + END,
     "another boundary": part(b"1").replace(b"--b", b"--c") + b"--c--\r\n",
@@ -260,17 +245,17 @@ TORN = {
     "garbage": bytes(range(256)) + END,
     "array that is no JSON": part(b"[0, 1", b'form-data; name="start"') + END,
 }
+MALFORMED = [
+    *(("application/json", body) for body in NO_OBJECT.values()),
+    *((FORM, body) for body in TORN.values()),
+    *((f"multipart/form-data{option}", END) for option in ("", '; boundary=""', "; boundary=\xfc")),
+]
 
 
-@pytest.mark.parametrize("name", TORN)
-def test_a_form_that_is_torn_is_400(api: ApiClient, name: str) -> None:
-    assert_problem(posted(api, TORN[name]), 400, "malformed-body")
+@pytest.mark.parametrize(("content_type", "body"), MALFORMED, ids=range(len(MALFORMED)))
+def test_a_malformed_body_is_400(api: ApiClient, content_type: str, body: bytes) -> None:
+    assert_problem(posted(api, body, content_type), 400, "malformed-body")
     assert_answers(api)
-
-
-def test_a_form_without_a_boundary_is_400(api: ApiClient) -> None:
-    for option in ("", '; boundary=""', "; boundary=\xfc"):
-        assert_problem(posted(api, END, f"multipart/form-data{option}"), 400, "malformed-body")
 
 
 def chunks(total: int) -> Iterator[bytes]:

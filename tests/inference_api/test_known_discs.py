@@ -70,12 +70,6 @@ def test_the_model_sees_known_discs(api):
     assert ask(api, "/sample", n=50, scene=[]).json()["samples"] == plain["samples"]
 
 
-def test_a_form_says_the_same(api):
-    answer = ask(api, "/sample", n=50, scene=[POLE]).json()
-    data = {"n": "50", "seed": "7", "scene": json.dumps([POLE])}
-    assert api.post("/sample", files={"image": PNG}, data=data).json()["samples"] == answer["samples"]
-
-
 def test_what_touches_a_known_disc_has_no_confidence_and_is_told_why(api):
     rows = WORLD.space.sample_uniform(np.random.default_rng(1), 60)
     answer = validity(api, rows, scene=[POLE], explain=True).json()

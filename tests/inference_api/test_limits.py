@@ -158,21 +158,6 @@ def test_one_client_takes_neither_all_places_nor_all_bytes_and_gives_back_what_i
     assert asyncio.run(scenario()) == [503, 503] + [500] * 4 + [500] * 3
 
 
-def test_bytes_of_bodies_are_given_back() -> None:
-    async def app(scope: Scope, receive: Receive, send: Send) -> None:
-        await receive()
-        await send({"type": "http.response.start", "status": 200, "headers": []})
-        await send({"type": "http.response.body"})
-
-    async def scenario() -> list[int]:
-        transport = httpx.ASGITransport(LimitRequests(app, 4))
-        async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as client:
-            body = bytes(limits.MAX_BODY_BYTES)
-            return [(await client.post("/", content=body)).status_code for _ in range(10)]
-
-    assert asyncio.run(scenario()) == [200] * 10
-
-
 class Computing:
     """An app whose one route computes until the test lets it go, and asks its place now and then."""
 

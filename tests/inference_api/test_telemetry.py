@@ -1,6 +1,5 @@
 """What metrics, log and traces say after known requests."""
 
-import asyncio
 import json
 import logging
 import sys
@@ -11,14 +10,13 @@ from urllib.parse import quote
 
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
-from starlette.types import Message, Receive, Scope, Send
 
 from cspace.bundle import Bundle
 from cspace.errors import ConfigError
 from inference_api.app import create_app
 from inference_api.problems import PROBLEMS
 from inference_api.settings import ApiSettings
-from inference_api.telemetry import SECURITY_HEADERS, JsonFormatter, Metrics, Telemetry
+from inference_api.telemetry import SECURITY_HEADERS, JsonFormatter
 from tests.inference_api.answers import PNG, assert_answers, assert_problem
 from tests.inference_api.client import ApiClient
 from tests.inference_api.conftest import StartApi
@@ -243,30 +241,6 @@ def test_every_answer_has_the_security_headers(api: ApiClient) -> None:
         answer = api.get(path)
         assert answer.status_code == status
         assert {name: answer.headers.get(name) for name in SECURITY_HEADERS} == SECURITY_HEADERS
-
-
-def test_a_request_that_is_cancelled_is_answered_and_stays_cancelled() -> None:
-    sent: list[Message] = []
-
-    async def waiting(scope: Scope, receive: Receive, send: Send) -> None:
-        await asyncio.Event().wait()
-
-    async def send(message: Message) -> None:
-        sent.append(message)
-
-    async def receive() -> Message:
-        return {"type": "http.request"}
-
-    async def scenario() -> None:
-        scope = {"type": "http", "path": "/", "method": "GET", "headers": []}
-        task = asyncio.ensure_future(Telemetry(waiting, Metrics())(scope, receive, send))
-        await asyncio.sleep(0)
-        task.cancel()
-        await asyncio.wait([task])
-        assert task.cancelled()
-
-    asyncio.run(scenario())
-    assert sent[0]["status"] == 503
 
 
 def test_without_the_packages_of_traces_the_error_tells_what_to_install(

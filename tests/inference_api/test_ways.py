@@ -49,12 +49,6 @@ def test_samples_come_in_the_order_of_the_ways_and_say_which(api):
     assert ask(api).json()["samples"] == answer["samples"]
 
 
-def test_an_npy_holds_the_same_samples(api):
-    found = ask(api, headers={"Accept": "application/x-npy"})
-    samples = np.frombuffer(found.content[-50 * 8 :], dtype="<f4").reshape(50, 2)
-    assert np.allclose(samples, ask(api).json()["samples"], atol=1e-6)
-
-
 def test_the_ways_keep_clear_of_known_discs(api):
     plain = np.array(ask(api).json()["samples"])
     # On the first way, between its ends.

@@ -6,12 +6,11 @@ import sqlite3
 import stat
 import subprocess
 import sys
-import threading
 import time
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -34,6 +33,7 @@ from services.outcomes import (
     view_row,
 )
 from tests.fakes.registry import FakeTracking
+from tests.services.registry.strange_server import strange_server
 
 MIB = 2**20
 
@@ -184,29 +184,6 @@ def test_a_client_fills_its_share_and_no_more_and_nothing_confirmed_is_deleted(
     assert counts["space"] == 950 * (16 - sum(taken))
 
 
-class Clock(BaseHTTPRequestHandler):
-    """A registry whose clock is right."""
-
-    def do_GET(self):
-        self.send_response(200)
-        self.end_headers()
-
-    def date_time_string(self, timestamp=None):
-        return super().date_time_string(time.time_ns() / 1e9)
-
-    def log_message(self, *_):
-        pass
-
-
-@pytest.fixture
-def registry():
-    server = ThreadingHTTPServer(("127.0.0.1", 0), Clock)
-    threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}).start()
-    yield f"http://user:secret@127.0.0.1:{server.server_address[1]}"
-    server.shutdown()
-    server.server_close()
-
-
 def view(number, keep_s):
     kept = view_row("m/1", "robot", b"png", np.zeros((2, 2)), keep_s)
     return {"request_id": f"r{number}", "client": "one", **kept}
@@ -216,20 +193,22 @@ def views_in(folder):
     return [one for one in rows_in(folder) if one["kind"] == "view"]
 
 
-def test_kept_pictures_expire_by_a_clock_that_agrees_with_the_registrys(
-    spool, tmp_path, registry, monkeypatch
-):
+def test_kept_pictures_expire_by_a_clock_that_agrees_with_the_registrys(spool, tmp_path, monkeypatch):
     folder = tmp_path / "outcomes"
     assert spool.add([view(0, -10.0)])
     assert spool.add([view(1, 2 * 86_400.0)])
-    with monkeypatch.context() as patch:
-        patch.setattr(time, "time", lambda now=time.time: now() + 3 * 86_400)
-        assert not clock_agrees(registry)
-        assert spool.delete_expired(registry) == 0
-    assert len(views_in(folder)) == 2
     # While the registry is away nothing expires, for it does not say its time.
     assert spool.delete_expired("http://127.0.0.1:1") == 0
-    assert spool.delete_expired(registry) == 1
+    # The clock of this module alone: the server's stays right.
+    late = SimpleNamespace(**vars(time) | {"time": lambda: time.time() + 3 * 86_400})
+    with strange_server(200, b"") as uri:
+        registry = uri.replace("//", "//user:secret@")
+        with monkeypatch.context() as patch:
+            patch.setattr(outcomes, "time", late)
+            assert not clock_agrees(registry)
+            assert spool.delete_expired(registry) == 0
+        assert len(views_in(folder)) == 2
+        assert spool.delete_expired(registry) == 1
     assert len(views_in(folder)) == 1
 
 

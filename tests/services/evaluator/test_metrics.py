@@ -112,14 +112,6 @@ def test_energy_distance_equals_its_definition_without_self_pairs(rng):
     assert energy_distance(first, second, TORUS) == pytest.approx(2 * cross - sum(within))
 
 
-def test_coverage_goes_round_circles_and_not_round_limits():
-    held_out = np.array([[0.0, 0.0], [1.0, 1.0], [2.0, 2.0], [-1.0, 0.0]])
-    samples = np.array([[0.1, 0.1], [1.0, 1.19], [2.2, 2.2]])
-    assert covered(held_out, samples, TORUS, 0.2).tolist() == [True, True, False, False]
-    assert covered(np.array([[3.1, 2.95]]), np.array([[-3.1, 2.95]]), MIXED, 0.2).all()
-    assert not covered(np.array([[0.0, 2.95]]), np.array([[0.0, -2.95]]), MIXED, 0.2).any()
-
-
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 6), st.sampled_from([TORUS, MIXED]))
 def test_coverage_and_manifolds_equal_those_of_the_distance_matrix(seed, k, space):

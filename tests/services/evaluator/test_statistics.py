@@ -24,15 +24,6 @@ def test_the_mean_interval_is_near_the_normal_one_and_reproducible(rng):
     assert f"{mean_interval([0.5, 0.5], rng):.2f}" == "0.50 [0.50, 0.50]"
 
 
-def test_resampling_is_that_of_rows_drawn_by_the_generator():
-    values = np.random.default_rng(3).normal(size=30)
-    picks = np.random.default_rng(4).integers(0, 30, (4000, 30))
-    limits = np.quantile(values[picks].mean(axis=1), [0.025, 0.975])
-    found = mean_interval(values, np.random.default_rng(4))
-    assert (found.low, found.high) == pytest.approx(tuple(limits), abs=1e-12)
-    assert mean_interval([2.0], np.random.default_rng(4)).high == 2.0
-
-
 def test_pairs_and_rows_are_resampled_together(rng):
     # Large differences between scenarios cancel in the pairs.
     base = rng.normal(0.0, 10.0, 50)

@@ -11,18 +11,7 @@ from services.local.__main__ import main
 from services.local.stack import Settings, make_state
 
 pytestmark = pytest.mark.usefixtures("settings")
-COMMANDS = ("up", "down", "status", "demo", "quickstart", "arm", "clean-state", "env")
 ROOT = Path(__file__).parents[3]
-
-
-@pytest.mark.parametrize("command", [[], *([name] for name in COMMANDS)])
-def test_every_command_has_help_with_the_exit_codes(
-    command: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as raised:
-        main([*command, "--help"])
-    assert raised.value.code == 0
-    assert "Exit codes: 0 done" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("arguments", [[], ["fly"], ["up", "--fast"]])

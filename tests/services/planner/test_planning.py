@@ -26,21 +26,6 @@ def test_the_source_is_asked_once_for_the_picture_of_the_scenario(blocked):
     assert found.unavailable is None
 
 
-def test_the_planner_draws_the_samples_of_the_source(make_problem):
-    corner = FakeSampleSource(lambda rng, n: rng.uniform(0.0, 0.4, (n, 2)))
-    settings = PlannerSettings(goal_bias=0.0, max_iterations=60)
-    found = plan(make_problem(), corner, settings, SampleRequest(SampleQuery(60, 1)), 0.0, keep_tree=True)
-    assert found.result.learned_drawn == 60
-    assert found.result.tree is not None
-    assert found.result.tree.vertices.min() >= 0.0
-    assert found.result.tree.vertices.max() <= 0.4
-
-
-def test_a_refused_request_is_not_hidden_by_uniform_samples(blocked):
-    with pytest.raises(SamplerError, match="No such model"):
-        plan(blocked, FakeSampleSource(), SETTINGS, SampleRequest(SampleQuery(300, 3), "nobody/1"))
-
-
 def test_samples_of_another_robot_are_refused_by_name(blocked):
     source = FakeSampleSource(lambda rng, n: rng.uniform(-1, 1, (n, 3)))
     with pytest.raises(SamplerError, match=r"pretrained/0 are for another robot.*2 joints.*3"):

@@ -84,29 +84,23 @@ def test_a_damaged_version_is_not_promoted(registry: FakeRegistry, tmp_path: Pat
     assert decisions(registry, NAME) == ()
 
 
-def test_rolling_back_walks_down_the_row_of_champions(registry: FakeRegistry) -> None:
-    promote_all(registry, 1, 2, 3)
-    assert roll_back(registry, NAME, "worse in the field").version == 2
-    assert champion(registry) == 2
-    assert roll_back(registry, NAME, "that one as well").version == 1
-    with pytest.raises(ModelNotFoundError, match="rolled back"):
-        roll_back(registry, NAME, "and again")
-    assert champion(registry) == 1
-
-
 def tagged(registry: FakeRegistry) -> list[int]:
     """The versions that were rolled back from."""
     return [one.number for one in registry.versions(NAME) if TAG_ROLLED_BACK in one.tags]
 
 
-def test_the_version_that_was_left_bears_the_date_until_it_is_promoted_again(registry: FakeRegistry) -> None:
+def test_rolling_back_walks_down_the_row_of_champions_and_dates_those_that_were_left(
+    registry: FakeRegistry,
+) -> None:
     promote_all(registry, 1, 2, 3)
     assert tagged(registry) == []
-    roll_back(registry, NAME, "worse in the field")
-    today = datetime.now(UTC)
+    assert roll_back(registry, NAME, "worse in the field").version == 2
     left = datetime.fromisoformat(version(registry, 3).tags[TAG_ROLLED_BACK])
-    assert abs((today - left).total_seconds()) < 3600
-    roll_back(registry, NAME, "that one as well")
+    assert abs((datetime.now(UTC) - left).total_seconds()) < 3600
+    assert roll_back(registry, NAME, "that one as well").version == 1
+    with pytest.raises(ModelNotFoundError, match="rolled back"):
+        roll_back(registry, NAME, "and again")
+    assert champion(registry) == 1
     assert tagged(registry) == [3, 2]
     # Whatever makes a version champion takes the date off, and a refusal does not.
     decision = decisions_of(version(registry, 3))[-1]

@@ -1,18 +1,14 @@
 """No error of MLflow, requests, json or protobuf comes out of the adapters, whatever answers."""
 
-import errno
-import json
 import socket
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-import requests
 from mlflow.exceptions import MlflowException
 
 from cspace.bundle import Bundle
 from cspace.errors import (
-    CspaceError,
     ModelNotFoundError,
     RegistryError,
     RegistryUnavailableError,
@@ -107,24 +103,6 @@ def test_a_server_that_hangs_is_unavailable_when_the_patience_ends(
 ) -> None:
     with pytest.raises(RegistryUnavailableError):
         OPERATIONS[operation](ModelRegistry(silent_uri, timeout_s=0.2), tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("error", "expected"),
-    [
-        (MlflowException("gone", error_code=5), RegistryError),
-        (requests.ConnectionError("reset"), RegistryUnavailableError),
-        (requests.exceptions.ChunkedEncodingError("cut"), RegistryUnavailableError),
-        (OSError(errno.ENOSPC, "no space left"), StorageError),
-        (ImportError("no module named sqlalchemy"), RegistryError),
-        (json.JSONDecodeError("Expecting value", "<html>", 0), RegistryError),
-    ],
-)
-def test_each_kind_of_error_has_its_place_in_the_tree(error: Exception, expected: type[CspaceError]) -> None:
-    with pytest.raises(expected) as caught, mapped("trying"):
-        raise error
-    assert type(caught.value) is expected
-    assert caught.value.__cause__ is error
 
 
 def test_none_is_an_answer_only_in_a_lookup_and_errors_of_the_project_pass_unchanged() -> None:
