@@ -95,6 +95,7 @@ def test_a_risk_is_what_a_confidence_leaves(api):
     sure = ask(api).json()["confidence"]
     assert ask(api, max_risk=1.0 - sure + 1e-3).json()["status"] == "solved"
     refused = ask(api, max_risk=max(0.0, 1.0 - sure - 1e-3)).json()
+    assert f"{1.0 - sure:.3f}; " in refused["reason"]
     assert (refused["status"], refused["confidence"]) == ("refused", sure)
     problem = assert_problem(ask(api, max_risk=0.1, min_confidence=0.5), 422, "invalid-value")
     assert "max_risk" in problem["detail"]

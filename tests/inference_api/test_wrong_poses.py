@@ -1,7 +1,7 @@
 """Twenty scenes with the arm in view, sent to ``/plan`` as they are and with what users get wrong."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import count, islice
 
@@ -15,6 +15,8 @@ from cspace.worlds import examples
 from cspace.worlds.spatial.hypotheses import Request
 from cspace.worlds.spatial.poses import make_pose, turn
 from cspace.worlds.spatial.scenes import draw_scene
+from tests.cspace.worlds.spatial.test_diagnosis import order_wxyz
+from tests.inference_api.answers import assert_problem
 from tests.inference_api.client import ApiClient
 from tests.inference_api.test_bad_pictures import START, ask, camera_of
 
@@ -66,6 +68,24 @@ def test_right_poses_are_planned_as_without_the_check(panda_api: ApiClient, scen
         unchecked = planned(panda_api, seen, seen.pose, check_pose="false")
         assert checked.status_code == unchecked.status_code == 200
         assert checked.json()["status"] == unchecked.json()["status"]
+
+
+WRONG: dict[str, tuple[Callable[[Pose], Pose], str]] = {
+    "inverted-pose": (np.linalg.inv, "base in the camera"),
+    "opengl-frame": (lambda pose: pose @ np.diag([1.0, -1.0, -1.0, 1.0]), "OpenGL"),
+    "quaternion-order": (order_wxyz, "quaternion"),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cause", WRONG)
+def test_wrong_poses_are_refused_with_their_cause(
+    panda_api: ApiClient, scenes: list[Seen], cause: str
+) -> None:
+    make_wrong, words = WRONG[cause]
+    for seen in scenes:
+        problem = assert_problem(planned(panda_api, seen, make_wrong(seen.pose)), 422, "invalid-image")
+        assert words in json.dumps(problem)
 
 
 @pytest.mark.slow

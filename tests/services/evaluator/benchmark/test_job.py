@@ -89,6 +89,19 @@ def test_a_benchmark_leaves_table_report_figures_and_a_run(tmp_path, setting, ma
     assert any(line.startswith("logged as run") for line in lines)
 
 
+def test_what_is_done_is_not_run_again(tmp_path, setting, make_request):
+    lines = []
+
+    def stopped(*given):
+        yield next(run_here(*given))
+        raise KeyboardInterrupt
+
+    for _ in range(2):
+        with pytest.raises(KeyboardInterrupt):
+            run_benchmark(make_request(tmp_path, setting), stopped, lines.append)
+    assert ["3 units to do" in lines[0], "2 units to do" in lines[-1]] == [True, True], lines
+
+
 @pytest.mark.slow
 def test_a_benchmark_that_was_stopped_goes_on_and_ends_with_the_same_numbers(tmp_path, setting, make_request):
     whole = make_request(tmp_path / "whole", setting)
