@@ -33,14 +33,10 @@ def run_job(uri, data_folder, *overrides, preset="smoke"):
     return submit(uri, data_folder, "--preset", preset, *settings)
 
 
-def submit(uri, data_folder, *arguments, script="cluster_train.py"):
-    done = run_script(uri, data_folder, *arguments, script=script)
+def submit(uri, data_folder, *arguments):
+    done = run_alone(uri, data_folder, str(ROOT / "training" / "cluster_train.py"), *arguments)
     assert done.returncode == 0, done.stdout + done.stderr
     return json.loads(done.stdout.rpartition("RESULT ")[2].splitlines()[0])
-
-
-def run_script(uri, data_folder, *arguments, script="cluster_train.py"):
-    return run_alone(uri, data_folder, str(ROOT / "training" / script), *arguments)
 
 
 def bundle_of(uri, name, number, folder):
@@ -87,15 +83,17 @@ def test_the_parent_holds_configuration_data_pictures_and_source(result, client)
     assert pictures == set(result["figures"]) == {"samples-seen", "samples-unseen"}
 
 
-def test_the_bundle_is_the_challenger_with_its_lineage_and_samples(result, server, tmp_path):
+def test_the_bundle_is_the_challenger_with_its_lineage_and_samples(result, server, data_folder, tmp_path):
     registry = ModelRegistry(server)
     version = registry.by_alias(MODEL_NAME, ALIAS_CHALLENGER)
     assert (version.number, version.run_id) == (result["version"], result["run_id"])
     bundle = Bundle.load(registry.download(version, tmp_path / "bundle"))
     assert bundle.digest == version.digest == result["digest"]
     assert bundle.spec.provenance.data_digest == result["data_digest"]
-    samples = bundle.sample(WHITE, 10, 1, min_confidence=0.0).samples
-    assert samples.shape == (10, 2)
+    assert bundle.sample(WHITE, 10, 1, min_confidence=0.0).samples.shape == (10, 2)
+    folder = data_folder / "jobs" / result["run_id"]
+    assert json.loads((folder / "result.json").read_text()) == result
+    assert Bundle.load(folder / "bundle").digest == result["digest"]
 
 
 def test_an_encoder_trained_with_the_generator_makes_a_bundle_and_a_resumed_job_trains_nothing_twice(
@@ -149,9 +147,3 @@ def test_a_mixture_is_trained_on_a_data_set_of_ones_own(server, data_folder, tmp
     bundle = bundle_of(server, MODEL_NAME, made["version"], tmp_path / "bundle")
     assert bundle.spec.looks_at_picture
     assert bundle.sample(WHITE, 9, 1, min_confidence=0.0).samples.shape == (9, 2)
-
-
-def test_the_log_ends_with_a_block_that_tells_where_bundle_and_json_lie(result, data_folder):
-    folder = data_folder / "jobs" / result["run_id"]
-    assert json.loads((folder / "result.json").read_text()) == result
-    assert Bundle.load(folder / "bundle").digest == result["digest"]

@@ -82,7 +82,9 @@ def test_an_interrupted_generation_goes_on_where_it_stopped(tmp_path, monkeypatc
     assert resumed.digest == whole.digest
 
 
-def test_a_shard_that_was_damaged_meanwhile_is_made_again(tmp_path, monkeypatch):
+def test_shards_that_were_damaged_meanwhile_or_are_of_another_configuration_are_made_again(
+    tmp_path, monkeypatch
+):
     HereInsteadOfRay(monkeypatch, fail_at=3, failure=RuntimeError())
     with pytest.raises(RuntimeError):
         generate(SMALL, tmp_path / "data")
@@ -90,20 +92,13 @@ def test_a_shard_that_was_damaged_meanwhile_is_made_again(tmp_path, monkeypatch)
     shard = SHARDS[1]
     path = partial / shard.file_name
     path.write_bytes(path.read_bytes()[:-50])
-    second = HereInsteadOfRay(monkeypatch)
-    generate(SMALL, tmp_path / "data")
-    assert second.made == [shard, *SHARDS[3:]]
-
-
-def test_shards_of_another_configuration_are_not_taken(tmp_path, monkeypatch):
-    HereInsteadOfRay(monkeypatch, fail_at=2, failure=RuntimeError())
+    second = HereInsteadOfRay(monkeypatch, fail_at=2, failure=RuntimeError())
     with pytest.raises(RuntimeError):
         generate(SMALL, tmp_path / "data")
-    other = SMALL.model_copy(update={"seed": 4})
-    second = HereInsteadOfRay(monkeypatch)
-    dataset = generate(other, tmp_path / "data")
-    assert len(second.made) == len(SHARDS)
-    assert dataset.generator_seed == 4
+    assert second.made == [shard, SHARDS[3]]
+    other = HereInsteadOfRay(monkeypatch)
+    assert generate(SMALL.model_copy(update={"seed": 4}), tmp_path / "data").generator_seed == 4
+    assert len(other.made) == len(SHARDS)
 
 
 def test_a_data_set_that_is_there_is_used_again_unless_it_is_another_or_damaged(tmp_path, monkeypatch):
@@ -176,7 +171,8 @@ PROPOSED = SMALL.model_copy(update={"proposals_per_scenario": 30, "extra_image_c
 def test_proposals_are_kept_all_with_their_clearance_and_origin(tmp_path, monkeypatch):
     HereInsteadOfRay(monkeypatch)
     dataset = generate(PROPOSED, tmp_path / "data")
-    checker = checker_of_row(dataset, 2)
+    discs = tuple(Disc(*values) for values in dataset.arrays["discs"][2].tolist())
+    checker = CollisionChecker(Scenario(dataset.world.body, discs, dataset.world.sensor))
     counts = set()
     for scenario in range(5):
         free, hit = dataset.free_of(scenario), dataset.collision_of(scenario)
@@ -205,11 +201,6 @@ def test_samplers_learn_from_what_was_drawn_uniformly(tmp_path, monkeypatch):
     np.testing.assert_array_equal(ids, np.repeat(np.arange(5), [len(rows) for rows in expected]))
     plain = generate(SMALL, tmp_path / "plain")
     np.testing.assert_array_equal(uniform_free(plain)[0], plain.free)
-
-
-def checker_of_row(dataset, row):
-    discs = tuple(Disc(*values) for values in dataset.arrays["discs"][row].tolist())
-    return CollisionChecker(Scenario(dataset.world.body, discs, dataset.world.sensor))
 
 
 @pytest.mark.slow

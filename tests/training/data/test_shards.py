@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 
-from cspace.errors import DatasetError
 from cspace.simulator import Split
 from cspace.worlds.planar.arm import THREE_LINK, PlanarArm
 from cspace.worlds.planar.collision import CollisionChecker
@@ -83,12 +82,6 @@ def test_free_configurations_are_uniform_over_the_free_space():
     ours, theirs = (np.histogram2d(q[:, 0], q[:, 1], bins=[bins, bins])[0] / len(q) for q in (drawn, uniform))
     # A cell holds a 64th at most of 20,000; five standard errors of the difference.
     assert np.abs(ours - theirs).max() < 5 * np.sqrt(2 * (1 / 40) / 20_000)
-
-
-def test_a_robot_that_hardly_ever_collides_is_an_error():
-    scenario = Scenario(PlanarArm((0.1, 0.1), 0.05), random_scenarios(Split.DEMO, 1, 1)[0].discs)
-    with pytest.raises(DatasetError, match="hardly any configuration is in collision"):
-        sample_configurations(CollisionChecker(scenario), 5, np.random.default_rng(0), free=False)
 
 
 def test_a_shard_that_is_damaged_counts_as_missing(tmp_path):

@@ -42,27 +42,29 @@ def imported(folder: Path, text: str, **options: object) -> Imported:
     return import_robot(described(folder, text), **options)
 
 
-@pytest.mark.parametrize("limit", ['<limit lower="0" upper="0"/>', '<limit lower="-inf" upper="inf"/>', ""])
-def test_a_continuous_joint_is_a_circle_whatever_its_limits(tmp_path: Path, limit: str) -> None:
-    found = imported(tmp_path, chain(f"continuous{limit}"))
-    assert [joint.limits_rad for joint in found.arm.joints] == [None, (-2.0, 2.0), (-2.0, 2.0)]
+CIRCLE, TURN = [None, (-2.0, 2.0), (-2.0, 2.0)], [(-1.0, 1.0), None, (-2.0, 2.0)]
 
 
-def test_an_option_makes_a_circle_of_a_joint_or_limits_one(tmp_path: Path) -> None:
-    found = imported(tmp_path, chain("continuous"), limits={"j1": (-1.0, 1.0), "j2": None})
-    assert [joint.limits_rad for joint in found.arm.joints] == [(-1.0, 1.0), None, (-2.0, 2.0)]
+@pytest.mark.parametrize(
+    ("limit", "options", "limits_rad"),
+    [
+        ('<limit lower="0" upper="0"/>', {}, CIRCLE),
+        ('<limit lower="-inf" upper="inf"/>', {}, CIRCLE),
+        ("", {}, CIRCLE),
+        ("", {"j1": (-1.0, 1.0), "j2": None}, TURN),
+    ],
+)
+def test_a_continuous_joint_is_a_circle_unless_an_option_limits_it(
+    tmp_path: Path, limit: str, options: dict[str, object], limits_rad: list[object]
+) -> None:
+    found = imported(tmp_path, chain(f"continuous{limit}"), limits=options)
+    assert [joint.limits_rad for joint in found.arm.joints] == limits_rad
 
 
 def test_visual_shapes_stand_in_for_collision_shapes_with_a_warning(tmp_path: Path) -> None:
     found = imported(tmp_path, chain(kinds="collision collision visual visual"))
     assert [part.name for part in found.arm.parts] == ["l0", "l1", "l2", "l3"]
     assert any("visual shapes are taken: l2, l3" in note for note in found.notes)
-
-
-def test_a_robot_without_any_shape_is_refused(tmp_path: Path) -> None:
-    text = chain().replace("<collision>", "<inertial>").replace("</collision>", "</inertial>")
-    with pytest.raises(ScenarioError, match="no link has a shape"):
-        imported(tmp_path, text)
 
 
 def test_a_shape_of_no_size_is_left_out_with_its_link_and_line(tmp_path: Path) -> None:
@@ -202,39 +204,22 @@ def test_a_large_arm_gets_voxels_that_its_world_can_hold(tmp_path: Path) -> None
 XACRO = '<robot name="made" xmlns:xacro="http://www.ros.org/wiki/xacro">'
 
 
-def test_xacro_in_a_urdf_file_is_refused_with_its_line(tmp_path: Path) -> None:
-    text = chain().replace('<robot name="three">', XACRO)
-    text = text.replace("</robot>", '<xacro:gripper parent="l3"/></robot>')
-    with pytest.raises(ScenarioError, match=r"expand it first.*\.xacro"):
-        imported(tmp_path, text)
-
-
 def test_attributes_with_an_undeclared_prefix_are_left_out(tmp_path: Path) -> None:
     found = imported(tmp_path, chain().replace("<limit ", '<limit drake:acceleration="3" '))
     assert len(found.arm.joints) == len(imported(tmp_path, chain()).arm.joints)
-    with pytest.raises(ScenarioError, match=r"no description.*drake:joint"):
-        imported(tmp_path, chain().replace("</robot>", '<drake:joint name="j9"/></robot>'))
 
 
-def test_xacro_files_are_expanded_with_arguments_and_packages(tmp_path: Path) -> None:
-    package = tmp_path / "parts"
-    package.mkdir()
-    (package / "ball.xacro").write_text(
-        XACRO + '<xacro:macro name="ball" params="name"><link name="${name}"><collision><geometry>'
-        '<sphere radius="${0.1 / 2}"/></geometry></collision></link></xacro:macro></robot>',
-        encoding="utf-8",
-    )
-    text = (
-        XACRO + '<xacro:arg name="most" default="1"/><xacro:include filename="$(find parts)/ball.xacro"/>'
-        '<xacro:ball name="a"/><xacro:ball name="b"/><joint name="j" type="revolute"><parent link="a"/>'
-        '<child link="b"/><origin xyz="0 0 1"/><limit lower="-1" upper="$(arg most)"/></joint></robot>'
-    )
-    path = described(tmp_path, text, "made.urdf.xacro")
-    with pytest.raises(ScenarioError, match=r"package parts is not found.*--package NAME=FOLDER"):
-        import_robot(path)
-    found = import_robot(path, packages={"parts": package}, arguments={"most": "0.5"})
-    assert found.arm.joints[0].limits_rad == (-1.0, 0.5)
-    assert found.arm.parts[1].spheres_m == ((0.0, 0.0, 0.0, 0.05),)
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("collision>", "inertial>", "no link has a shape"),
+        ("</robot>", '<drake:joint name="j9"/></robot>', "no description.*drake:joint"),
+        ('<robot name="three">', f'{XACRO}<xacro:gripper parent="l3"/>', r"expand it first.*\.xacro"),
+    ],
+)
+def test_what_is_no_plain_urdf_of_shapes_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
+    with pytest.raises(ScenarioError, match=message):
+        imported(tmp_path, chain().replace(old, new))
 
 
 # In the style of five makers: properties from YAML with their tags, members, dictionaries, blocks, defaults,
@@ -276,12 +261,17 @@ MAKERS = """
 def test_what_makers_write_in_xacro_is_expanded(tmp_path: Path) -> None:
     package = tmp_path / "maker_arm"
     package.mkdir()
-    (package / "package.xml").touch()
     limits = (
         "joint_limits:\n  j1: {lower: !degrees -90, upper: 1.5}\n  j2: {lower: !radians -pi/4, upper: 9.0}\n"
     )
     (package / "limits.yaml").write_text(limits, encoding="utf-8")
-    path = described(package, f"{XACRO}{MAKERS}</robot>", "arm.urdf.xacro")
+    described(package, f"{XACRO}{MAKERS}</robot>", "arm.xacro")
+    top = XACRO + '<xacro:include filename="$(find maker_arm)/arm.xacro"/></robot>'
+    path = described(tmp_path, top, "arm.urdf.xacro")
+    with pytest.raises(ScenarioError, match=r"package maker_arm is not found.*--package NAME=FOLDER"):
+        import_robot(path)
+    assert import_robot(path, packages={"maker_arm": package}).arm.dim == 1
+    (package / "package.xml").touch()
     arm = import_robot(path, arguments={"gripper": "true"}).arm
     assert [part.name for part in arm.parts] == ["a", "b", "left_c"]
     np.testing.assert_allclose(

@@ -85,26 +85,21 @@ def test_an_edge_is_free_when_all_its_states_are(scene, data, resolution):
     assert checker.edge_test(resolution)(a, b)[0] == expected
 
 
-def test_an_edge_takes_the_shorter_way_round_a_circle():
+@pytest.mark.parametrize(
+    ("robot", "start", "goal", "is_free"),
+    [
+        (TWO_LINK, [-0.2, 0.0], [0.2, 0.0], True),
+        (TWO_LINK, [3.0, 0.0], [-3.0, 0.0], True),
+        (TWO_LINK, [0.5, 0.0], [2.6, 0.0], False),
+        # The short way would leave the limits, the straight one passes the disc.
+        (PlanarArm(joint_limits_rad=((-3.1, 3.1), None)), [3.0, 0.0], [-3.0, 0.0], False),
+    ],
+)
+def test_an_edge_takes_the_shorter_way_round_a_circle_and_none_round_a_limited_joint(
+    robot, start, goal, is_free
+):
     # At an angle of pi the first link points at (-2, 0); a disc above the base blocks the other way.
-    scenario = Scenario(TWO_LINK, (Disc(0.0, 3.0),))
-    assert CollisionChecker(scenario).edge([-0.2, 0.0], [0.2, 0.0], 0.02)
-    assert CollisionChecker(scenario).edge([3.0, 0.0], [-3.0, 0.0], 0.02)
-    assert not CollisionChecker(scenario).edge([0.5, 0.0], [2.6, 0.0], 0.02)
-
-
-def test_an_edge_does_not_wrap_round_a_limited_joint():
-    robot = PlanarArm(joint_limits_rad=((-3.1, 3.1), None))
-    scenario = Scenario(robot, (Disc(0.0, 3.0),))
-    # The short way would leave the limits, the straight one passes the disc.
-    assert not CollisionChecker(scenario).edge([3.0, 0.0], [-3.0, 0.0], 0.02)
-
-
-def test_without_discs_everything_within_the_limits_is_free():
-    checker = CollisionChecker(Scenario(LIMITED, ()))
-    assert checker.valid([0.0, 2.5])
-    assert not checker.valid([0.0, 2.6])
-    assert np.isinf(checker.clearance([[0.0, 0.0]])[0])
+    assert CollisionChecker(Scenario(robot, (Disc(0.0, 3.0),))).edge(start, goal, 0.02) == is_free
 
 
 @pytest.mark.parametrize("shape", [(4,), (4, 3)])
