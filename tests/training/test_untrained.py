@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cspace.bundle import Bundle
+from cspace.bundle import Bundle, graphs_of, write_bundle
 from cspace.query import SampleQuery
 from cspace.simulator import Split
 from cspace.worlds import picture_file_of, picture_of, robot_digest, simulator_of
@@ -67,6 +67,13 @@ def test_samples_are_uniform_and_kept_by_the_head(robot: Path, tmp_path: Path) -
     assert alone.valid_batch(kept).all()
     assert make(robot, folder) == 0
     assert Bundle.load(folder).digest == bundle.digest
+    # A folder that more plans calibrated is taken as it is.
+    made = bundle.spec.provenance
+    more = replace(made, config={**made.config, "plan_problems": 2})
+    calibrated = write_bundle(tmp_path / "more", replace(bundle.spec, provenance=more), graphs_of(folder))
+    digest = Bundle.load(calibrated).digest
+    assert make(robot, calibrated, "--plan-problems", "1") == 0
+    assert Bundle.load(calibrated).digest == digest
     # Another arm's may not take its place.
     robot.write_text(json.dumps(replace(ARM, name="other-arm").to_dict()))
     assert make(robot, folder) == 1

@@ -139,22 +139,6 @@ def test_all_states_keep_to_narrower_limits_that_a_path_would_leave_otherwise(pi
         assert (spaced(path, SPACE, DENSE_RAD)[:, 3] >= lowest).all()
 
 
-def test_limits_that_do_not_fit_name_the_joint(picture):
-    def refused(pattern, **fields):
-        with pytest.raises(InputError, match=pattern):
-            planned(picture, START, START, **fields)
-
-    refused("7 entries", limits=[None])
-    wrong = ((-2.0, 1.9), (0.3, 0.3), (0.4, 0.3), (np.nan, 1.0))
-    for one in wrong:
-        refused("limits do not fit panda_joint2", limits=[None, one, *[None] * 5])
-    refused(
-        r"start lies outside the limits of this request.*panda_joint2", limits=[None, (0.0, 1.0), *[None] * 5]
-    )
-    with pytest.raises(InputError, match=r"goal lies outside the limits of this request.*panda_joint1"):
-        planned(picture, START, turned(START, 0.5), limits=[(-0.1, 0.1), *[None] * 6])
-
-
 def test_a_circle_is_gone_round_where_limits_let_it_and_unwrapped_without_a_jump(picture, downward):
     own = [joint.limits_rad for joint in ARM.joints]
     world = replace(WORLD, body=ARM.with_limits([None, *own[1:]]))
@@ -207,9 +191,23 @@ def test_an_end_that_is_not_upright_is_refused_with_its_angle(picture, downward)
         assert f"{angle:.3f} rad" in found.reason
 
 
+def limited(second):
+    return {"goal": START, "limits": [None, second, *[None] * 5]}
+
+
 @pytest.mark.parametrize(
     ("fields", "words"),
     [
+        ({"goal": START, "limits": [None]}, "7 entries"),
+        (limited((-2.0, 1.9)), "limits do not fit panda_joint2"),
+        (limited((0.3, 0.3)), "limits do not fit panda_joint2"),
+        (limited((0.4, 0.3)), "limits do not fit panda_joint2"),
+        (limited((np.nan, 1.0)), "limits do not fit panda_joint2"),
+        (limited((0.0, 1.0)), "start lies outside the limits of this request.*panda_joint2"),
+        (
+            {"goal": turned(START, 0.5), "limits": [(-0.1, 0.1), *[None] * 6]},
+            "goal lies outside the limits of this request.*panda_joint1",
+        ),
         ({"goal_pose": {"pose": [[1.0]]}}, "goal_pose has no pose"),
         ({"goal_pose": {}}, "goal_pose: pose is missing"),
         ({"goal_pose": {"pose": np.eye(4).tolist(), "tolerance_m": 0.0}}, "goal_pose: tolerance_m"),

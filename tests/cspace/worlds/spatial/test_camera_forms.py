@@ -6,6 +6,7 @@ import struct
 
 import numpy as np
 import pytest
+import yaml
 from PIL import Image
 
 from cspace.errors import ImageError
@@ -71,29 +72,14 @@ INFO = {
     "r": [1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0], "p": [*K[:3], 0.0, *K[3:6], 0.0, *K[6:], 0.0],
     "binning_x": 0, "binning_y": 0, "roi": ROI,
 }  # fmt: skip
-ECHOED = (
-    "header:\n  stamp:\n    sec: 1\n    nanosec: 2\n  frame_id: depth_frame\nheight: 48\nwidth: 64\n"
-    "distortion_model: rational_polynomial\nd:\n"
-    + "- 0.0\n" * 8
-    + "k:\n"
-    + "".join(f"- {one}\n" for one in K)
-    + "binning_x: 0\nbinning_y: 0\nroi:\n  x_offset: 0\n  y_offset: 0\n  height: 0\n  width: 0\n"
-    "  do_rectify: false\n---\n"
-)
-CALIBRATED = f"""\
-image_width: 64
-image_height: 48
-camera_name: depth
-camera_matrix:
-  rows: 3
-  cols: 3
-  data: {K}
-distortion_model: plumb_bob
-distortion_coefficients:
-  rows: 1
-  cols: 5
-  data: [0.0, 0.0, 0.0, 0.0, 0.0]
-"""
+ECHOED = yaml.safe_dump(INFO | {"distortion_model": "rational_polynomial", "d": [0.0] * 8}) + "---\n"
+CALIBRATED = yaml.safe_dump(
+    {
+        "image_width": 64, "image_height": 48, "camera_name": "depth", "distortion_model": "plumb_bob",
+        "camera_matrix": {"rows": 3, "cols": 3, "data": K},
+        "distortion_coefficients": {"rows": 1, "cols": 5, "data": [0.0] * 5},
+    }
+)  # fmt: skip
 CAMERAS = {
     "pinhole and matrix": CAMERA_VALUES,
     "the frame by its name": CAMERA_VALUES | {"frame": "optical"},
