@@ -8,12 +8,12 @@ of worlds are registered in :mod:`cspace.worlds`.
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Protocol, Self, cast
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cspace.errors import ConfigError, ScenarioError
+from cspace.errors import ConfigError
 from cspace.space import JointSpace
 from cspace.view_file import View
 
@@ -282,20 +282,6 @@ class World(ABC):
     @abstractmethod
     def check_scenes(self, arrays: Arrays, count: int) -> None:
         """Check those of the arrays that hold scenes."""
-
-    def among(self, data: "World", arrays: Arrays) -> Self:
-        """The same robot and sensor in the scenes of a data set with these arrays."""
-        if data.kind != self.kind or data.body != self.body:
-            raise ScenarioError("the data set is another robot's", got=str(data.body)[:200])
-        scenes = self.held_out(arrays) if data.scenes is None else data.scenes
-        if scenes is None:
-            raise ScenarioError("the data set holds no scenes", expected="obstacles, to check samples by")
-        found: Self = replace(cast("Any", self), scenes=scenes)
-        return found
-
-    def held_out(self, arrays: Arrays) -> Any:
-        """The scenes in a data set's arrays, as :attr:`scenes` has given ones; None where it has none."""
-        del arrays
 
     @abstractmethod
     def to_dict(self) -> dict[str, Any]: ...

@@ -280,12 +280,6 @@ class PlanarWorld(World):
         if not right.all():
             raise DatasetError("discs.npy holds a radius that is none", got=str(discs[~right][0]))
 
-    def held_out(self, arrays: Arrays) -> GivenScenes | None:
-        if "discs" not in arrays:
-            return None
-        rows = tuple(tuple(tuple(disc) for disc in scene) for scene in arrays["discs"].tolist())
-        return GivenScenes((), rows[:MAX_GIVEN])
-
     def to_dict(self) -> dict[str, Any]:
         values: dict[str, Any] = {"kind": self.kind}
         values |= {"robot": self.body.to_dict(), "camera": self.sensor.to_dict()}

@@ -56,15 +56,3 @@ def test_a_simulator_makes_given_scenes_one_by_one():
     assert len(simulator.scenes(Split.TEST, 0, 50)) == 1
     problem = simulator.problem("uniform", Split.TEST, 0)
     assert problem.scenario.disc_array.tolist() == [list(disc) for disc in SCENES[9]]
-
-
-def test_a_world_among_the_scenes_of_data():
-    world, held_out = PlanarWorld(TWO_LINK), np.array([SCENES[0], SCENES[1]])
-    family = PlanarWorld(TWO_LINK, scenes=DiscScenes((5, 5)))
-    assert world.among(family, {}).scenes == family.scenes
-    own = world.among(PlanarWorld(TWO_LINK, scenes=None), {"discs": held_out})
-    assert own.scenes == GivenScenes((), SCENES[:2])
-    with pytest.raises(ScenarioError, match="holds no scenes"):
-        world.among(PlanarWorld(TWO_LINK, scenes=None), {})
-    with pytest.raises(ScenarioError, match="another robot"):
-        world.among(PlanarWorld(THREE_LINK), {})
