@@ -57,9 +57,9 @@ def main() -> int:
 
 
 def _animate(page: Page, viewer: Viewer, folder: Path) -> None:
-    """``plan.webp``: what one camera sees, the unknown space, and the arm along a planned path."""
+    """``plan.webp``: what one camera sees, what the model expects beyond, and the arm along a planned path."""
     viewer.state.change(cameras=viewer.state.scene.cameras[:1])
-    viewer.scene.unseen.value = True
+    viewer.scene.expected.value = True
     viewer.scene.show()
     viewer.plan.show()
     # As the documents say.

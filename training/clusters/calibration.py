@@ -15,7 +15,7 @@ from cspace.bundle import Bundle, BundleSpec
 from cspace.bundle.load import quantiles_of
 from cspace.bundle.sampling import UNIFORM_SHARE
 from cspace.dataset import Dataset
-from cspace.errors import ScenarioError
+from cspace.errors import ImageError, ScenarioError
 from cspace.planning.calibration import fit_calibration
 from cspace.planning.cost import calibration_error, confidence_of_cost
 from cspace.planning.paths import spaced
@@ -209,13 +209,13 @@ def planned(bundle: Bundle, world: World, problems: int) -> Planned:
         family, index = families[number % len(families)], number // len(families)
         try:
             problem = simulator.problem(family, Split.VALIDATION, SEED, index)
-        except ScenarioError as error:
-            # An arm of few joints reaches into no shelf.
+            read = world.examine_picture(picture_file_of(problem.scenario))
+        except (ImageError, ScenarioError) as error:
+            # An arm of few joints reaches into no shelf, and a camera may look past a small arm's reach.
             _LOG.warning("plans: %s", error.what)
             continue
         start, goal = (tuple(float(angle) for angle in end) for end in (problem.start, problem.goal))
         query = PlanQuery(start, goal, number, 0.0, math.inf)
-        read = world.examine_picture(picture_file_of(problem.scenario))
         found = bundle.plan(bundle.prepare(read), query)
         if not len(found.path):
             continue
