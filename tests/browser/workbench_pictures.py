@@ -57,7 +57,7 @@ def main() -> int:
 
 
 def _animate(page: Page, viewer: Viewer, folder: Path) -> None:
-    """``plan.webp``: what one camera sees, what the model expects beyond, and the arm along a planned path."""
+    """``plan.webp``: what one camera sees, what the model expects beyond it, and the arm along a path."""
     viewer.state.change(cameras=viewer.state.scene.cameras[:1])
     viewer.scene.expected.value = True
     viewer.scene.show()

@@ -137,13 +137,23 @@ def test_a_restart_while_the_registry_is_away_serves_the_last_champion(
     assert served(last) == ("pretrained", 0)
 
 
-def test_a_champion_that_is_refused_is_logged_and_counted_once_and_what_is_served_stays(
-    store: ModelStore, registry: CountingRegistry, bundles: dict[str, Path], caplog: pytest.LogCaptureFixture
-) -> None:
-    reloads: list[str] = []
-    store.on_reload = reloads.append
+@pytest.fixture
+def reloads(store: ModelStore, registry: CountingRegistry, bundles: dict[str, Path]) -> list[str]:
+    """What is told of champions by a store that follows one."""
+    told: list[str] = []
+    store.on_reload = told.append
     registry.add(bundles["plain"], "champion")
     store.refresh()
+    return told
+
+
+def test_a_champion_that_is_refused_is_logged_and_counted_once_and_what_is_served_stays(
+    store: ModelStore,
+    registry: CountingRegistry,
+    bundles: dict[str, Path],
+    caplog: pytest.LogCaptureFixture,
+    reloads: list[str],
+) -> None:
     registry.add(bundles["other"], "champion", digest="1" * 64)
     downloads = registry.downloads
     with caplog.at_level(logging.WARNING):
@@ -161,12 +171,8 @@ def test_a_champion_that_is_refused_is_logged_and_counted_once_and_what_is_serve
 
 
 def test_a_champion_that_is_deleted_is_logged_and_counted_once_and_the_shipped_model_answers(
-    store: ModelStore, registry: CountingRegistry, bundles: dict[str, Path], caplog: pytest.LogCaptureFixture
+    store: ModelStore, registry: CountingRegistry, caplog: pytest.LogCaptureFixture, reloads: list[str]
 ) -> None:
-    reloads: list[str] = []
-    store.on_reload = reloads.append
-    registry.add(bundles["plain"], "champion")
-    store.refresh()
     registry.drop_alias("champion")
     with caplog.at_level(logging.WARNING):
         for _ in range(3):
