@@ -71,7 +71,7 @@ def _animate(page: Page, viewer: Viewer, folder: Path) -> None:
     page.get_by_role("alert").get_by_role("button").click()
     expect(page.get_by_text("confidence of the samples")).to_be_visible()
     (client,) = viewer.server.get_clients().values()
-    (depth,) = viewer.state.view.pictures
+    (depth,) = viewer.state.scene.view().pictures
     frames = []
     for at in range(FRAMES):
         share = at / (FRAMES - 1)
