@@ -12,8 +12,6 @@ from cspace.files import parse_json
 from cspace.simulator import Simulator, Split
 from cspace.world import World
 from cspace.worlds import read_world
-from cspace.worlds.planar.world import PlanarWorld
-from cspace.worlds.spatial.furniture import SpatialScenes
 from cspace.worlds.spatial.simulator import open_simulator
 from cspace.worlds.spatial.world import SpatialWorld, shipped, usual
 
@@ -73,14 +71,6 @@ def test_a_problem_is_seen_from_where_the_arm_starts():
     assert again.scenario == problem.scenario
     buried = replace(problem, goal=np.zeros(7))
     assert "the goal is" in SIMULATOR.obstruction(buried)
-
-
-def test_another_data_set_lends_its_scenes():
-    own = replace(WORLD, scenes=SpatialScenes(floor=1.0))
-    assert WORLD.among(own, {}).scenes == own.scenes
-    for other in (replace(WORLD, scenes=None), PlanarWorld()):
-        with pytest.raises(ScenarioError):
-            WORLD.among(other, {})
 
 
 def test_scene_and_robot_are_drawn(scenes):
