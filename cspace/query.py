@@ -18,6 +18,8 @@ MAX_SEED = 2**64 - 1
 MAX_EPSILON = 10.0
 MAX_SAMPLES = 20_000
 """Of one request to a server, or to what stands in for one."""
+DOUBTED = 0.1
+"""How likely a voxel of unseen space holds something that a careful path keeps away from."""
 
 _DIGEST = "^[0-9a-f]{64}$"
 PLAIN = (0.0,)

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from cspace.query import DOUBTED
 from cspace.simulator import UNIFORM, Split
 from cspace.world import World
 from cspace.worlds import simulator_of
@@ -15,7 +16,7 @@ from cspace_client import DepthPictures, FoundPlan, PlanQuery, SamplingClient
 Floats = NDArray[np.float64]
 # For the shipped model: a collision-free plan, and a refused one.
 EXAMPLES = {"table-top": ("table", 4), "hard bin": ("bin", 17)}
-CHECK_RAD, POINTS_AT_MOST, EXPECTED_FROM = 0.005, 8000, 0.5
+CHECK_RAD, POINTS_AT_MOST = 0.005, 8000
 
 
 class Samples(NamedTuple):
@@ -83,9 +84,9 @@ class SceneState:
         return points[:: max(1, len(points) // POINTS_AT_MOST)]
 
     def expected(self) -> tuple[Floats, NDArray[np.float32], float]:
-        """Centres (N, 3) m of cells in which something is expected, its probability (N,), a cell's side."""
+        """Centres (N, 3) m of cells that careful paths avoid, how likely each is filled, a cell's side."""
         found = self.api.belief(self.pictures(), self.model)
-        return found.centres_m(EXPECTED_FROM), found.cells[found.cells >= EXPECTED_FROM], found.cell_m
+        return found.centres_m(DOUBTED), found.cells[found.cells >= DOUBTED], found.cell_m
 
     def sample(self, count: int, seed: int = 0) -> Samples:
         """Unfiltered samples with their confidence and the scene's own verdict."""

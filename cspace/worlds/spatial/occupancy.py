@@ -7,14 +7,15 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from cspace.kernel_cache import njit
+from cspace.query import DOUBTED
 from cspace.worlds.spatial.bodies import NO_BODIES
 from cspace.worlds.spatial.collision import CollisionChecker, world_checkers
 from cspace.worlds.spatial.kinematics import arm_arrays, link_frames_into, points_into, sphere_centres_batch
 from cspace.worlds.spatial.sensor import FREE
 from cspace.worlds.spatial.visibility import distances_m
 
-# Of a voxel that a careful path keeps away from, and how far, m.
-_DOUBTED, _MARGIN_M = 0.1, 0.005
+# How far a careful path keeps away from doubted voxels, m.
+_MARGIN_M = 0.005
 # About an arm whose configuration is free, m.
 _ROOM_M = 0.03
 
@@ -60,7 +61,7 @@ class UnseenSpace:
 
     def careful_checker(self) -> CollisionChecker:
         """Checks by what is seen, and by all voxels that may well hold something."""
-        away, doubted = distances_m(self._picture), self._held > _DOUBTED
+        away, doubted = distances_m(self._picture), self._held > DOUBTED
         if doubted.any():
             away = np.minimum(away, self._grid.voxel_m * distance_transform_edt(~doubted))
         careful = [away.astype(np.float32) - np.float32(_MARGIN_M)]
