@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 
 from cspace.errors import ConfigError, CspaceError, PortTakenError, ServiceError
-from services.commands import aligned, confirmed
+from services.commands import aligned, confirmed, settings_of
 from services.local.quickstart import TOURS, addresses, import_arm, quickstart, serve_untrained, tour_of_arm
 from services.local.stack import (
     BIN,
@@ -20,7 +20,6 @@ from services.local.stack import (
     down,
     drop_state,
     leftovers,
-    read_settings,
     shell_values,
     size_text,
     state_parts,
@@ -49,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.environ[name] = ",".join(filter(None, [os.environ.get(name), HOST, "localhost"]))
     os.environ["RAY_AUTH_MODE"] = "token"
     try:
-        return options.run(read_settings(), options) or 0
+        return options.run(settings_of(Settings), options) or 0
     except CspaceError as error:
         sys.stderr.write(f"error: {error}\n")
         return {ConfigError: 2, PortTakenError: 3}.get(type(error), FAILED)

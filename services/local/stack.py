@@ -17,7 +17,7 @@ from typing import Annotated, Any
 
 import httpx
 import psutil
-from pydantic import Field, ValidationError, field_validator
+from pydantic import Field, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 from supervisor.states import RUNNING_STATES
 from supervisor.xmlrpc import SupervisorTransport
@@ -80,16 +80,6 @@ class Settings(BaseSettings):
     def socket(self) -> Path:
         """Where supervisord listens."""
         return self.temp_folder / "supervisor.sock"
-
-
-def read_settings() -> Settings:
-    """The settings from the environment; an empty variable counts as not set."""
-    try:
-        return Settings()
-    except ValidationError as error:
-        first = error.errors()[0]
-        what = f"the setting CSPACE_{str(first['loc'][0]).upper()} is wrong"
-        raise ConfigError(what, expected=first["msg"], got=repr(first["input"])) from error
 
 
 def shell_values(settings: Settings) -> dict[str, str]:
