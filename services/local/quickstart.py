@@ -90,7 +90,6 @@ def quickstart(settings: Settings, tour: Tour, say: Report) -> None:
         ("version", training.reference),
         ("verdict", "champion now" if evaluation.promoted else "not promoted, the champion stays"),
         *(("", reason) for reason in evaluation.reasons),
-        ("runs", f"{settings.url('mlflow')}/#/experiments/1/runs?{MLFLOW_TRAINING}"),
         *(("picture", str(path)) for path in pictures),
     ]
     say(f"\n{aligned(rows)}\n\n{addresses(settings)}\n\nThe services stay up; `make down` ends them.")
@@ -125,18 +124,17 @@ def last_result(lines: Sequence[str]) -> JobResult:
 
 def wait_served(url: str, reference: str, *, default: bool, limit_s: float = SERVED_LIMIT_S) -> None:
     """Wait until the API serves ``name/version``, with ``default`` to requests that name no model."""
-    until, seen = time.monotonic() + limit_s, dict[str, bool]()
-    while True:
+    seen = dict[str, bool]()
+    for _ in range(int(limit_s / POLL_S)):
         with suppress(httpx.HTTPError, ValueError, LookupError, TypeError):
             query = {"name": reference.partition("/")[0]}
             answer = httpx.get(f"{url}/models", params=query, timeout=5.0, trust_env=False)
             seen = {one["reference"]: one["default"] for one in answer.raise_for_status().json()["models"]}
         if reference in seen and (seen[reference] or not default):
             return
-        if time.monotonic() > until:
-            what = f"the inference API does not serve {reference}{' by default' if default else ''}"
-            raise ServiceStartError(what, got=str(sorted(seen)), remedy="see api.log in the logs folder")
         time.sleep(POLL_S)
+    what = f"the inference API does not serve {reference}{' by default' if default else ''}"
+    raise ServiceStartError(what, got=str(sorted(seen)), remedy="see api.log in the logs folder")
 
 
 def plan_and_draw(
@@ -230,9 +228,8 @@ def serve_untrained(settings: Settings, file: Path, say: Report) -> None:
         # Tables are of one size, and a small arm may not reach round what stands on them.
         say(f"The model is served. There is no plan to show: {error}")
     else:
-        plan_and_draw(
-            settings, settings.home / "figures" / f"{name}-untrained", progress, ("table",), options
-        )
+        pictures = settings.home / "figures" / f"{name}-untrained"
+        plan_and_draw(settings, pictures, progress, ("table",), options)
     model = model_name(world, name)
     say(f"\n{addresses(settings)}\n\nPOST /plan, /validity and /sample take model={model}.")
     say(f"Look at it: python -m services.planner.viewer --api {settings.url('api')} --model {model}")

@@ -22,7 +22,7 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 from supervisor.states import RUNNING_STATES
 from supervisor.xmlrpc import SupervisorTransport
 
-from cspace.errors import ConfigError, PortTakenError, ServiceError, ServiceStartError, StorageError
+from cspace.errors import ConfigError, PortTakenError, ServiceError, ServiceStartError
 from cspace.files import holding
 from services.commands import aligned
 from services.names import API_URL
@@ -100,17 +100,13 @@ def shell_values(settings: Settings) -> dict[str, str]:
 def make_state(settings: Settings) -> None:
     """Make the state folder with its parts; a folder that holds something else is refused."""
     home = settings.home
-    try:
-        home.mkdir(mode=0o700, parents=True, exist_ok=True)
-        _require_own(home)
-        (home / MARKER).write_text('{"made_by": "cspace-sampler"}', encoding="utf-8")
-        # Git and `ray job submit --working-dir` leave the folder out.
-        (home / IGNORE).write_text("*\n", encoding="utf-8")
-        for name in FOLDERS:
-            (home / name).mkdir(exist_ok=True)
-    except OSError as error:
-        remedy = "set CSPACE_HOME to a folder of yours"
-        raise ConfigError("the state folder cannot be made", got=str(error), remedy=remedy) from error
+    home.mkdir(mode=0o700, parents=True, exist_ok=True)
+    _require_own(home)
+    (home / MARKER).write_text('{"made_by": "cspace-sampler"}', encoding="utf-8")
+    # Git and `ray job submit --working-dir` leave the folder out.
+    (home / IGNORE).write_text("*\n", encoding="utf-8")
+    for name in FOLDERS:
+        (home / name).mkdir(exist_ok=True)
 
 
 def state_parts(settings: Settings) -> list[Path]:
@@ -124,16 +120,13 @@ def state_parts(settings: Settings) -> list[Path]:
 
 def drop_state(settings: Settings) -> None:
     """Delete the parts of the state folder, and the folder itself if nothing else lies in it."""
-    try:
-        for part in state_parts(settings):
-            shutil.rmtree(part)
-        # The mark goes last, so that what was interrupted can be repeated.
-        for name in (IGNORE, MARKER):
-            (settings.home / name).unlink(missing_ok=True)
-        if not any(settings.home.iterdir()):
-            settings.home.rmdir()
-    except OSError as error:
-        raise StorageError("the state folder cannot be deleted", got=str(error)) from error
+    for part in state_parts(settings):
+        shutil.rmtree(part)
+    # The mark goes last, so that what was interrupted can be repeated.
+    for name in (IGNORE, MARKER):
+        (settings.home / name).unlink(missing_ok=True)
+    if not any(settings.home.iterdir()):
+        settings.home.rmdir()
 
 
 def size_text(folder: Path) -> str:
@@ -327,11 +320,8 @@ def _start_supervisord(settings: Settings) -> Any:
     command = [str(BIN / "ray"), "get-auth-token", "--generate"]
     subprocess.run(command, env=environment, capture_output=True, check=False)
     shutil.rmtree(settings.temp_folder, ignore_errors=True)
-    try:
-        # A folder that somebody else has made cannot be deleted, and is not used.
-        settings.temp_folder.mkdir(mode=0o700)
-    except OSError as error:
-        raise ServiceStartError("there is no folder for sockets", got=str(error)) from error
+    # A folder that somebody else has made cannot be deleted, and is not used.
+    settings.temp_folder.mkdir(mode=0o700)
     config = settings.home / "run" / "supervisord.conf"
     config.write_text(_configuration(settings), encoding="utf-8")
     command = [str(BIN / "supervisord"), "-c", str(config)]
