@@ -4,7 +4,6 @@ import os
 import re
 import shlex
 import subprocess
-import sys
 import time
 from collections.abc import Sequence
 from contextlib import suppress
@@ -105,7 +104,7 @@ def timed(say: Report) -> Report:
 
 def run_job(settings: Settings, entrypoint: str, show: Report) -> JobResult:
     """Run a job with ``ray job submit`` in the head's own folder, and show its lines."""
-    command = [str(BIN / "ray"), "job", "submit", "--log-color=false", "--", *shlex.split(entrypoint)]
+    command = ["ray", "job", "submit", "--log-color=false", "--", *shlex.split(entrypoint)]
     code, lines = run_shown(settings, command, show)
     if code != 0:
         remedy = "`ray job logs ID` prints all of them"
@@ -146,7 +145,7 @@ def plan_and_draw(
     for family, picture in zip(families, pictures, strict=True):
         picture.unlink(missing_ok=True)
         # A process of its own: OMPL seeds its generator once a process.
-        command = [sys.executable, "-m", "services.planner", "--api", settings.url("api"), *options]
+        command = ["python", "-m", "services.planner", "--api", settings.url("api"), *options]
         command += ["--family", family, "--seed", str(PLANNING_SEED), "--plot", str(picture)]
         code, _ = run_shown(settings, command, show)
         # A crash ends with the same code, but draws nothing.
@@ -159,8 +158,9 @@ def run_shown(settings: Settings, command: Sequence[str], show: Report) -> tuple
     """Run a command and show its lines, but not those for programs; its exit code and all lines."""
     show(f"$ {shlex.join(command)}")
     lines, environment = [], os.environ | shell_values(settings)
+    program = [BIN / command[0], *command[1:]]
     with subprocess.Popen(
-        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        program, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     ) as process:
         for line in process.stdout or ():
             lines.append(COLOUR.sub("", line.rstrip()))
@@ -185,7 +185,7 @@ def import_arm(settings: Settings, urdf: Path, options: Sequence[str], say: Repo
     """Import a description with the options of ``python -m training.robots import``; the robot's file."""
     make_state(settings)
     file = settings.home / "arms" / f"{urdf.name.partition('.')[0]}.json"
-    command = [sys.executable, "-m", "training.robots", "import", str(urdf), *options, "--out", str(file)]
+    command = ["python", "-m", "training.robots", "import", str(urdf), *options, "--out", str(file)]
     if run_shown(settings, command, timed(say))[0] != 0:
         remedy = "see docs/arm-in-space.md for what it does with each part of a description"
         raise ConfigError(f"{urdf} was not imported", got="the error above", remedy=remedy)
@@ -214,7 +214,7 @@ def serve_untrained(settings: Settings, file: Path, say: Report) -> None:
     progress("starting the services")
     up(settings, SERVICES, progress)
     folder = settings.home / "arms" / f"{name}-untrained-{robot_digest(world)[:8]}"
-    command = [sys.executable, "-m", "training.untrained", str(file), str(folder), "--register", "champion"]
+    command = ["python", "-m", "training.untrained", str(file), str(folder), "--register", "champion"]
     code, lines = run_shown(settings, command, progress)
     if code != 0:
         raise JobError("the model was not made", got=f"exit code {code}, the lines above")

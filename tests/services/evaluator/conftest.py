@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from cspace.bundle import Bundle
-from services.evaluator import job
+from services.evaluator import job, recalibrate
 from services.registry import promotion
 
 
@@ -14,7 +14,7 @@ def rng():
 @pytest.fixture
 def verified_here(monkeypatch):
     """Bundles are verified in this process: to start a worker takes longer than to evaluate a tiny model."""
-    for module in (job, promotion):
+    for module in (job, promotion, recalibrate):
         monkeypatch.setattr(
             module, "load_verified", lambda folder, digest=None: Bundle.load(folder, digest=digest)
         )
