@@ -47,7 +47,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return options.run(settings_of(Settings), options) or 0
     except (CspaceError, OSError) as error:
         sys.stderr.write(f"error: {error}\n")
-        return {ConfigError: 2, PortTakenError: 3}.get(type(error), 1)
+        codes: dict[type[Exception], int] = {ConfigError: 2, PortTakenError: 3}
+        return codes.get(type(error), 1)
     except KeyboardInterrupt:
         sys.stderr.write("\ninterrupted; what was started goes on: `make status`, `make down`\n")
         return 130

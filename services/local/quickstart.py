@@ -158,7 +158,7 @@ def run_shown(settings: Settings, command: Sequence[str], show: Report) -> tuple
     """Run a command and show its lines, but not those for programs; its exit code and all lines."""
     show(f"$ {shlex.join(command)}")
     lines, environment = [], os.environ | shell_values(settings)
-    program = [BIN / command[0], *command[1:]]
+    program = [str(BIN / command[0]), *command[1:]]
     with subprocess.Popen(
         program, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     ) as process:

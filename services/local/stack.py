@@ -155,7 +155,6 @@ NO_REGISTRY = "run/no-registry"
 FOREIGN, OWN = ("RAY_", "MLFLOW_", "PYTHONHOME"), ("RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH")
 POLL_S = 0.2
 START_LIMIT_S, STOP_LIMIT_S, KILL_LIMIT_S = 180.0, 90.0, 10.0
-LOG_LINES = 25
 
 Report = Callable[[str], None]
 
@@ -390,7 +389,7 @@ def _wait_healthy(settings: Settings, server: Any, name: str) -> None:
         with suppress(xmlrpc.client.Fault):  # it has ended already
             server.stopProcess(name)
         log = log_file(settings, name)
-        last = log.read_text(encoding="utf-8", errors="replace").splitlines()[-LOG_LINES:]
+        last = log.read_text(encoding="utf-8", errors="replace").splitlines()[-25:]
         remedy = "\n".join([f"the end of its log {log}:", *last, "then `make down` and start again"])
         raise ServiceStartError(f"{name} {failure}", remedy=remedy)
 
