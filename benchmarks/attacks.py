@@ -4,39 +4,34 @@
 
 Attacker and two clients are processes of their own. One client asks for 300 samples, the other whether the
 server is alive, both with pauses of 20 ms. Each attack runs after a quiet stretch, whose 99th percentile is
-the usual one. Memory is the rise of the server's resident size. Only servers on this machine are attacked.
+the usual one. Memory is the rise of the server's resident size, to its peak, from the start of the attack.
+Only servers on this machine are attacked.
 """
 
 import base64
 import http.client
 import json
-import multiprocessing
-import os
-import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor, wait
+from contextlib import suppress
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from benchmarks.command import arguments
-from benchmarks.machine import ROOT, machine
+from benchmarks.machine import ROOT, machine, resident_mib, served
 from cspace.files import encode_png
 from cspace.worlds.spatial.camera import encode_depth
 
 CONNECTIONS, PAUSE_S, MIB = 4, 0.02, 2**20
 READY = [0, -0.785, 0, -2.356, 0, 1.571, 0.785]
-POSE = [
-    [-0.7071, -0.3714, -0.6018, 1.3],
-    [-0.7071, 0.3714, 0.6018, -0.8],
-    [0, 0.851, -0.5252, 1],
-    [0, 0, 0, 1],
-]
+POSE = {"translation": [1.3, -0.8, 1.0], "quaternion_xyzw": [-0.3342, 0.8068, 0.4502, -0.1865]}
 PICTURE = base64.b64encode(encode_png(np.full((48, 48, 3), 255, np.uint8))).decode()
+KEYS = b"{" + b",".join(b'"%x":0' % number for number in range(MIB // 10)) + b"}"
 Message = tuple[str, bytes]
 
 
@@ -52,8 +47,7 @@ def depth(side: int, turn: int, page: str = "/sample", **fields: object) -> Mess
 
 
 def plan(turn: int) -> Message:
-    goal = [READY[0] + 1.0, *READY[1:]]
-    return depth(160, turn, "/plan", start=READY, goal=goal, ways=64, time_limit_s=10)
+    return depth(160, turn, "/plan", start=READY, goal=[1.0, *READY[1:]], ways=64, time_limit_s=10)
 
 
 def rows(_: int) -> Message:
@@ -66,10 +60,6 @@ def filled(unit: bytes, size: int = MIB) -> Message:
     return "/validity", b'{"configurations":[' + unit * ((size - 30) // len(unit)) + b"0]}"
 
 
-def keys(_: int) -> Message:
-    return "/validity", b"{" + b",".join(b'"%x":0' % number for number in range(MIB // 10)) + b"}"
-
-
 # What is sent, from how many addresses, and how long its answer is waited for, s.
 ATTACKS: dict[str, tuple[Callable[[int], Message], int, float]] = {
     "fresh depth pictures": (lambda turn: depth(160, turn, n=1, min_confidence=0), 1, 60.0),
@@ -80,7 +70,7 @@ ATTACKS: dict[str, tuple[Callable[[int], Message], int, float]] = {
     "1 MiB of empty arrays": (lambda _: filled(b"[],"), 1, 60.0),
     "1 MiB of short strings": (lambda _: filled(b'"ab",'), 1, 60.0),
     "1 MiB of numbers": (lambda _: filled(b"0.5,"), 1, 60.0),
-    "1 MiB of different keys": (keys, 1, 60.0),
+    "1 MiB of different keys": (lambda _: ("/validity", KEYS), 1, 60.0),
     "8 MiB of JSON": (lambda _: filled(b"0.5,", 8 * MIB), 1, 60.0),
     "the list of models": (lambda _: ("/models", b""), 1, 60.0),
 }
@@ -94,7 +84,7 @@ def send(link: http.client.HTTPConnection, message: Message) -> int:
     return answer.status
 
 
-def attack(name: str, port: int, seconds: float) -> None:
+def attack(port: int, seconds: float, name: str) -> None:
     make, addresses, patience_s = ATTACKS[name]
     until = time.monotonic() + seconds
 
@@ -113,48 +103,27 @@ def attack(name: str, port: int, seconds: float) -> None:
         list(pool.map(one, range(connections)))
 
 
-def ask(port: int, seconds: float, page: str, took) -> None:
+def ask(port: int, seconds: float, page: str) -> list[float]:
     """Milliseconds of each request; a refusal counts as 60 s."""
-    link, found, until = http.client.HTTPConnection("127.0.0.1", port, 60), [], time.monotonic() + seconds
     message = as_json(page, image=PICTURE, n=300) if page == "/sample" else (page, b"")
+    link, found, until = http.client.HTTPConnection("127.0.0.1", port, 60), [], time.monotonic() + seconds
     while time.monotonic() < until:
         began = time.perf_counter()
         found.append(1e3 * (time.perf_counter() - began) if send(link, message) == 200 else 60e3)
         time.sleep(PAUSE_S)
-    took.put(found)
+    return found
 
 
-@contextmanager
-def served(root: Path) -> Iterator[tuple[int, int]]:
-    """Port and process of a server with the shipped models."""
-    environment = {name: value for name, value in os.environ.items() if name != "MLFLOW_TRACKING_URI"}
-    environment |= {"PYTHONUNBUFFERED": "1", "PYTHONPATH": str(root)}
-    command = [sys.executable, "-m", "inference_api", "--port", "0"]
-    with subprocess.Popen(
-        command, cwd=root, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-    ) as process:
-        yield int(process.stdout.readline().split()[2].rpartition(":")[2]), process.pid
-        process.terminate()
-
-
-def stretch(port: int, process_id: int, seconds: float, name: str | None) -> tuple[float, float, float]:
+def stretch(pool: Executor, port: int, process: int, seconds: float, name: str | None) -> tuple[float, ...]:
     """The 99th percentile of samples and the longest look at health, ms; and the rise of memory, MiB."""
-    spawn = multiprocessing.get_context("spawn")
-    queues = [spawn.Queue(), spawn.Queue()]
-    pages = zip(("/sample", "/health/live"), queues, strict=True)
-    workers = [spawn.Process(target=ask, args=(port, seconds, page, queue)) for page, queue in pages]
-    workers += [spawn.Process(target=attack, args=(name, port, seconds))] if name else []
-    for worker in workers:
-        worker.start()
-    held, until = [], time.monotonic() + seconds
-    while time.monotonic() < until:
-        held.append(int(Path(f"/proc/{process_id}/statm").read_text().split()[1]))
-        time.sleep(PAUSE_S)
-    samples, health = (queue.get(timeout=120) for queue in queues)
-    for worker in workers:
-        worker.join(120)
-    rise = (max(held) - held[0]) * os.sysconf("SC_PAGE_SIZE") / MIB
-    return float(np.quantile(samples, 0.99)), max(health), rise
+    # The peak starts anew.
+    Path(f"/proc/{process}/clear_refs").write_text("5")
+    before_mib = resident_mib(process, "VmRSS")
+    attacks = [pool.submit(attack, port, seconds, name)] if name else []
+    asked = [pool.submit(ask, port, seconds, page) for page in ("/sample", "/health/live")]
+    samples, health = (one.result() for one in asked)
+    wait(attacks)
+    return float(np.quantile(samples, 0.99)), max(health), resident_mib(process, "VmHWM") - before_mib
 
 
 def main() -> int:
@@ -162,19 +131,15 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=10.0, help="of a stretch (default: %(default)s)")
     parser.add_argument("--only", action="append", choices=ATTACKS, help="these attacks; all when absent")
     parser.add_argument("--root", type=Path, default=ROOT, help="checkout whose server is attacked")
-    options = parser.parse_args()
-    found = {}
-    with served(options.root) as (port, process_id):
+    options, found = parser.parse_args(), {}
+    with served(options.root) as (port, process), ProcessPoolExecutor(3, get_context("spawn")) as pool:
         send(http.client.HTTPConnection("127.0.0.1", port, 120), depth(160, 0, n=1))
+        # Nobody starts while an attack is measured.
+        list(pool.map(time.sleep, [1.0] * 3))
         for name in options.only or ATTACKS:
-            usual, _, _ = stretch(port, process_id, options.seconds, None)
-            p99, health, rise = stretch(port, process_id, options.seconds, name)
-            found[name] = {
-                "memory, MiB": rise,
-                "health, ms": health,
-                "p99, ms": p99,
-                "ratio": p99 / usual,
-            }
+            usual, _, _ = stretch(pool, port, process, options.seconds, None)
+            p99, health, rise = stretch(pool, port, process, options.seconds, name)
+            found[name] = {"memory, MiB": rise, "health, ms": health, "p99, ms": p99, "ratio": p99 / usual}
             print(name, {key: round(value, 2) for key, value in found[name].items()}, flush=True)
     print(f"\n{machine()}\n\n{pd.DataFrame(found).T.round(2).to_string()}")
     return 0

@@ -9,11 +9,10 @@ seconds that change as well. Ratios are of the other checkout's, request by requ
 
 import asyncio
 import os
-import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,7 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.command import arguments
-from benchmarks.machine import ROOT, machine
+from benchmarks.machine import ROOT, machine, served
 from cspace.query import DEFAULT_PATHS
 from cspace.simulator import Scene, Simulator, Split
 from cspace.worlds import default_world, examples, simulator_of
@@ -32,30 +31,6 @@ SERVER_CORE, CLIENT_CORE = 0, 1
 SEED = 99
 NPY = "application/x-npy"
 Took = list[list[float]]
-
-
-@contextmanager
-def served(root: Path) -> Iterator[str]:
-    """The address of a checkout's API, without a registry, on one core."""
-    environment = {name: value for name, value in os.environ.items() if name != "MLFLOW_TRACKING_URI"}
-    environment |= {"PYTHONUNBUFFERED": "1", "OMP_NUM_THREADS": "1", "PYTHONPATH": str(root)}
-    process = subprocess.Popen(
-        [sys.executable, "-m", "inference_api", "--port", "0"],
-        cwd=root,
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-        preexec_fn=lambda: os.sched_setaffinity(0, {SERVER_CORE}),  # noqa: PLW1509 - nothing else runs yet
-    )
-    try:
-        address = process.stdout.readline().split()[2]
-        while httpx.get(f"{address}/health/ready", timeout=60).status_code != 200:
-            time.sleep(1)
-        yield address
-    finally:
-        process.terminate()
-        process.wait(30)
 
 
 def new_pictures(count: int) -> list[bytes]:
@@ -158,7 +133,9 @@ def main() -> int:
     os.sched_setaffinity(0, {CLIENT_CORE % os.cpu_count()})
     rows = []
     with ExitStack() as stack:
-        addresses = [stack.enter_context(served(root)) for root in (options.before.resolve(), ROOT)]
+        roots = options.before.resolve(), ROOT
+        ports = [stack.enter_context(served(root, SERVER_CORE))[0] for root in roots]
+        addresses = [f"http://127.0.0.1:{port}" for port in ports]
         clients = [stack.enter_context(httpx.Client(base_url=one, timeout=60)) for one in addresses]
         for kind, took in samples(clients, options.requests).items():
             rows.append(row(f"{kind}, ms", took))

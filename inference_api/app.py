@@ -31,9 +31,10 @@ from inference_api.problems import PROBLEM_RESPONSES, add_problem_handlers
 from inference_api.routes import belief, doctor, models, outcomes, plan, sample, validity
 from inference_api.routes.documentation import add_docs_page, add_guide, document
 from inference_api.served_models import ModelStore
-from inference_api.settings import MIB, ApiSettings
-from inference_api.telemetry import Metrics, Telemetry, add_tracing
+from inference_api.settings import ApiSettings
+from inference_api.telemetry import OUTCOMES, RELOADS, Telemetry, add_tracing
 from inference_api.workbench.routes import add_workbench
+from services.commands import settings_of
 from services.outcomes import Receipts, Spool
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ SWITCH_S = 0.00005
 
 def create_app(settings: ApiSettings | None = None, registry: "ModelRegistry | None" = None) -> FastAPI:
     """The API with settings of the environment, and MLflow at ``settings.registry_uri``, unless given."""
-    settings = settings or ApiSettings.from_environment()
+    settings = settings or settings_of(ApiSettings)
     app = FastAPI(
         title="cspace-sampler",
         version=_version(),
@@ -60,18 +61,17 @@ def create_app(settings: ApiSettings | None = None, registry: "ModelRegistry | N
         redoc_url=None,
     )
     store = _model_store(settings, registry)
-    metrics = Metrics()
-    store.on_reload = lambda outcome: metrics.reloads.labels(outcome).inc()
-    app.state.settings, app.state.models, app.state.metrics = settings, store, metrics
-    app.state.places = ComputePlaces(settings.api_threads, metrics.waiting)
+    store.on_reload = lambda outcome: RELOADS.labels(outcome).inc()
+    app.state.settings, app.state.models = settings, store
+    app.state.places = ComputePlaces(settings.api_threads)
     app.state.kernels, app.state.pictures = SearchKernels(), PictureCache()
     app.state.spool = app.state.receipts = None
     if settings.outcomes is not None:
         app.state.receipts = Receipts.of(settings.outcomes, settings.receipt_key)
         app.state.spool = Spool(
             settings.outcomes,
-            int(MIB * settings.outcomes_mib),
-            lambda result, count: metrics.outcomes.labels(result).inc(count),
+            int(2**20 * settings.outcomes_mib),
+            lambda result, count: OUTCOMES.labels(result).inc(count),
         )
     # Servers load the search when they start; an app in another process with its first plan.
     app.state.loads_planner = False
@@ -82,7 +82,7 @@ def create_app(settings: ApiSettings | None = None, registry: "ModelRegistry | N
     add_workbench(app, truth=settings.api_workbench)
     add_problem_handlers(app)
     _add_middleware(app, settings)
-    if settings.traces:
+    if os.environ.get("OTEL_EXPORTER_OTLP_ENDPOINT"):
         add_tracing(app)
     app.openapi = lambda: document(app, settings.model_name)  # type: ignore[method-assign]
     return app
@@ -105,7 +105,7 @@ def _add_middleware(app: FastAPI, settings: ApiSettings) -> None:
     app.add_middleware(
         TrustedHostMiddleware, allowed_hosts=[*LOOPBACK_NAMES, *settings.api_hosts], www_redirect=False
     )
-    app.add_middleware(Telemetry, metrics=app.state.metrics)
+    app.add_middleware(Telemetry)
 
 
 @asynccontextmanager

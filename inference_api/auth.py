@@ -5,10 +5,8 @@ somebody chose. docs/operations.md makes one with openssl.
 """
 
 import hashlib
-import ipaddress
 import re
 import stat
-from contextlib import suppress
 from pathlib import Path
 
 from starlette.datastructures import Headers
@@ -20,15 +18,13 @@ from inference_api.limits import HEALTH, WORKBENCH_FILES
 from inference_api.problems import UNAUTHORIZED, RequestError, problem_response
 from inference_api.telemetry import request_fields
 
-# Some thousand keys.
-MAX_FILE_BYTES = 2**20
 REALM = 'Bearer realm="cspace-sampler"'
 _LINE = re.compile(r"([A-Za-z0-9._-]{1,64}):([0-9a-f]{64})", re.ASCII)
 
 
 def read_keys(path: Path) -> dict[str, str]:
     """Names by digest, of lines ``name:sha256``; empty lines and those with ``#`` first do not count."""
-    data = read_bounded(path, MAX_FILE_BYTES, ConfigError, remedy="name another one in CSPACE_API_KEYS_FILE")
+    data = read_bounded(path, 2**20, ConfigError, remedy="name another one in CSPACE_API_KEYS_FILE")
     mode = path.stat().st_mode
     if mode & (stat.S_IWGRP | stat.S_IWOTH):
         # Whoever writes a digest into it has a key.
@@ -59,13 +55,9 @@ class RequireKey:
         self._app, self._keys = app, keys
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Passes a request on, or refuses it."""
         path = scope.get("path", "")
-        if (
-            scope["type"] == "http"
-            and path not in (*HEALTH, "/")
-            and not path.startswith(f"{WORKBENCH_FILES}/")
-        ):
+        is_open = path in (*HEALTH, "/") or path.startswith(f"{WORKBENCH_FILES}/")
+        if scope["type"] == "http" and not is_open:
             sent = Headers(scope=scope).getlist("authorization")
             scheme, _, token = sent[0].strip().partition(" ") if len(sent) == 1 else ("", "", "")
             token = token.strip() if scheme.lower() == "bearer" else ""
@@ -84,21 +76,6 @@ class RequireKey:
                 return
             scope["state"]["client"] = request_fields.get()["client"] = name
         await self._app(scope, receive, send)
-
-
-def check_exposure(host: str, keys_file: Path | None, *, allowed: bool) -> None:
-    """Refuses to listen where other machines may ask without a key, unless whoever starts it wants that."""
-    is_loopback = host == "localhost"
-    # Any other name may mean any address.
-    with suppress(ValueError):
-        is_loopback = ipaddress.ip_address(host).is_loopback
-    if keys_file is None and not allowed and not is_loopback:
-        raise ConfigError(
-            "everybody who reaches the server could use it",
-            expected="a loopback address, or keys",
-            got=f"--host {host!r} without CSPACE_API_KEYS_FILE",
-            remedy="name a file of keys there, or say --allow-unauthenticated",
-        )
 
 
 def digest_of(token: str) -> str:

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from fastapi import Depends, Request
 
 from cspace.plan import load_examples
-from inference_api.problems import STARTING, NoKernelsError, RequestError
+from inference_api.problems import NO_PLANNER, STARTING, RequestError
 
 _LOG = logging.getLogger(__name__)
 
@@ -47,7 +47,8 @@ def needs_kernels() -> Iterator[None]:
     try:
         yield
     except ImportError as error:
-        raise NoKernelsError(
+        raise RequestError(
+            NO_PLANNER,
             "this server does not plan",
             expected="the packages of the extra plan",
             got=f"no {error.name or 'compiler'}",

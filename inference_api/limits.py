@@ -13,7 +13,7 @@ from contextlib import AsyncExitStack
 from typing import Annotated
 from weakref import WeakValueDictionary
 
-from anyio import CancelScope, CapacityLimiter, WouldBlock, fail_after
+from anyio import CancelScope, CapacityLimiter, current_time, fail_after
 from fastapi import Depends, Request
 from prometheus_client import Gauge
 from starlette.datastructures import Headers
@@ -36,14 +36,13 @@ MAX_HELD_BYTES = 8 * MAX_BODY_BYTES
 BODY_TIMEOUT_S = 30.0
 # A request that is not answered by then is refused, before a proxy in front gives up (60 s) without a reason.
 ANSWER_S = 50.0
-# A request that waits or computes for so long is ended where its client goes away.
-WATCH_AFTER_S = 0.1
 # Of places and bytes, what one client may take at most.
 CLIENT_SHARE = 0.75
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "[::1]")
 HEALTH = ("/health/live", "/health/ready")
 METRICS, SEARCH = "/metrics", "/plan"
 WORKBENCH_FILES = "/workbench/files"
+WAITING = Gauge("cspace_requests_waiting", "Requests that wait for a place to compute.")
 
 
 def client_of(scope: Scope) -> str:
@@ -63,16 +62,13 @@ class RefuseForeignOrigins:
         self._app, self._origins = app, frozenset(map(str.lower, origins))
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Passes a request on, or refuses it."""
         if scope["type"] == "http" and scope["path"] not in HEALTH and self._is_foreign(scope):
-            error = RequestError(
+            raise RequestError(
                 FOREIGN_ORIGIN,
                 "the request comes from a page of another site",
                 remedy="have the server's CSPACE_API_ORIGINS name the page's origin",
             )
-            await problem_response(error)(scope, receive, send)
-        else:
-            await self._app(scope, receive, send)
+        await self._app(scope, receive, send)
 
     def _is_foreign(self, scope: Scope) -> bool:
         headers = Headers(scope=scope)
@@ -103,9 +99,7 @@ class Shares:
 
     def give(self, client: str, amount: int = 1) -> None:
         """Gives places back."""
-        self._held[client] -= amount
-        if not self._held[client]:
-            del self._held[client]
+        self._held -= Counter({client: amount})
 
 
 class LimitRequests:
@@ -121,7 +115,6 @@ class LimitRequests:
         self._bytes = Shares(MAX_HELD_BYTES, "bytes of bodies")
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Passes a request on, or refuses it."""
         if scope["type"] != "http" or scope["path"] in (*HEALTH, METRICS):
             await self._app(scope, receive, send)
             return
@@ -136,8 +129,7 @@ class LimitRequests:
             except TimeoutError:
                 raise RequestError(
                     REQUEST_TIMEOUT,
-                    "the body did not arrive in time",
-                    expected=f"all of it within {BODY_TIMEOUT_S:g} s",
+                    f"the body did not arrive within {BODY_TIMEOUT_S:g} s",
                     remedy="send it again, over a faster connection or as a smaller picture",
                     headers={"Connection": "close"},
                 ) from None
@@ -180,19 +172,14 @@ class Place:
         if self.is_abandoned:
             raise ClientDisconnect
         if time.monotonic() > self.deadline:
-            raise overloaded(
-                "the server is too busy for this request",
-                expected=f"an answer within {ANSWER_S:g} s",
-                got="other requests that compute at the same time",
-                remedy="ask for less at once, or again in some seconds",
-            )
+            raise overloaded(f"the server is too busy to answer this request within {ANSWER_S:g} s")
 
 
 class ComputePlaces:
     """As many places as cores; a client never holds the last one, unless there is but one."""
 
-    def __init__(self, cores: int, waiting: Gauge) -> None:
-        self.all, self.waiting = CapacityLimiter(cores), waiting
+    def __init__(self, cores: int) -> None:
+        self.all = CapacityLimiter(cores)
         # Searches take long: they never hold the last place together, either.
         self.searches = CapacityLimiter(max(1, cores - 1))
         # The JSON parser holds up all other threads, so one at a time is enough.
@@ -212,30 +199,20 @@ async def take_place(request: Request) -> AsyncIterator[Place]:
     limiters = [places.of(client_of(request.scope)), places.all]
     if request.url.path == SEARCH:
         limiters.insert(1, places.searches)
-    place, loop = Place(request.state.deadline), asyncio.get_running_loop()
-    patience = CancelScope(deadline=loop.time() + ANSWER_S)
+    place, patience = Place(request.state.deadline), CancelScope(deadline=current_time() + ANSWER_S)
     async with AsyncExitStack() as held:
-
-        def watch() -> None:
-            held.callback(asyncio.create_task(_watch(request, place, patience)).cancel)
-
-        # Most are answered before it is worth while to look whether their clients are still there.
-        held.callback(loop.call_later(WATCH_AFTER_S, watch).cancel)
+        held.callback(asyncio.create_task(_watch(request, place, patience)).cancel)
         with patience:
             for limiter in limiters:
-                try:
-                    limiter.acquire_on_behalf_of_nowait(place)
-                except WouldBlock:
-                    with places.waiting.track_inprogress():
-                        await limiter.acquire_on_behalf_of(place)
+                with WAITING.track_inprogress():
+                    await limiter.acquire_on_behalf_of(place)
                 held.callback(limiter.release_on_behalf_of, place)
         place.check_cancelled()
         try:
             yield place
-        except asyncio.CancelledError:
-            # At the server's end.
+        finally:
+            # Also where the server ends, and the route is still running in its thread.
             place.is_abandoned = True
-            raise
 
 
 async def _watch(request: Request, place: Place, patience: CancelScope) -> None:

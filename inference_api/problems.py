@@ -1,7 +1,6 @@
 """RFC 9457 problem details: one stable type for each way in which a request can fail."""
 
 import errno
-import http
 import json
 import logging
 import re
@@ -30,11 +29,6 @@ from cspace.errors import (
 _LOG = logging.getLogger(__name__)
 MEDIA_TYPE = "application/problem+json"
 _PREFIX = "urn:cspace-sampler:problem:"
-RETRY_AFTER_S = 1
-
-
-class NoKernelsError(CspaceError):
-    """What is asked for needs compiled code that this server has not."""
 
 
 class ModelNotReadyError(CspaceError):
@@ -86,12 +80,9 @@ PROBLEM_RESPONSES: dict[int | str, dict[str, Any]] = {
 # All that a client is told of failures that are not about its request.
 _ABOUT_THE_SERVER = {
     INTERNAL_ERROR: "the server failed; its log says how",
-    STORAGE_UNAVAILABLE: "the model that was asked for cannot be stored: the server's disk is full, or its "
-    "CSPACE_MODEL_CACHE cannot be written; its log says which",
-    OUT_OF_RESOURCES: "the server has no memory, threads or open files left for this request; ask again in "
-    "some seconds, or for less",
-    REGISTRY_UNAVAILABLE: "the model that was asked for is not here, and the model registry does not answer; "
-    "ask again in some seconds",
+    STORAGE_UNAVAILABLE: "the server's disk is full, or its CSPACE_MODEL_CACHE cannot be written",
+    OUT_OF_RESOURCES: "the server has no memory, threads or files left; ask again soon, or for less",
+    REGISTRY_UNAVAILABLE: "the registry of models does not answer; ask again in some seconds",
 }
 _NOTHING_LEFT = {errno.ENOMEM, errno.EMFILE, errno.ENFILE, errno.EAGAIN}
 # The interpreter and libraries in C++ have no type for it.
@@ -101,7 +92,6 @@ _BY_STATUS = {404: NOT_FOUND, 405: METHOD_NOT_ALLOWED, 413: BODY_TOO_LARGE, 415:
 _BY_ERROR: tuple[tuple[type[CspaceError], ProblemType], ...] = (
     (ImageError, INVALID_IMAGE),
     (OtherRobotError, OTHER_ROBOT),
-    (NoKernelsError, NO_PLANNER),
     (InputError, INVALID_VALUE),
     (ModelNotFoundError, UNKNOWN_MODEL),
     (RegistryError, REGISTRY_UNAVAILABLE),
@@ -116,12 +106,7 @@ class RequestError(CspaceError):
     """A request that is refused with a problem of its own; ``details`` are those of every CspaceError."""
 
     def __init__(
-        self,
-        problem: ProblemType,
-        what: str,
-        *,
-        headers: Mapping[str, str] | None = None,
-        **details: str | None,
+        self, problem: ProblemType, what: str, headers: Mapping[str, str] | None = None, **details: str | None
     ) -> None:
         super().__init__(what, **details)
         self.problem, self.headers = problem, headers
@@ -135,29 +120,21 @@ class ProblemResponse(Response):
     def __init__(
         self, problem: ProblemType, detail: str, headers: Mapping[str, str] | None = None, **members: Any
     ) -> None:
-        body = {
-            "type": _PREFIX + problem.name,
-            "title": problem.title,
-            "status": problem.status,
-            "detail": detail,
-        }
-        body |= {name: value for name, value in members.items() if value is not None}
+        body = {"type": _PREFIX + problem.name, "title": problem.title, "status": problem.status}
+        body |= {name: value for name, value in {"detail": detail, **members}.items() if value is not None}
         # ASCII, for a detail may echo half a surrogate pair, which UTF-8 does not have.
         super().__init__(json.dumps(body), problem.status, headers)
         self.problem = problem
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Sends it."""
         scope.setdefault("state", {})["problem"] = self.problem.name
         await super().__call__(scope, receive, send)
 
 
-def overloaded(what: str, **details: str | None) -> RequestError:
+def overloaded(what: str) -> RequestError:
     """The error of a server or client that has too much under way; it says when to ask again."""
-    remedy = f"ask again after {RETRY_AFTER_S} s, and from fewer places at once"
-    return RequestError(
-        OVERLOADED, what, headers={"Retry-After": str(RETRY_AFTER_S)}, **{"remedy": remedy, **details}
-    )
+    remedy = "ask again after 1 s, for less or from fewer places at once"
+    return RequestError(OVERLOADED, what, headers={"Retry-After": "1"}, remedy=remedy)
 
 
 def problem_of(error: BaseException) -> ProblemType:
@@ -230,8 +207,7 @@ def add_problem_handlers(app: FastAPI) -> None:
     async def http_error(_: Request, error: HTTPException) -> Response:
         fallback = MALFORMED_BODY if error.status_code < 500 else INTERNAL_ERROR
         problem = _BY_STATUS.get(error.status_code, fallback)
-        detail = str(error.detail) or http.HTTPStatus(error.status_code).phrase
-        return ProblemResponse(problem, detail, error.headers)
+        return ProblemResponse(problem, str(error.detail), error.headers)
 
     @app.exception_handler(ClientDisconnect)
     async def gone(_: Request, __: ClientDisconnect) -> Response:

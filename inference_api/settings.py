@@ -2,29 +2,20 @@
 
 import os
 from collections.abc import Mapping
-from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated
 
-from pydantic import AfterValidator, BeforeValidator, Field, IPvAnyNetwork, ValidationError
+from pydantic import AfterValidator, BeforeValidator, Field, FilePath, IPvAnyNetwork
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
-from cspace.errors import ConfigError
 from services.registry.entities import PRETRAINED, SHIPPED, is_model_name
 
-PREFIX = "CSPACE_"
-MIB = 1024 * 1024
 PRETRAINED_FOLDER = Path(__file__).parent / "pretrained"
 # Where `make docs` of a checkout builds it.
 GUIDE_FOLDER = Path(__file__).parents[1] / "build" / "docs"
 # As they stand in headers, hosts without a port.
 _HOST = r"^(\*|[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*|\[[0-9A-Fa-f:.]+\])$"
 _ORIGIN = r"^https?://([A-Za-z0-9_.-]+|\[[0-9A-Fa-f:.]+\])(:[0-9]{1,5})?$"
-
-
-def usable_cores() -> int:
-    """The cores that this process may run on, at least 1."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def bracketed(host: str) -> str:
@@ -38,9 +29,6 @@ def further_folders() -> dict[str, Path]:
     return {name: folder for name, folder in beside.items() if name != PRETRAINED and folder.is_dir()}
 
 
-# What the validators raise is what an error says of the expected value.
-
-
 def _parts(value: object) -> object:
     """The entries of a text, which commas separate."""
     return [part.strip() for part in value.split(",") if part.strip()] if isinstance(value, str) else value
@@ -52,12 +40,6 @@ def _served_name(text: str) -> str:
     return text
 
 
-def _trusted_key(path: Path) -> Path:
-    if not path.is_file() or find_spec("model_signing") is None:
-        raise ValueError("a PEM file with a public key, and the extra signing installed")
-    return path
-
-
 _Host = Annotated[str, AfterValidator(bracketed), Field(pattern=_HOST)]
 _Origin = Annotated[str, Field(pattern=_ORIGIN)]
 
@@ -66,12 +48,7 @@ class ApiSettings(BaseSettings):
     """Everything that can be set; an empty variable counts as unset."""
 
     model_config = SettingsConfigDict(
-        env_prefix=PREFIX,
-        frozen=True,
-        extra="forbid",
-        populate_by_name=True,
-        env_ignore_empty=True,
-        allow_inf_nan=False,
+        env_prefix="CSPACE_", env_ignore_empty=True, populate_by_name=True, frozen=True, allow_inf_nan=False
     )
 
     registry_uri: str | None = Field(None, alias="MLFLOW_TRACKING_URI")
@@ -92,9 +69,9 @@ class ApiSettings(BaseSettings):
     """Bundles beside champion and shipped ones that stay in memory."""
     stored_models: int = Field(20, ge=1)
     """Versions of each model that stay on disk beside its champion."""
-    trusted_key: Annotated[Path, AfterValidator(_trusted_key)] | None = None
+    trusted_key: FilePath | None = None
     """PEM file of a public key that registered models have to be signed by."""
-    api_threads: int = Field(default_factory=usable_cores, ge=1)
+    api_threads: int = Field(default_factory=lambda: len(os.sched_getaffinity(0)), ge=1)
     """Requests that are computed at the same time."""
     api_keys_file: Path | None = None
     """File of API keys; without it everybody may ask."""
@@ -123,34 +100,8 @@ class ApiSettings(BaseSettings):
     outcomes_keep_days: float = Field(0.0, ge=0.0, le=3650.0)
     """How long pictures and paths of plans whose requests say keep may be kept, days; 0 keeps none."""
 
-    @classmethod
-    def from_environment(cls) -> Self:
-        """The settings of the environment; raises ConfigError for a wrong value."""
-        try:
-            return cls()
-        except ValidationError as error:
-            first = error.errors()[0]
-            raise ConfigError(
-                f"the setting {_variable(str(first['loc'][0]))} does not fit",
-                expected=first["msg"].removeprefix("Value error, ").removeprefix("Input should be "),
-                got=repr(first["input"])[:200],
-                remedy="set it in the environment, or unset it for its default",
-            ) from error
-
     @property
     def shipped_folders(self) -> Mapping[str, Path]:
         """Shipped bundles by name, the default robot's first."""
         others = further_folders() if self.pretrained_model == PRETRAINED_FOLDER else {}
         return {PRETRAINED: self.pretrained_model, **others}
-
-    @property
-    def traces(self) -> bool:
-        """Whether OpenTelemetry's own variables name a place to send traces to."""
-        return (
-            "OTEL_EXPORTER_OTLP_ENDPOINT" in os.environ or "OTEL_EXPORTER_OTLP_TRACES_ENDPOINT" in os.environ
-        )
-
-
-def _variable(field: str) -> str:
-    alias = ApiSettings.model_fields[field].alias if field in ApiSettings.model_fields else field
-    return alias or f"{PREFIX}{field}".upper()

@@ -13,25 +13,20 @@ import secrets
 import time
 from contextvars import ContextVar
 from datetime import UTC, datetime
-from functools import partial
-from typing import Annotated, Any, get_args
+from http import HTTPMethod
+from typing import Any, get_args
 
-from fastapi import Depends, FastAPI, Request
-from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, Summary, generate_latest
-from prometheus_client.process_collector import ProcessCollector
+from fastapi import FastAPI
+from prometheus_client import Counter, Gauge, Histogram, Summary, generate_latest
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from cspace.errors import ConfigError
 from cspace.query import Status
-from inference_api.limits import HEALTH, METRICS
 from inference_api.problems import PROBLEMS, SHUTTING_DOWN, RequestError, problem_response
 from inference_api.served_models import Reload, ServedModel
 from services.outcomes import RESULTS
 
-CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 REQUEST_ID = "X-Request-ID"
-METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS", "TRACE", "CONNECT"})
 # After OWASP's REST Security Cheat Sheet. A page that needs more, /docs, brings a policy of its own.
 SECURITY_HEADERS = {
     "Cache-Control": "no-store",
@@ -48,54 +43,41 @@ _ACCESS_LOG = logging.getLogger("inference_api.access")
 request_fields: ContextVar[dict[str, Any]] = ContextVar("request_fields")
 
 
-class Metrics:
-    """Counts and times what one app does; safe to share between threads."""
+REQUESTS = Counter(
+    "cspace_requests", "Requests answered, by template of the route.", ("route", "method", "status")
+)
+FAILURES = Counter("cspace_failures", "Answers that were problems, by type.", ("reason",))
+IN_FLIGHT = Gauge("cspace_requests_in_flight", "Requests being answered.")
+STAGES = Histogram(
+    "cspace_stage_seconds", "Time in each stage of samples.", ("stage",), buckets=_STAGE_BUCKETS_S
+)
+ACCEPTANCE = Summary("cspace_acceptance_ratio", "Share of proposals that reached the confidence.")
+PLANS = Counter("cspace_plans", "Answers of POST /plan, by status.", ("status",))
+RELOADS = Counter("cspace_model_reloads", "Champions served, refused or removed.", ("outcome",))
+OUTCOMES = Counter("cspace_outcomes", "Outcomes written to disk, or lost.", ("result",))
+MODEL = Gauge(
+    "cspace_model_info",
+    "The model that answers requests that name none.",
+    ("name", "version", "digest", "fallback"),
+)
+# Else a rate over the first event of a kind would see no rise.
+for metric, values in (
+    (FAILURES, [problem.name for problem in PROBLEMS]),
+    (PLANS, get_args(Status)),
+    (RELOADS, get_args(Reload)),
+    (OUTCOMES, RESULTS),
+):
+    for value in values:
+        metric.labels(value)
 
-    def __init__(self) -> None:
-        self._registry = registry = CollectorRegistry()
-        counter, gauge = partial(Counter, registry=registry), partial(Gauge, registry=registry)
-        self.requests = counter(
-            "cspace_requests", "Requests answered, by template of the route.", ("route", "method", "status")
-        )
-        self.failures = counter("cspace_failures", "Answers that were problems, by type.", ("reason",))
-        self.in_flight = gauge("cspace_requests_in_flight", "Requests being answered.")
-        self.waiting = gauge("cspace_requests_waiting", "Requests that wait for a place to compute.")
-        self.stages = Histogram(
-            "cspace_stage_seconds",
-            "Time in each stage of samples.",
-            ("stage",),
-            buckets=_STAGE_BUCKETS_S,
-            registry=registry,
-        )
-        self.acceptance = Summary(
-            "cspace_acceptance_ratio", "Share of proposals that reached the confidence.", registry=registry
-        )
-        self.plans = counter("cspace_plans", "Answers of POST /plan, by status.", ("status",))
-        self.reloads = counter("cspace_model_reloads", "Champions served, refused or removed.", ("outcome",))
-        self.outcomes = counter("cspace_outcomes", "Outcomes written to disk, or lost.", ("result",))
-        self._model = gauge(
-            "cspace_model_info",
-            "The model that answers requests that name none.",
-            ("name", "version", "digest", "fallback"),
-        )
-        ProcessCollector(registry=registry)
-        # Else a rate over the first event of a kind would see no rise.
-        for metric, values in (
-            (self.failures, [problem.name for problem in PROBLEMS]),
-            (self.plans, get_args(Status)),
-            (self.reloads, get_args(Reload)),
-            (self.outcomes, RESULTS),
-        ):
-            for value in values:
-                metric.labels(value)
 
-    def render(self, model: ServedModel | None) -> bytes:
-        """All metrics in Prometheus' text format; ``model`` is the one that answers by default."""
-        self._model.clear()
-        if model is not None:
-            fallback = str(model.fallback).lower()
-            self._model.labels(model.name, model.version, model.bundle.digest, fallback).set(1)
-        return generate_latest(self._registry)
+def metrics_text(model: ServedModel | None) -> bytes:
+    """All metrics in Prometheus' text format; ``model`` is the one that answers by default."""
+    MODEL.clear()
+    if model is not None:
+        fallback = str(model.fallback).lower()
+        MODEL.labels(model.name, model.version, model.bundle.digest, fallback).set(1)
+    return generate_latest()
 
 
 class Telemetry:
@@ -105,11 +87,10 @@ class Telemetry:
     at the server's end with 503.
     """
 
-    def __init__(self, app: ASGIApp, metrics: Metrics) -> None:
-        self._app, self._metrics = app, metrics
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Passes a request on."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
@@ -130,7 +111,7 @@ class Telemetry:
             await send(message)
 
         try:
-            with self._metrics.in_flight.track_inprogress():
+            with IN_FLIGHT.track_inprogress():
                 await self._app(scope, receive, labelled)
         except asyncio.CancelledError:
             if not status:
@@ -147,13 +128,12 @@ class Telemetry:
     def _finish(self, scope: Scope, status: int, duration_ms: float) -> None:
         # Of mounted files it is the folder.
         route = getattr(scope.get("route"), "path", scope.get("root_path")) or "unknown"
-        method = scope["method"] if scope["method"] in METHODS else "other"
-        self._metrics.requests.labels(route, method, str(status)).inc()
+        method = scope["method"] if scope["method"] in HTTPMethod.__members__ else "other"
+        REQUESTS.labels(route, method, str(status)).inc()
         # Nothing in it is free text of the client's.
-        fields = request_fields.get() | {"method": method, "route": route, "status": status}
-        fields["duration_ms"] = round(duration_ms, 3)
+        fields = {"method": method, "route": route, "status": status, "duration_ms": round(duration_ms, 3)}
         if (reason := scope["state"].get("problem")) is not None:
-            self._metrics.failures.labels(reason).inc()
+            FAILURES.labels(reason).inc()
             fields["reason"] = reason
         _ACCESS_LOG.info("%s %s %s", method, route, status, extra={"fields": fields})
 
@@ -167,17 +147,15 @@ _SHUT_DOWN = RequestError(
 
 
 class JsonFormatter(logging.Formatter):
-    """A line is an object of JSON; inside a request it has the request's id."""
+    """A line is an object of JSON; inside a request with what is known of it."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """The line."""
-        request_id = request_fields.get({}).get("request_id")
         line = {
             "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
             "level": record.levelname.lower(),
             "logger": record.name,
             "message": record.getMessage(),
-            **({} if request_id is None else {"request_id": request_id}),
+            **request_fields.get({}),
             **getattr(record, "fields", {}),
         }
         if record.exc_info:
@@ -199,34 +177,16 @@ def configure_logging() -> None:
 
 def add_tracing(app: FastAPI) -> None:
     """Sends a span for every request but those that only watch, by OpenTelemetry's own variables."""
-    try:
-        from opentelemetry.exporter.otlp.proto.http.trace_exporter import OTLPSpanExporter  # noqa: PLC0415
-        from opentelemetry.instrumentation.fastapi import FastAPIInstrumentor  # noqa: PLC0415
-        from opentelemetry.sdk.trace import TracerProvider  # noqa: PLC0415
-        from opentelemetry.sdk.trace.export import BatchSpanProcessor  # noqa: PLC0415
-    except ModuleNotFoundError as error:
-        raise ConfigError(
-            "traces cannot be sent",
-            expected="the packages of the extra tracing",
-            got=str(error),
-            remedy="pip install 'cspace-sampler[tracing]', or unset OTEL_EXPORTER_OTLP_ENDPOINT",
-        ) from error
+    # Of the extra tracing.
+    from opentelemetry.exporter.otlp.proto.http.trace_exporter import OTLPSpanExporter  # noqa: PLC0415
+    from opentelemetry.instrumentation.fastapi import FastAPIInstrumentor  # noqa: PLC0415
+    from opentelemetry.sdk.trace import TracerProvider  # noqa: PLC0415
+    from opentelemetry.sdk.trace.export import BatchSpanProcessor  # noqa: PLC0415
+
     os.environ.setdefault("OTEL_SERVICE_NAME", "cspace-sampler-api")
     # At the interpreter's exit it sends what is still waiting.
     provider = TracerProvider()
     provider.add_span_processor(BatchSpanProcessor(OTLPSpanExporter()))
     FastAPIInstrumentor.instrument_app(
-        app,
-        tracer_provider=provider,
-        excluded_urls=",".join(f"{path}$" for path in (*HEALTH, METRICS)),
-        exclude_spans=["receive", "send"],
+        app, tracer_provider=provider, excluded_urls="/health/,/metrics$", exclude_spans=["receive", "send"]
     )
-
-
-async def _metrics_of(request: Request) -> Metrics:
-    metrics: Metrics = request.app.state.metrics
-    return metrics
-
-
-# What routes take.
-Metered = Annotated[Metrics, Depends(_metrics_of)]

@@ -7,11 +7,14 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, TypeVar
+
+from pydantic import BaseModel, ValidationError
 
 from cspace.errors import ConfigError, CspaceError, StorageError
 from cspace.files import replacing
 
+Settings = TypeVar("Settings", bound=BaseModel)
 RESULT_FILE = "result.json"
 PREFIX = "RESULT "
 """Of the line for programs."""
@@ -21,6 +24,20 @@ def report_error(error: CspaceError, *wrong: type[CspaceError], program: str = "
     """Print an error after the program's name; returns 2 for the errors of a wrong request, 1 for others."""
     sys.stderr.write(f"{program}: {error}\n")
     return 2 if isinstance(error, wrong) else 1
+
+
+def settings_of(kind: type[Settings]) -> Settings:
+    """Settings of the environment; the error of a wrong one names its variable."""
+    try:
+        return kind()
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise ConfigError(
+            f"the setting CSPACE_{str(first['loc'][0]).upper()} does not fit",
+            expected=first["msg"].removeprefix("Value error, ").removeprefix("Input should be "),
+            got=repr(first["input"])[:200],
+            remedy="set it in the environment, or unset it for its default",
+        ) from error
 
 
 def confirmed(question: str) -> bool:

@@ -5,6 +5,7 @@ from typing import Any, Literal
 
 from fastapi import APIRouter
 from fastapi.responses import PlainTextResponse, Response
+from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4
 from pydantic import Field
 
 from cspace.errors import InputError, ScenarioError
@@ -17,7 +18,7 @@ from inference_api.kernels import Kernels
 from inference_api.problems import ModelNotReadyError
 from inference_api.scene import model_info
 from inference_api.served_models import PRETRAINED_VERSION, Models, ModelStore, ServedModel, Shipped
-from inference_api.telemetry import CONTENT_TYPE, Metered
+from inference_api.telemetry import metrics_text
 from services.names import MAX_WORLD, TAG_ROBOT, TAG_WORLD
 from services.registry.entities import ModelVersion, is_model_name
 
@@ -88,9 +89,9 @@ def models(store: Models, name: str | None = None) -> ModelsAnswer:
     summary="What Prometheus scrapes",
     response_class=PlainTextResponse,
 )
-def metrics(store: Models, metrics: Metered) -> Response:
+def metrics(store: Models) -> Response:
     """Requests, failures, latencies, reloads and the model in service, as text."""
-    return Response(metrics.render(store.default), media_type=CONTENT_TYPE)
+    return Response(metrics_text(store.default), media_type=CONTENT_TYPE_PLAIN_0_0_4)
 
 
 # Asynchronous, so that no thread has to be free for them.

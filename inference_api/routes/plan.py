@@ -33,7 +33,7 @@ from inference_api.scene import (
     warnings_of,
 )
 from inference_api.served_models import ServedModel
-from inference_api.telemetry import Metered, request_fields
+from inference_api.telemetry import PLANS, request_fields
 from services.outcomes import problem_of
 
 # Findings by which a plan is refused.
@@ -54,7 +54,6 @@ def plan(
     place: ComputePlace,
     pictures: PreparedPictures,
     kernels: Kernels,
-    metrics: Metered,
     http: Request,
 ) -> Response:
     """Returns, of several paths through what the picture shows, the one with the least cost.
@@ -78,7 +77,7 @@ def plan(
             # The calibration of other scenes does not hold here, so that paths are refused by default.
             query = replace(query, min_confidence=1.0)
         found = bundle.plan(prepared.picture, query, place.check_cancelled)
-    metrics.plans.labels(found.status).inc()
+    PLANS.labels(found.status).inc()
     request_fields.get().update(model=str(served), seed=str(query.seed))
     kept, receipts = None, http.app.state.receipts
     receipt = None

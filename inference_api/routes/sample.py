@@ -27,7 +27,7 @@ from inference_api.scene import (
     warnings_of,
 )
 from inference_api.served_models import ServedModel
-from inference_api.telemetry import Metered, request_fields
+from inference_api.telemetry import ACCEPTANCE, STAGES, request_fields
 
 _HEADERS = {
     "X-Seed": "The seed that was used, in decimal.",
@@ -51,7 +51,6 @@ def sample(
     place: ComputePlace,
     pictures: PreparedPictures,
     kernels: Kernels,
-    metrics: Metered,
     npy: WantsNpy,
 ) -> Response:
     """The same seed, picture, parameters and model digest give the same samples on one machine.
@@ -78,8 +77,8 @@ def sample(
         total=1e3 * (time.perf_counter() - began),
     )
     for stage, value_ms in timing.model_dump().items():
-        metrics.stages.labels(stage).observe(1e-3 * value_ms)
-    metrics.acceptance.observe(found.acceptance)
+        STAGES.labels(stage).observe(1e-3 * value_ms)
+    ACCEPTANCE.observe(found.acceptance)
     # JSON's numbers end at 53 bits, a seed does not.
     request_fields.get().update(model=str(served), n=query.n, seed=str(query.seed), shortfall=found.shortfall)
     novelty = prepared.picture.novelty

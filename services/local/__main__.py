@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 
 from cspace.errors import ConfigError, CspaceError, PortTakenError, ServiceError
-from services.commands import aligned, confirmed
+from services.commands import aligned, confirmed, settings_of
 from services.local.quickstart import TOURS, addresses, import_arm, quickstart, serve_untrained, tour_of_arm
 from services.local.stack import (
     BIN,
@@ -20,7 +20,6 @@ from services.local.stack import (
     down,
     drop_state,
     leftovers,
-    read_settings,
     shell_values,
     size_text,
     state_parts,
@@ -31,14 +30,10 @@ from services.local.stack import (
 
 # Of a desktop, or what somebody set for the purpose; browsers of a terminal would take it over.
 SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
-FAILED, NOT_HEALTHY = 1, 4
 _say = partial(print, flush=True)
-EXIT_CODES = (
-    "Exit codes: 0 done, 1 failed, 2 wrong usage or setting, 3 a port is taken, 4 not all is healthy."
-)
+EXIT_CODES = "Exit codes: 0 done, 1 failed, 2 wrong usage or setting, 3 port taken, 4 not all healthy."
 DESCRIPTION = """MLflow, a Ray head and the inference API on loopback, under supervisord.
-Settings: CSPACE_HOME (state folder), CSPACE_API_PORT, CSPACE_RAY_PORT, CSPACE_MLFLOW_PORT,
-CSPACE_VIEWER_PORT, CSPACE_RAY_CPUS."""
+docs/operations.md lists the settings."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -49,10 +44,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.environ[name] = ",".join(filter(None, [os.environ.get(name), HOST, "localhost"]))
     os.environ["RAY_AUTH_MODE"] = "token"
     try:
-        return options.run(read_settings(), options) or 0
-    except CspaceError as error:
+        return options.run(settings_of(Settings), options) or 0
+    except (CspaceError, OSError) as error:
         sys.stderr.write(f"error: {error}\n")
-        return {ConfigError: 2, PortTakenError: 3}.get(type(error), FAILED)
+        codes: dict[type[Exception], int] = {ConfigError: 2, PortTakenError: 3}
+        return codes.get(type(error), 1)
     except KeyboardInterrupt:
         sys.stderr.write("\ninterrupted; what was started goes on: `make status`, `make down`\n")
         return 130
@@ -71,7 +67,7 @@ def _down(settings: Settings, _: argparse.Namespace) -> None:
 def _status(settings: Settings, _: argparse.Namespace) -> int:
     table, healthy = status(settings)
     _say(f"{table}\nstate folder {settings.home}, {size_text(settings.home)}")
-    return 0 if healthy else NOT_HEALTHY
+    return 0 if healthy else 4
 
 
 def _env(settings: Settings, _: argparse.Namespace) -> None:
@@ -90,7 +86,7 @@ def _clean_state(settings: Settings, options: argparse.Namespace) -> int:
     _say(aligned([(str(part), size_text(part)) for part in parts]))
     if not options.yes and not confirmed("delete all of this: runs, models and data?"):
         _say("nothing was deleted")
-        return FAILED
+        return 1
     drop_state(settings)
     _say(f"deleted {settings.home}")
     return 0
@@ -102,7 +98,7 @@ def _demo(settings: Settings, options: argparse.Namespace) -> None:
     up(settings, ("viewer",), _say)
     page = viewer_page(settings)
     _say(f"\nseven joints, in 3D   {page}\nplanar arm, in 2D     {settings.url('api')}/")
-    _say("\n`make down` ends both.")
+    _say("`make down` ends both.")
     if not options.no_browser and any(os.environ.get(name) for name in SCREENS):
         webbrowser.open(page)
 

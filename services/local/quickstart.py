@@ -4,7 +4,6 @@ import os
 import re
 import shlex
 import subprocess
-import sys
 import time
 from collections.abc import Sequence
 from contextlib import suppress
@@ -90,7 +89,6 @@ def quickstart(settings: Settings, tour: Tour, say: Report) -> None:
         ("version", training.reference),
         ("verdict", "champion now" if evaluation.promoted else "not promoted, the champion stays"),
         *(("", reason) for reason in evaluation.reasons),
-        ("runs", f"{settings.url('mlflow')}/#/experiments/1/runs?{MLFLOW_TRAINING}"),
         *(("picture", str(path)) for path in pictures),
     ]
     say(f"\n{aligned(rows)}\n\n{addresses(settings)}\n\nThe services stay up; `make down` ends them.")
@@ -106,7 +104,7 @@ def timed(say: Report) -> Report:
 
 def run_job(settings: Settings, entrypoint: str, show: Report) -> JobResult:
     """Run a job with ``ray job submit`` in the head's own folder, and show its lines."""
-    command = [str(BIN / "ray"), "job", "submit", "--log-color=false", "--", *shlex.split(entrypoint)]
+    command = ["ray", "job", "submit", "--log-color=false", "--", *shlex.split(entrypoint)]
     code, lines = run_shown(settings, command, show)
     if code != 0:
         remedy = "`ray job logs ID` prints all of them"
@@ -125,18 +123,17 @@ def last_result(lines: Sequence[str]) -> JobResult:
 
 def wait_served(url: str, reference: str, *, default: bool, limit_s: float = SERVED_LIMIT_S) -> None:
     """Wait until the API serves ``name/version``, with ``default`` to requests that name no model."""
-    until, seen = time.monotonic() + limit_s, dict[str, bool]()
-    while True:
+    seen = dict[str, bool]()
+    for _ in range(int(limit_s / POLL_S)):
         with suppress(httpx.HTTPError, ValueError, LookupError, TypeError):
             query = {"name": reference.partition("/")[0]}
             answer = httpx.get(f"{url}/models", params=query, timeout=5.0, trust_env=False)
             seen = {one["reference"]: one["default"] for one in answer.raise_for_status().json()["models"]}
         if reference in seen and (seen[reference] or not default):
             return
-        if time.monotonic() > until:
-            what = f"the inference API does not serve {reference}{' by default' if default else ''}"
-            raise ServiceStartError(what, got=str(sorted(seen)), remedy="see api.log in the logs folder")
         time.sleep(POLL_S)
+    what = f"the inference API does not serve {reference}{' by default' if default else ''}"
+    raise ServiceStartError(what, got=str(sorted(seen)), remedy="see api.log in the logs folder")
 
 
 def plan_and_draw(
@@ -148,7 +145,7 @@ def plan_and_draw(
     for family, picture in zip(families, pictures, strict=True):
         picture.unlink(missing_ok=True)
         # A process of its own: OMPL seeds its generator once a process.
-        command = [sys.executable, "-m", "services.planner", "--api", settings.url("api"), *options]
+        command = ["python", "-m", "services.planner", "--api", settings.url("api"), *options]
         command += ["--family", family, "--seed", str(PLANNING_SEED), "--plot", str(picture)]
         code, _ = run_shown(settings, command, show)
         # A crash ends with the same code, but draws nothing.
@@ -161,8 +158,9 @@ def run_shown(settings: Settings, command: Sequence[str], show: Report) -> tuple
     """Run a command and show its lines, but not those for programs; its exit code and all lines."""
     show(f"$ {shlex.join(command)}")
     lines, environment = [], os.environ | shell_values(settings)
+    program = [str(BIN / command[0]), *command[1:]]
     with subprocess.Popen(
-        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        program, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     ) as process:
         for line in process.stdout or ():
             lines.append(COLOUR.sub("", line.rstrip()))
@@ -187,7 +185,7 @@ def import_arm(settings: Settings, urdf: Path, options: Sequence[str], say: Repo
     """Import a description with the options of ``python -m training.robots import``; the robot's file."""
     make_state(settings)
     file = settings.home / "arms" / f"{urdf.name.partition('.')[0]}.json"
-    command = [sys.executable, "-m", "training.robots", "import", str(urdf), *options, "--out", str(file)]
+    command = ["python", "-m", "training.robots", "import", str(urdf), *options, "--out", str(file)]
     if run_shown(settings, command, timed(say))[0] != 0:
         remedy = "see docs/arm-in-space.md for what it does with each part of a description"
         raise ConfigError(f"{urdf} was not imported", got="the error above", remedy=remedy)
@@ -216,7 +214,7 @@ def serve_untrained(settings: Settings, file: Path, say: Report) -> None:
     progress("starting the services")
     up(settings, SERVICES, progress)
     folder = settings.home / "arms" / f"{name}-untrained-{robot_digest(world)[:8]}"
-    command = [sys.executable, "-m", "training.untrained", str(file), str(folder), "--register", "champion"]
+    command = ["python", "-m", "training.untrained", str(file), str(folder), "--register", "champion"]
     code, lines = run_shown(settings, command, progress)
     if code != 0:
         raise JobError("the model was not made", got=f"exit code {code}, the lines above")
@@ -230,9 +228,8 @@ def serve_untrained(settings: Settings, file: Path, say: Report) -> None:
         # Tables are of one size, and a small arm may not reach round what stands on them.
         say(f"The model is served. There is no plan to show: {error}")
     else:
-        plan_and_draw(
-            settings, settings.home / "figures" / f"{name}-untrained", progress, ("table",), options
-        )
+        pictures = settings.home / "figures" / f"{name}-untrained"
+        plan_and_draw(settings, pictures, progress, ("table",), options)
     model = model_name(world, name)
     say(f"\n{addresses(settings)}\n\nPOST /plan, /validity and /sample take model={model}.")
     say(f"Look at it: python -m services.planner.viewer --api {settings.url('api')} --model {model}")

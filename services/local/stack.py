@@ -17,12 +17,12 @@ from typing import Annotated, Any
 
 import httpx
 import psutil
-from pydantic import Field, ValidationError, field_validator
+from pydantic import Field, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 from supervisor.states import RUNNING_STATES
 from supervisor.xmlrpc import SupervisorTransport
 
-from cspace.errors import ConfigError, PortTakenError, ServiceError, ServiceStartError, StorageError
+from cspace.errors import ConfigError, PortTakenError, ServiceError, ServiceStartError
 from cspace.files import holding
 from services.commands import aligned
 from services.names import API_URL
@@ -82,16 +82,6 @@ class Settings(BaseSettings):
         return self.temp_folder / "supervisor.sock"
 
 
-def read_settings() -> Settings:
-    """The settings from the environment; an empty variable counts as not set."""
-    try:
-        return Settings()
-    except ValidationError as error:
-        first = error.errors()[0]
-        what = f"the setting CSPACE_{str(first['loc'][0]).upper()} is wrong"
-        raise ConfigError(what, expected=first["msg"], got=repr(first["input"])) from error
-
-
 def shell_values(settings: Settings) -> dict[str, str]:
     """The environment variables with which `ray job submit` and the project's commands find the services."""
     return {
@@ -110,17 +100,13 @@ def shell_values(settings: Settings) -> dict[str, str]:
 def make_state(settings: Settings) -> None:
     """Make the state folder with its parts; a folder that holds something else is refused."""
     home = settings.home
-    try:
-        home.mkdir(mode=0o700, parents=True, exist_ok=True)
-        _require_own(home)
-        (home / MARKER).write_text('{"made_by": "cspace-sampler"}', encoding="utf-8")
-        # Git and `ray job submit --working-dir` leave the folder out.
-        (home / IGNORE).write_text("*\n", encoding="utf-8")
-        for name in FOLDERS:
-            (home / name).mkdir(exist_ok=True)
-    except OSError as error:
-        remedy = "set CSPACE_HOME to a folder of yours"
-        raise ConfigError("the state folder cannot be made", got=str(error), remedy=remedy) from error
+    home.mkdir(mode=0o700, parents=True, exist_ok=True)
+    _require_own(home)
+    (home / MARKER).write_text('{"made_by": "cspace-sampler"}', encoding="utf-8")
+    # Git and `ray job submit --working-dir` leave the folder out.
+    (home / IGNORE).write_text("*\n", encoding="utf-8")
+    for name in FOLDERS:
+        (home / name).mkdir(exist_ok=True)
 
 
 def state_parts(settings: Settings) -> list[Path]:
@@ -134,16 +120,13 @@ def state_parts(settings: Settings) -> list[Path]:
 
 def drop_state(settings: Settings) -> None:
     """Delete the parts of the state folder, and the folder itself if nothing else lies in it."""
-    try:
-        for part in state_parts(settings):
-            shutil.rmtree(part)
-        # The mark goes last, so that what was interrupted can be repeated.
-        for name in (IGNORE, MARKER):
-            (settings.home / name).unlink(missing_ok=True)
-        if not any(settings.home.iterdir()):
-            settings.home.rmdir()
-    except OSError as error:
-        raise StorageError("the state folder cannot be deleted", got=str(error)) from error
+    for part in state_parts(settings):
+        shutil.rmtree(part)
+    # The mark goes last, so that what was interrupted can be repeated.
+    for name in (IGNORE, MARKER):
+        (settings.home / name).unlink(missing_ok=True)
+    if not any(settings.home.iterdir()):
+        settings.home.rmdir()
 
 
 def size_text(folder: Path) -> str:
@@ -172,7 +155,6 @@ NO_REGISTRY = "run/no-registry"
 FOREIGN, OWN = ("RAY_", "MLFLOW_", "PYTHONHOME"), ("RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH")
 POLL_S = 0.2
 START_LIMIT_S, STOP_LIMIT_S, KILL_LIMIT_S = 180.0, 90.0, 10.0
-LOG_LINES = 25
 
 Report = Callable[[str], None]
 
@@ -337,11 +319,8 @@ def _start_supervisord(settings: Settings) -> Any:
     command = [str(BIN / "ray"), "get-auth-token", "--generate"]
     subprocess.run(command, env=environment, capture_output=True, check=False)
     shutil.rmtree(settings.temp_folder, ignore_errors=True)
-    try:
-        # A folder that somebody else has made cannot be deleted, and is not used.
-        settings.temp_folder.mkdir(mode=0o700)
-    except OSError as error:
-        raise ServiceStartError("there is no folder for sockets", got=str(error)) from error
+    # A folder that somebody else has made cannot be deleted, and is not used.
+    settings.temp_folder.mkdir(mode=0o700)
     config = settings.home / "run" / "supervisord.conf"
     config.write_text(_configuration(settings), encoding="utf-8")
     command = [str(BIN / "supervisord"), "-c", str(config)]
@@ -410,7 +389,7 @@ def _wait_healthy(settings: Settings, server: Any, name: str) -> None:
         with suppress(xmlrpc.client.Fault):  # it has ended already
             server.stopProcess(name)
         log = log_file(settings, name)
-        last = log.read_text(encoding="utf-8", errors="replace").splitlines()[-LOG_LINES:]
+        last = log.read_text(encoding="utf-8", errors="replace").splitlines()[-25:]
         remedy = "\n".join([f"the end of its log {log}:", *last, "then `make down` and start again"])
         raise ServiceStartError(f"{name} {failure}", remedy=remedy)
 

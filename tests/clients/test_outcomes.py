@@ -82,9 +82,7 @@ def test_a_server_that_may_answer_later_is_asked_again_and_others_are_not(status
     assert (sender.sent, sender.dropped) == (sent, 1 - sent)
 
 
-def test_a_server_that_hangs_holds_up_neither_the_planner_nor_for_long_the_end(monkeypatch):
-    monkeypatch.setattr(module, "EVERY_S", 0.001)
-    monkeypatch.setattr(module, "CLOSE_S", 0.2)
+def test_a_server_that_hangs_holds_up_neither_the_planner_nor_for_long_the_end():
     asked, release = threading.Event(), threading.Event()
 
     def hang(request):

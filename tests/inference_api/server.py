@@ -1,6 +1,7 @@
 """A real server process on a free loopback port, ended by its process id."""
 
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
@@ -90,10 +91,9 @@ def _wait(process: subprocess.Popen[bytes], log: Path) -> str:
         try:
             process.wait(LOOK_S)
         except subprocess.TimeoutExpired:
-            first = log.read_text().partition("\n")[0]
-            address = first.removeprefix("serving on ").partition(" ")[0]
-            if address.startswith("http://") and _lives(address):
-                return address
+            found = re.search(r"running on (http://\S+)", log.read_text())
+            if found and _lives(found[1]):
+                return found[1]
         else:
             break
     process.kill()

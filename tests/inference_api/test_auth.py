@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from cspace.errors import ConfigError
-from inference_api.auth import check_exposure, digest_of, read_keys
+from inference_api.__main__ import main
+from inference_api.auth import digest_of, read_keys
 from tests.inference_api.answers import PNG, assert_problem
 from tests.inference_api.client import ApiClient
 from tests.inference_api.conftest import api_over
@@ -105,13 +106,10 @@ def test_a_file_that_is_missing_too_large_or_may_be_written_by_others_is_an_erro
             read_keys(path)
 
 
-def test_loopback_needs_no_keys_and_other_addresses_need_keys_or_a_word(tmp_path: Path) -> None:
-    for host in ("127.0.0.1", "127.1.2.3", "::1", "localhost"):
-        check_exposure(host, None, allowed=False)
-    path = tmp_path / "keys"
-    path.write_text(f"lab:{DIGEST}\n")
-    for host in ("0.0.0.0", "::", "", "192.0.2.1", "server.example"):  # noqa: S104
-        with pytest.raises(ConfigError, match="--allow-unauthenticated"):
-            check_exposure(host, None, allowed=False)
-        check_exposure(host, None, allowed=True)
-        check_exposure(host, path, allowed=False)
+@pytest.mark.parametrize("host", ["0.0.0.0", "::", "", "192.0.2.1", "server.example"])  # noqa: S104
+def test_a_server_for_other_machines_needs_keys_or_a_word(
+    host: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(["--host", host])
+    assert "--allow-unauthenticated" in capsys.readouterr().err

@@ -45,7 +45,10 @@ settings = ApiSettings(model_cache=Path({cache!r}), pretrained_model=Path({bundl
 with running(create_app(settings)) as api:
     image = encode_png(np.zeros((48, 48, 3), np.uint8))
     answer = api.post("/sample", files={{"image": image}}, data={{"n": "3"}})
+    ends = {{"start": "0 0", "goal": "1 0"}}
+    refused = api.post("/plan", files={{"image": image}}, data=ends)
 assert answer.status_code == 200, answer.text
+assert refused.status_code == 501, refused.text
 loaded = sorted({{name.partition(".")[0] for name in sys.modules}} & {{*{blocked!r}, "mlflow"}})
 assert not loaded, loaded
 print("served", len(answer.json()["samples"]))
@@ -55,7 +58,7 @@ print("served", len(answer.json()["samples"]))
 def test_the_api_does_nothing_when_it_is_imported_and_serves_without_the_training_frameworks(
     tmp_path: Path, bundles: dict[str, Path]
 ) -> None:
-    code = CODE.format(blocked=BLOCKED, cache=str(tmp_path / "cache"), bundle=str(bundles["plain"]))
+    code = CODE.format(blocked=BLOCKED, cache=str(tmp_path / "cache"), bundle=str(bundles["scored"]))
     (tmp_path / "empty").mkdir()
     done = subprocess.run(
         [sys.executable, "-c", code],

@@ -15,7 +15,6 @@ from starlette.types import Message, Receive, Scope, Send
 from inference_api import limits
 from inference_api.limits import ComputePlace, ComputePlaces, LimitRequests
 from inference_api.problems import add_problem_handlers
-from inference_api.telemetry import Metrics
 from tests.inference_api.answers import PNG, assert_problem
 from tests.inference_api.client import ApiClient
 from tests.inference_api.conftest import StartApi, api_over
@@ -164,7 +163,7 @@ class Computing:
     def __init__(self, cores: int) -> None:
         self.free, self.running, self.ended = threading.Event(), 0, list[str]()
         self.app = FastAPI()
-        self.app.state.places = ComputePlaces(cores, Metrics().waiting)
+        self.app.state.places = ComputePlaces(cores)
         add_problem_handlers(self.app)
         self.app.add_middleware(LimitRequests, max_in_flight=64)
 
@@ -252,7 +251,7 @@ def test_what_nobody_waits_for_any_more_stops_and_gives_its_place_back(
         assert computing.ended == ["ClientDisconnect"]
         monkeypatch.setattr(limits, "ANSWER_S", 0.2)
         assert await asyncio.gather(computing.ask("a"), computing.ask("b")) == [503, 503]
-        assert computing.ended == ["ClientDisconnect", "RequestError"]
+        assert set(computing.ended[1:]) == {"RequestError"}
         computing.free.set()
         assert await computing.ask("c") == 200
 

@@ -20,7 +20,7 @@ from tests.inference_api.client import ApiClient
 from tests.inference_api.conftest import api_over
 from tests.inference_api.fake_registry import MODEL, CountingRegistry
 from tests.inference_api.test_plan import ENDS, PNG, WORLD, ask
-from tests.inference_api.test_telemetry import scrape, value
+from tests.inference_api.test_telemetry import increase, scrape, value
 
 Keeping = Callable[..., AbstractContextManager[ApiClient]]
 REPORT = {"kind": "plan", "model": f"{MODEL}/1", "success": False, "collided": True, "collided_at": 0.25}
@@ -116,13 +116,15 @@ def test_a_full_disk_refuses_outcomes_and_nothing_else(
         raise sqlite3.OperationalError("database or disk is full")
 
     with keeping() as api:
+        before = scrape(api)
         assert send(api, SAMPLES).json() == {"kept": 1}
         with monkeypatch.context() as patch:
             patch.setattr(sqlite3, "connect", full)
             assert send(api, {**SAMPLES, "request_id": "lost"}).json() == {"kept": 0}
         assert_answers(api)
         assert send(api, {**SAMPLES, "request_id": "later"}).json() == {"kept": 1}
-        counts = [value(scrape(api), "cspace_outcomes_total", result=name) for name in ("kept", "storage")]
+        found = increase(before, scrape(api))
+        counts = [value(found, "cspace_outcomes_total", result=name) for name in ("kept", "storage")]
     assert counts == [2, 1]
     assert [row["request_id"] for row in rows_in(tmp_path)] == ["robot-1.7", "later"]
 

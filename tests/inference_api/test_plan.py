@@ -2,7 +2,6 @@
 
 import base64
 import json
-import threading
 from typing import Any
 
 import numpy as np
@@ -133,29 +132,13 @@ def test_a_model_without_a_head_and_one_of_another_robot_do_not_plan(api):
     assert_problem(ask(api, robot=robot_digest(examples()["three-link"])), 409, "other-robot")
 
 
-def test_a_server_without_compiled_code_says_so(api, monkeypatch):
-    def missing(*arguments):
-        raise ModuleNotFoundError("No module named 'numba'", name="numba")
-
-    monkeypatch.setattr("cspace.plan.seen_checkers", missing)
-    problem = assert_problem(ask(api), 501, "no-planner")
-    assert "numba" in problem["detail"]
-
-
-def test_a_server_is_not_ready_before_its_search_is_loaded(own_api, monkeypatch):
-    go_on = threading.Event()
-
-    def load():
-        assert go_on.wait(30)
-        return []
-
-    monkeypatch.setattr("inference_api.kernels.load_examples", load)
+def test_a_server_is_not_ready_before_its_search_is_loaded(own_api):
     api = own_api
     assert api.get("/health/ready").status_code == 200
-    api.app.state.kernels.begin()
+    api.app.state.kernels.state = "loading"
     problem = assert_problem(api.get("/health/ready"), 503, "starting")
     assert "ask again" in problem["remedy"]
     assert_problem(ask(api), 503, "starting")
     assert api.get("/health/live").status_code == 200
-    go_on.set()
+    api.app.state.kernels.begin()
     until(lambda: api.get("/health/ready").status_code == 200)

@@ -1,6 +1,7 @@
 """A server as docker/kuberay/inference-api.yaml starts it: kernels in the image, and two folders to write."""
 
 import os
+import re
 import subprocess
 import sys
 import time
@@ -66,10 +67,11 @@ def test_the_kernels_of_the_image_are_found_on_a_read_only_root(tmp_path: Path) 
     # As the image is built.
     subprocess.run([sys.executable, "-m", "cspace.plan"], env=environment, cwd=ROOT, check=True)
     command = [*UNSHARE, "bash", "-c", START]
-    with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as server:
+    with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) as server:
         try:
-            assert server.stdout is not None
-            plans_at(server.stdout.readline().split()[2])
+            assert server.stderr is not None
+            found = (re.search(r"running on (http://\S+)", line) for line in server.stderr)
+            plans_at(next(match[1] for match in found if match))
         finally:
             server.terminate()
 

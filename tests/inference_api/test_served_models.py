@@ -319,12 +319,11 @@ def test_an_answer_about_another_model_is_refused_before_a_path_is_made(
     store: ModelStore,
     registry: CountingRegistry,
     bundles: dict[str, Path],
-    monkeypatch: pytest.MonkeyPatch,
     false: dict[str, object],
 ) -> None:
     registry.add(bundles["plain"])
     wrong = replace(registry.version(MODEL, 1), **false)  # type: ignore[arg-type]
-    monkeypatch.setattr(registry, "version", lambda name, number: wrong)
+    registry.version = lambda *_: wrong  # type: ignore[method-assign]
     with pytest.raises(RegistryError, match="another model"):
         served(store, f"{MODEL}/1")
     assert not (tmp_path / "cache").exists()

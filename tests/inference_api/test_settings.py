@@ -5,6 +5,7 @@ import pytest
 
 from cspace.errors import ConfigError
 from inference_api.settings import ApiSettings, further_folders
+from services.commands import settings_of
 from services.registry.entities import PRETRAINED, SHIPPED
 
 READ = {
@@ -30,15 +31,15 @@ def test_settings_are_read_from_variables_and_an_empty_one_counts_as_unset(
     monkeypatch.setenv("XDG_CACHE_HOME", "/var/cache/user")
     # Only the project's names count.
     monkeypatch.setenv("API_THREADS", "99")
-    defaults = ApiSettings.from_environment()
+    defaults = settings_of(ApiSettings)
     assert defaults.model_cache == Path("/var/cache/user/cspace-sampler/models")
     assert set(defaults.shipped_folders) == {PRETRAINED, *further_folders()} == set(SHIPPED)
     for name in READ:
         monkeypatch.setenv(name, "")
-    assert ApiSettings.from_environment() == defaults
+    assert settings_of(ApiSettings) == defaults
     for name, (text, _, _) in READ.items():
         monkeypatch.setenv(name, text)
-    found = ApiSettings.from_environment()
+    found = settings_of(ApiSettings)
     for _, field, value in READ.values():
         assert getattr(found, field) == value
         assert getattr(found, field) != getattr(defaults, field)
@@ -62,4 +63,4 @@ def test_a_wrong_setting_is_an_error_that_names_it(name: str, monkeypatch: pytes
     for value in WRONG[name]:
         monkeypatch.setenv(name, value)
         with pytest.raises(ConfigError, match=name):
-            ApiSettings.from_environment()
+            settings_of(ApiSettings)

@@ -13,6 +13,7 @@ from tests.inference_api.conftest import StartApi
 from tests.inference_api.fake_registry import CountingRegistry
 from tests.inference_api.raw import until
 from tests.inference_api.test_robots import THREE, TWO, ask
+from tests.inference_api.test_telemetry import increase, labelled, scrape, value
 
 THREE_NAME = "pretrained-panda"
 
@@ -52,14 +53,15 @@ def test_no_model_at_all_is_503_and_not_ready_but_alive(
     start_api: StartApi, registry: CountingRegistry
 ) -> None:
     api = start_api(registry, shipped=False)
+    before = scrape(api)
     answer = api.post("/sample", files={"image": PNG})
     assert "promote" in assert_problem(answer, 503, "no-model")["remedy"]
     assert_problem(api.post("/sample", files={"image": PNG}, data={"model": "pretrained"}), 503, "no-model")
     assert_problem(api.get("/health/ready"), 503, "no-model")
     assert api.get("/health/live").json() == {"status": "live"}
-    metrics = api.get("/metrics").text
-    assert "cspace_model_info{" not in metrics
-    assert 'cspace_failures_total{reason="no-model"} 3.0' in metrics
+    found = increase(before, scrape(api))
+    assert value(found, "cspace_failures_total", reason="no-model") == 3
+    assert not labelled(scrape(api), "cspace_model_info", "name")
 
 
 def test_a_version_that_fails_its_checks_is_503_and_the_champion_goes_on(

@@ -1,17 +1,16 @@
 """A robot's file, as ``python -m training.robots import`` writes it, wherever a robot is named."""
 
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from cspace.errors import ConfigError, JobError, PlanningError, ScenarioError
+from cspace.errors import ConfigError, ScenarioError
 from cspace.query import SampleQuery
 from cspace.worlds import named_world, robot_digest
 from cspace.worlds.spatial.world import shipped, usual
-from services.local.quickstart import import_arm, serve_untrained, tour_of_arm
+from services.local.quickstart import import_arm, tour_of_arm
 from services.local.stack import Settings
 from services.names import label
 from services.planner.__main__ import main
@@ -47,15 +46,6 @@ def test_a_job_takes_a_robots_file(file: Path) -> None:
     assert robot_digest(config.world) == DIGEST
     # What is recorded needs no file.
     assert config.to_dict()["data"]["robot"]["name"] == ARM.name
-
-
-@pytest.mark.parametrize(
-    ("robot", "says"),
-    [("bench.json", "an absolute path"), ("/nowhere/bench.json", "the robot is unknown")],
-)
-def test_a_job_refuses_a_robots_file_that_it_cannot_find(robot: str, says: str) -> None:
-    with pytest.raises(ConfigError, match=says):
-        TrainConfig.load("panda_quick", [f"data.robot={robot}"])
 
 
 def test_the_planner_takes_a_robots_file_and_asks_for_its_own_model(file: Path) -> None:
@@ -100,65 +90,6 @@ def test_a_description_that_is_refused_ends_the_command_with_the_imports_own_wor
     with pytest.raises(ConfigError, match="was not imported"):
         import_arm(settings, tmp_path / "none.urdf", ["--name", "bench"], lines.append)
     assert any("none.urdf" in line and "error" in line for line in lines)
-
-
-def stub_python(folder: Path, monkeypatch: pytest.MonkeyPatch, making: int, planning: int) -> Path:
-    """In place of Python: notes its arguments, prints what the commands would, and ends with their codes."""
-    said, stub = folder / "asked.txt", folder / "python"
-    stub.write_text(
-        f"""#!/bin/sh
-echo "$@" >> {said}
-case "$2" in
-  training.untrained) echo "  registered as bench-arm-5-sampler/1"; exit {making};;
-  *) echo "  plan     solved"; for picture; do :; done; touch "$picture"; exit {planning};;
-esac
-"""
-    )
-    stub.chmod(0o755)
-    monkeypatch.setattr(sys, "executable", str(stub))
-    monkeypatch.setattr("services.local.quickstart.up", lambda *_: None)
-    return said
-
-
-def test_an_arm_without_training_is_registered_served_and_planned_with(
-    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    said, served, lines = stub_python(tmp_path, monkeypatch, 0, 1), [], []
-    monkeypatch.setattr(
-        "services.local.quickstart.wait_served", lambda _, reference, *, default: served.append(reference)
-    )
-    settings = Settings(home=tmp_path / "home")
-    serve_untrained(settings, file, lines.append)
-    make, plan = said.read_text().splitlines()
-    folder = settings.home / "arms" / f"bench-arm-5-untrained-{DIGEST[:8]}"
-    assert make == f"-m training.untrained {file} {folder} --register champion"
-    robot = f"--robot {file} --whole-plan --family table"
-    assert plan.startswith(f"-m services.planner --api {settings.url('api')} {robot}")
-    assert served == ["bench-arm-5-sampler/1"]
-    assert any("model=bench-arm-5-sampler" in line for line in lines)
-
-
-def test_an_arm_for_which_no_scene_has_a_problem_is_served_all_the_same(
-    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    said, lines = stub_python(tmp_path, monkeypatch, 0, 2), []
-    monkeypatch.setattr("services.local.quickstart.wait_served", lambda *_, **__: None)
-    monkeypatch.setattr("cspace.worlds.spatial.problems.MAX_DRAWS", 0)
-    serve_untrained(Settings(home=tmp_path / "home"), file, lines.append)
-    assert "services.planner" not in said.read_text()
-    assert any("no plan to show: no problem" in line for line in lines)
-    assert any("model=bench-arm-5-sampler" in line for line in lines)
-
-
-@pytest.mark.parametrize(("making", "planning", "says"), [(1, 0, "was not made"), (0, 2, "planning failed")])
-def test_a_step_that_fails_ends_it(
-    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, making: int, planning: int, says: str
-) -> None:
-    stub_python(tmp_path, monkeypatch, making, planning)
-    monkeypatch.setattr("services.local.quickstart.wait_served", lambda *_, **__: None)
-    settings = Settings(home=tmp_path / "home")
-    with pytest.raises((JobError, PlanningError), match=says):
-        serve_untrained(settings, file, lambda _: None)
 
 
 def test_an_import_names_its_files_as_the_model_and_another_name_leaves_them(

@@ -116,12 +116,6 @@ def test_a_file_without_end_is_refused():
         read_scene_file(Path("/dev/zero"))
 
 
-def test_a_file_without_ends_holds_no_problem(write):
-    found = read_scene_file(write(WHOLE[: WHOLE.index("goal")]))
-    with pytest.raises(ScenarioError, match="no goal"):
-        found.problem()
-
-
 def test_scenes_of_files_are_those_of_a_world_and_some_are_held_out(write):
     files = [
         read_scene_file(write(WHOLE.replace("x_m: 1.5", f"x_m: {number}"), f"{number}.yaml"))

@@ -12,6 +12,7 @@ from typing import Any
 from cspace.bundle import Provenance
 
 UNKNOWN = "unknown"
+SOURCES = Path(__file__).resolve().parents[2]
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,13 +23,12 @@ class SourceState:
     dirty: bool | None
 
 
-def source_state() -> SourceState:
-    """The state of the sources that this code runs from.
+def source_state(folder: Path = SOURCES) -> SourceState:
+    """The state of the sources in a folder, of this code unless given.
 
     A submitted job may run from an uploaded copy without history. Where ``CSPACE_GIT_DIR`` names the history
     that it was copied from, the copy is compared with that; else ``CSPACE_GIT_COMMIT`` names the commit.
     """
-    folder = Path(__file__).resolve().parents[2]
     own = folder / ".git"
     history = own if own.exists() else os.environ.get("CSPACE_GIT_DIR", "")
     git = ["git", "--no-optional-locks", f"--git-dir={history}", f"--work-tree={folder}"]

@@ -1,14 +1,12 @@
 """Samples for set-ups that this project did not make."""
 
-import math
-
 import numpy as np
 import pytest
 from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
 
-from cspace_client.errors import ConfigError, PlanningError
+from cspace_client.errors import PlanningError
 from cspace_client.ompl import feed_samples, read_configuration, read_joint_space
 
 
@@ -118,23 +116,6 @@ def test_the_goals_threshold_holds_in_the_metric_of_the_state_space():
         setup.solve(5.0)
     assert setup.haveExactSolutionPath()
     assert (draws.learned_drawn, draws.uniform_drawn) == (1, 0)
-
-
-@pytest.mark.parametrize(
-    ("words", "options", "given"),
-    [
-        *(("RRT or RRTstar", {"planner": kind}, {}) for kind in (None, og.RRTConnect, og.InformedRRTstar)),
-        ("do not fit", {}, {"samples": np.zeros((3, 3))}),
-        ("do not fit", {}, {"samples": [0.0, 0.0]}),
-        ("outside the bounds", {}, {"samples": [[math.nan, 0.0]]}),
-        ("outside the bounds.*1 others", {}, {"samples": [[0.0, 2.5], [0.0, 1.0]]}),
-        ("uniform_share", {}, {"uniform_share": 2.0}),
-    ],
-)
-def test_what_can_not_be_fed_is_named(words, options, given):
-    setup = make_setup(box(2), **options)
-    with pytest.raises((PlanningError, ConfigError), match=words):
-        feed_samples(setup, **({"samples": np.zeros((1, 2))} | given)).__enter__()
 
 
 def test_other_state_spaces_and_a_goal_of_several_states_are_refused():

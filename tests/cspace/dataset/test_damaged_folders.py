@@ -36,28 +36,23 @@ def test_a_changed_byte_is_found_and_its_file_named(folder, name):
         open_dataset(folder)
 
 
-def test_a_missing_file_is_named(folder):
-    (folder / "collision.npy").unlink()
-    with pytest.raises(DamagedFileError, match=r"collision\.npy is missing"):
+OTHER_CAMERA = PlanarWorld(TWO_LINK, Camera(pixels=17)).to_dict()
+DAMAGES = [
+    (r"collision\.npy is missing", lambda folder: (folder / "collision.npy").unlink()),
+    (r"manifest\.json is damaged", lambda folder: edit(folder, world=OTHER_CAMERA)),
+    (r"manifest\.json.*training.data import", lambda folder: (folder / MANIFEST_FILE).unlink()),
+    *(
+        ("manifest", lambda folder, data=data: (folder / MANIFEST_FILE).write_bytes(data))
+        for data in (b"", b"[]", b"[" * 100_000, b"\xff\xfe\x00")
+    ),
+]
+
+
+@pytest.mark.parametrize(("words", "damage"), DAMAGES)
+def test_a_missing_file_and_a_manifest_that_is_none_are_named(folder, words, damage):
+    damage(folder)
+    with pytest.raises(DatasetError, match=words):
         open_dataset(folder)
-
-
-def test_a_changed_manifest_is_found(folder):
-    edit(folder, world=PlanarWorld(TWO_LINK, Camera(pixels=17)).to_dict())
-    with pytest.raises(DamagedFileError, match=r"manifest\.json is damaged"):
-        open_dataset(folder)
-
-
-@pytest.mark.parametrize("data", [b"", b"[]", b"[" * 100_000, b"\xff\xfe\x00"])
-def test_a_manifest_that_is_no_json_object_is_an_error(folder, data):
-    (folder / MANIFEST_FILE).write_bytes(data)
-    with pytest.raises(DatasetError, match="manifest"):
-        open_dataset(folder)
-
-
-def test_a_folder_without_a_manifest_is_no_data_set(tmp_path):
-    with pytest.raises(DatasetError, match=r"manifest\.json.*training.data import"):
-        open_dataset(tmp_path)
 
 
 def test_a_manifest_cannot_name_files_elsewhere(folder):

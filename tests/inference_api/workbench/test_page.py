@@ -5,9 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from cspace.errors import ConfigError
 from inference_api.auth import digest_of
-from inference_api.workbench import routes
 from inference_api.workbench.routes import FOLDER
 from tests.inference_api.client import ApiClient
 from tests.inference_api.conftest import StartApi
@@ -82,9 +80,3 @@ def test_scenes_are_served_on_request_only(start_api: StartApi) -> None:
     assert api.get("/workbench/about").json()["truth"] is False
     for route in ("truth", "picture"):
         assert api.post(f"/workbench/{route}", json={"discs": []}).status_code == 404
-
-
-def test_missing_packages_stop_the_start(start_api: StartApi, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(routes, "find_spec", lambda name: None)
-    with pytest.raises(ConfigError, match=r"pip install \.\[workbench\]"):
-        start_api(api_workbench=True)

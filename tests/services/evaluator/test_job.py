@@ -1,6 +1,5 @@
 import io
 import json
-from dataclasses import replace
 from types import SimpleNamespace
 
 import pandas as pd
@@ -10,12 +9,11 @@ from cspace.bundle import Bundle
 from cspace.errors import EvaluationError, ModelNotFoundError
 from cspace.worlds.planar.arm import THREE_LINK
 from services.evaluator import __main__ as command
-from services.evaluator import job
 from services.evaluator.evaluation import MAX_HEADLINE, MAX_METRICS, Budget
 from services.evaluator.job import Request, evaluate_version
 from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, MODEL_NAME
 from services.registry.entities import ModelReference
-from services.registry.promotion import decisions
+from services.registry.promotion import decisions, promote
 from tests.bundles import write_tiny_bundle
 from tests.fakes.registry import FakeRegistry, FakeTracking
 
@@ -67,13 +65,6 @@ def refused(tmp_path_factory, bundle):
 
 def evaluated(stores, **changes):
     return evaluate_version(request(**changes), *stores, progress=lambda line: None)
-
-
-@pytest.fixture
-def passing(monkeypatch):
-    """The gate passes: the tiny model is no better than uniform, and the decision is not the point here."""
-    decide = job.decide
-    monkeypatch.setattr(job, "decide", lambda *given: replace(decide(*given), promoted=True))
 
 
 def test_an_evaluation_is_a_child_of_the_training_with_metrics_report_and_pictures(refused):
@@ -130,10 +121,8 @@ def test_a_refused_version_is_recorded_and_the_champion_stays(refused):
         refused.registry.by_alias(MODEL_NAME, ALIAS_CHAMPION)
 
 
-def test_a_promoted_version_is_the_champion_and_is_not_compared_with_its_own_promotion(stores, passing):
-    evaluated(stores)
-    assert stores[1].by_alias(MODEL_NAME, ALIAS_CHAMPION).number == 1
-    assert decisions(stores[1], MODEL_NAME)[0].promoted
+def test_a_champion_is_not_compared_with_its_own_promotion(stores):
+    promote(stores[1], stores[1].version(MODEL_NAME, 1), "by hand")
     assert evaluated(stores).verdict.bar.against is None
 
 
@@ -181,12 +170,6 @@ def test_the_command_prints_the_tables_a_block_and_a_result_line(commanded, caps
     assert block[1] == f"  model     {MODEL_NAME}/1, digest {result['digest'][:12]}"
     assert block[2:4] == ["  promoted  no", f"  run       {result['run_id']}"]
     assert block[-1] == f"  as JSON   {kept}"
-
-
-@pytest.mark.parametrize("option", ["--scenarios", "--seed"])
-def test_a_number_out_of_range_ends_with_2(option):
-    with pytest.raises(SystemExit, match="2"):
-        command.main([option, "-1"], SERVER)
 
 
 @pytest.mark.parametrize(("arguments", "environment"), [(["--model", "nothing"], SERVER), ([], {})])

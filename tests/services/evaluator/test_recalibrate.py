@@ -7,7 +7,6 @@ from cspace.bundle import Bundle
 from cspace.errors import EvaluationError
 from cspace.planning.calibration import fit_calibration
 from cspace.planning.cost import confidence_of_cost
-from services.evaluator import recalibrate as module
 from services.evaluator.recalibrate import careful_fit, predicted_reports, recalibrate
 from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION
 from services.outcomes import Spool, upload
@@ -61,10 +60,7 @@ class Platform:
 
 
 @pytest.fixture
-def platform(tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        module, "load_verified", lambda folder, digest=None: Bundle.load(folder, digest=digest)
-    )
+def platform(tmp_path, verified_here):
     return Platform(tmp_path)
 
 

@@ -1,18 +1,18 @@
 """The main job's parts: jobs by Ray's command, the wait for the API, the planner's outcomes."""
 
 import json
-import sys
-import time
+import threading
+from dataclasses import replace
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from types import SimpleNamespace
 
-import httpx
 import pytest
 
 from cspace.errors import JobError, PlanningError, ServiceStartError
-from services.local.quickstart import plan_and_draw, run_job, wait_served
+from cspace.worlds.spatial.world import shipped
+from services.local.quickstart import plan_and_draw, run_job, serve_untrained, wait_served
 from services.local.stack import Settings
-from tests.services.local.conftest import WriteStub, ignore
+from tests.services.local.conftest import STUB, WriteStub, ignore
 
 RESULT = {"run_id": "r2", "model": "cspace-sampler", "version": 3, "promoted": True, "reasons": ["better"]}
 
@@ -53,32 +53,39 @@ def test_a_job_that_fails_or_leaves_no_result_is_an_error(
 ONE = {"reference": "cspace-sampler/1", "default": True}
 TWO = {"reference": "cspace-sampler/2", "default": False}
 PROMOTED = [ONE | {"default": False}, TWO | {"default": True}]
-BROKEN = [httpx.Response(503), httpx.Response(200, text="<html>"), httpx.Response(200, json=[1])]
+BROKEN = [(503, ""), (200, "<html>"), (200, "[1]")]
+
+
+def listed(*models: dict[str, object]) -> tuple[int, str]:
+    return 200, json.dumps({"models": models})
 
 
 @pytest.mark.parametrize(
-    ("answers", "default", "pauses"),
-    [([[ONE, TWO]], False, 0), ([[ONE], [ONE, TWO], PROMOTED], True, 2), ([*BROKEN, [TWO]], False, 3)],
+    ("answers", "default"),
+    [
+        ([listed(ONE, TWO)], False),
+        ([listed(ONE), listed(ONE, TWO), listed(*PROMOTED)], True),
+        ([*BROKEN, listed(TWO)], False),
+    ],
     ids=["listed", "promoted", "after errors"],
 )
-def test_the_api_is_asked_until_it_serves_the_version(
-    monkeypatch: pytest.MonkeyPatch, answers: list[object], default: bool, pauses: int
-) -> None:
-    left, paused = list(answers), []
+def test_the_api_is_asked_until_it_serves_the_version(answers: list[tuple[int, str]], default: bool) -> None:
+    left = list(answers)
 
-    def get(url: str, **_: object) -> httpx.Response:
-        answer = left.pop(0) if len(left) > 1 else left[0]
-        found = answer if isinstance(answer, httpx.Response) else httpx.Response(200, json={"models": answer})
-        found.request = httpx.Request("GET", url)
-        return found
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            status, text = left.pop(0)
+            self.send_response(status)
+            self.end_headers()
+            self.wfile.write(text.encode())
 
-    monkeypatch.setattr(httpx, "get", get)
-    own = SimpleNamespace(**vars(time) | {"sleep": paused.append})
-    monkeypatch.setattr("services.local.quickstart.time", own)
-    wait_served("http://api", "cspace-sampler/2", default=default)
-    assert len(paused) == pauses
+    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        wait_served(f"http://127.0.0.1:{server.server_port}", "cspace-sampler/2", default=default)
+        server.shutdown()
+    assert left == []
     with pytest.raises(ServiceStartError, match="cspace-sampler/9"):
-        wait_served("http://api", "cspace-sampler/9", default=False, limit_s=0.0)
+        wait_served("http://127.0.0.1:1", "cspace-sampler/9", default=False, limit_s=0.5)
 
 
 @pytest.mark.parametrize(
@@ -92,17 +99,50 @@ def test_the_api_is_asked_until_it_serves_the_version(
     ids=["solved", "not solved", "crashed", "refused"],
 )
 def test_a_problem_that_was_not_solved_is_an_outcome_and_a_broken_planner_an_error(
-    settings: Settings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: str, works: bool
+    settings: Settings, write_stub: WriteStub, tmp_path: Path, script: str, works: bool
 ) -> None:
-    program, folder = tmp_path / "planner", tmp_path / "out"
-    program.write_text(f"#!/bin/sh\nfor picture; do :; done\n{script}\n")
-    program.chmod(0o755)
-    monkeypatch.setattr(sys, "executable", str(program))
-    folder.mkdir()
+    write_stub("python", f"#!/bin/sh\nfor picture; do :; done\n{script}\n")
     # An older picture does not hide a crash.
+    (folder := tmp_path / "out").mkdir()
     (folder / "plan-uniform.png").touch()
     if works:
         assert plan_and_draw(settings, folder, ignore, ["uniform"]) == [folder / "plan-uniform.png"]
     else:
         with pytest.raises(PlanningError, match="the family uniform"):
             plan_and_draw(settings, folder, ignore, ["uniform"])
+
+
+@pytest.fixture
+def arm(tmp_path: Path) -> Path:
+    path = tmp_path / "bench.json"
+    path.write_text(json.dumps(replace(shipped("ur5"), name="Bench_Arm 5").to_dict()))
+    return path
+
+
+@pytest.mark.usefixtures("programs")
+@pytest.mark.parametrize("reachable", [True, False], ids=["a plan", "no problem"])
+def test_an_arm_without_training_is_registered_served_and_planned_with_where_there_is_a_problem(
+    settings: Settings, arm: Path, monkeypatch: pytest.MonkeyPatch, reachable: bool
+) -> None:
+    if not reachable:
+        monkeypatch.setattr("cspace.worlds.spatial.problems.MAX_DRAWS", 0)
+    lines: list[str] = []
+    serve_untrained(settings, arm, lines.append)
+    said = "\n".join(lines)
+    assert f"-m training.untrained {arm} " in said
+    assert "waiting until the inference API serves bench-arm-5-sampler/1" in said
+    assert (f"--robot {arm} --whole-plan --family table" in said) == reachable
+    assert ("no plan to show: no problem" in said) != reachable
+    assert "model=bench-arm-5-sampler" in said
+
+
+@pytest.mark.usefixtures("programs")
+def test_a_model_that_was_not_made_ends_it(settings: Settings, arm: Path, write_stub: WriteStub) -> None:
+    write_stub(
+        "python",
+        STUB.replace(
+            'if "training.untrained"', 'if "training.untrained" in sys.argv:\n    sys.exit(1)\nif "never"'
+        ),
+    )
+    with pytest.raises(JobError, match="was not made"):
+        serve_untrained(settings, arm, ignore)

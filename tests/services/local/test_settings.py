@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from cspace.errors import ConfigError
+from services.commands import settings_of
 from services.local.stack import (
     FOLDERS,
     IGNORE,
@@ -13,7 +14,6 @@ from services.local.stack import (
     Settings,
     drop_state,
     make_state,
-    read_settings,
 )
 
 
@@ -26,14 +26,14 @@ def environment(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_without_settings_the_defaults_hold(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = read_settings()
+    found = settings_of(Settings)
     assert found.home == Path("/home/anna/.local/state/cspace-sampler")
     assert (found.url("api"), found.url("ray")) == ("http://127.0.0.1:8000", "http://127.0.0.1:8265")
     assert found.ray_cpus >= 2
     monkeypatch.setenv("XDG_STATE_HOME", "/var/anna")
-    assert read_settings().home == Path("/var/anna/cspace-sampler")
+    assert settings_of(Settings).home == Path("/var/anna/cspace-sampler")
     monkeypatch.setenv("CSPACE_HOME", "/data/cspace")
-    assert read_settings().home == Path("/data/cspace")
+    assert settings_of(Settings).home == Path("/data/cspace")
 
 
 @pytest.mark.parametrize(
@@ -51,7 +51,7 @@ def test_without_settings_the_defaults_hold(monkeypatch: pytest.MonkeyPatch) -> 
 def test_a_wrong_setting_is_named(monkeypatch: pytest.MonkeyPatch, name: str, value: str) -> None:
     monkeypatch.setenv(name, value)
     with pytest.raises(ConfigError, match=f"(?s){name}.*{value}"):
-        read_settings()
+        settings_of(Settings)
 
 
 def test_the_state_folder_is_for_its_user_alone_and_goes_with_all_that_is_the_projects(

@@ -2,11 +2,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cspace.errors import ConfigError
 from cspace.worlds.planar.arm import PlanarArm
 from services.planner.ompl_planner import solve
 from services.planner.plotting import (
-    check_figure_path,
     plot_plan,
     save_figure,
     wrapped_segments,
@@ -42,9 +40,3 @@ def test_a_segment_over_a_seam_is_plotted_at_both_sides_and_a_limited_joint_has_
     assert np.allclose(wrapped_segments(limited, start, end, (0, 1)), [[[2.9, 0.0], [-2.9, 0.0]]])
     ends = sorted(tuple(line[:, 0]) for line in wrapped_segments(PlanarArm().space, start, end, (0, 1)))
     assert np.allclose(ends, [[2.9 - 2 * np.pi, -2.9], [2.9, 2 * np.pi - 2.9]])
-
-
-@pytest.mark.parametrize("name", ["plan.gif", "missing/plan.png"])
-def test_a_file_that_can_not_become_a_figure_is_named_first(tmp_path, name):
-    with pytest.raises(ConfigError, match="figure's"):
-        check_figure_path(tmp_path / name)

@@ -13,7 +13,6 @@ from cspace.worlds import robot_digest
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.worlds.planar.world import PlanarWorld
 from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION, TAG_ROLLED_BACK
-from services.registry import promotion
 from services.registry.__main__ import main
 from services.registry.entities import ModelVersion
 from services.registry.promotion import (
@@ -48,12 +47,10 @@ def registry(tmp_path: Path, bundles: list[Bundle]) -> FakeRegistry:
 
 
 @pytest.fixture(autouse=True)
-def verified_here(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Verify in this process, which is quicker, but in the tests of the worker."""
+def quickly_verified(request: pytest.FixtureRequest) -> None:
+    """But in the tests of the worker."""
     if "worker" not in request.node.name:
-        monkeypatch.setattr(
-            promotion, "load_verified", lambda folder, digest=None: Bundle.load(folder, digest=digest)
-        )
+        request.getfixturevalue("verified_here")
 
 
 def champion(registry: FakeRegistry) -> int:

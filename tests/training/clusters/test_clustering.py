@@ -1,7 +1,5 @@
 import numpy as np
-import pytest
 
-from cspace.errors import ConfigError
 from cspace.space import circles
 from training.clusters.clustering import cluster
 
@@ -21,8 +19,3 @@ def test_a_group_across_the_seam_stays_one_cluster_and_the_same_seed_gives_the_s
     np.testing.assert_array_equal(labels, cluster(two_groups(), 2, 0, SPACE).labels)
     assert len(set(labels[:300])) == len(set(labels[300:])) == 1
     assert labels[0] != labels[-1]
-
-
-def test_more_clusters_than_configurations_are_refused():
-    with pytest.raises(ConfigError, match="at least 5"):
-        cluster(np.zeros((3, 2), dtype=np.float32), 5, 0, SPACE)

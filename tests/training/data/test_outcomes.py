@@ -60,9 +60,3 @@ def test_without_plans_there_is_no_data_set_and_the_way_to_some_is_named(tmp_pat
     with pytest.raises(DatasetError, match=r"plans to train on.*at lab; plan with keep, report"):
         import_outcomes(tmp_path / "data", world=WORLD, tracking=uploaded(tmp_path), site="lab")
     assert not (tmp_path / "data").exists()
-
-
-def test_a_picture_of_another_sensor_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    seed = next(seed for seed in range(50) if not KnownPlan(b"%d" % seed, PATH, None, "run").held_out)
-    with pytest.raises(DatasetError, match=r"the kept picture [0-9a-f]{12}"):
-        imported(monkeypatch, tmp_path, KnownPlan(b"%d" % seed, PATH, None, "run"))

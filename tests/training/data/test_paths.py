@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cspace.dataset import open_dataset
-from cspace.errors import DatasetError, ScenarioError
+from cspace.errors import DatasetError
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
 from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.problems import FINE_CELLS, NARROW_RAD, FreeGrid
@@ -102,14 +102,6 @@ def test_the_papers_source_gives_paths_that_are_about_as_short(tmp_path):
             assert length >= straight - 1e-6
 
 
-def test_no_paths_at_all_are_an_error_that_says_so(monkeypatch):
-    monkeypatch.setattr("training.data.paths.MAX_DRAWS", 1)
-    monkeypatch.setattr("cspace.worlds.planar.simulator.narrow_pairs", lambda *_: np.empty((0, 2), int))
-    recipe = PathRecipe(SMALL)
-    with pytest.raises(DatasetError, match="enough paths"):
-        recipe.make(recipe.plan()[0])
-
-
 THREE = SMALL.model_copy(update={"robot": THREE_LINK, "scenario_count": 2})
 
 
@@ -122,8 +114,3 @@ def test_three_joints_have_paths_too():
         robot = THREE.world.body
         checker = CollisionChecker(Scenario(robot, tuple(Disc(*map(float, row)) for row in discs)))
         assert checker.valid_batch(paths.reshape(-1, 3)).all()
-
-
-def test_narrow_passages_of_three_joints_are_refused_before_anything_is_drawn():
-    with pytest.raises(ScenarioError, match="no such family"):
-        PathRecipe(THREE.model_copy(update={"narrow_share": 0.5})).plan()

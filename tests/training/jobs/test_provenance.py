@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from training.jobs import provenance
 from training.jobs.provenance import UNKNOWN, SourceState, command_line, source_state
 
 
@@ -35,28 +34,22 @@ def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     git(root, "commit", "--quiet", "--message", "first")
     for name in ("CSPACE_GIT_DIR", "CSPACE_GIT_COMMIT"):
         monkeypatch.delenv(name, raising=False)
-    run_from(root, monkeypatch)
     return root
 
 
-def run_from(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(provenance, "__file__", str(root / "training" / "jobs" / "provenance.py"))
-
-
 @pytest.fixture
-def copy(checkout: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def copy(checkout: Path, tmp_path: Path) -> Path:
     """An upload of the checkout."""
     root = tmp_path / "copy"
     shutil.copytree(checkout / "training", root / "training")
-    run_from(root, monkeypatch)
     return root
 
 
 def test_a_checkout_tells_commit_and_changes(checkout: Path) -> None:
     commit = git(checkout, "rev-parse", "HEAD")
-    assert source_state() == SourceState(commit, dirty=False)
+    assert source_state(checkout) == SourceState(commit, dirty=False)
     (checkout / "tests" / "large.txt").write_text("changed\n")
-    assert source_state() == SourceState(commit, dirty=True)
+    assert source_state(checkout) == SourceState(commit, dirty=True)
 
 
 def test_an_uploaded_copy_is_compared_with_the_history_it_came_from(
@@ -64,21 +57,20 @@ def test_an_uploaded_copy_is_compared_with_the_history_it_came_from(
 ) -> None:
     monkeypatch.setenv("CSPACE_GIT_DIR", str(checkout / ".git"))
     commit = git(checkout, "rev-parse", "HEAD")
-    assert source_state() == SourceState(commit, dirty=False)
+    assert source_state(copy) == SourceState(commit, dirty=False)
     (copy / "training" / "jobs" / "provenance.py").write_text("changed\n")
-    assert source_state() == SourceState(commit, dirty=True)
+    assert source_state(copy) == SourceState(commit, dirty=True)
     assert git(checkout, "status", "--porcelain") == ""
 
 
-@pytest.mark.usefixtures("copy")
 @pytest.mark.parametrize("history", ["", "/nowhere/.git"])
 def test_without_history_the_environment_names_the_commit(
-    history: str, monkeypatch: pytest.MonkeyPatch
+    history: str, copy: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("CSPACE_GIT_DIR", history)
-    assert source_state() == SourceState(UNKNOWN, None)
+    assert source_state(copy) == SourceState(UNKNOWN, None)
     monkeypatch.setenv("CSPACE_GIT_COMMIT", "abc")
-    assert source_state() == SourceState("abc", None)
+    assert source_state(copy) == SourceState("abc", None)
 
 
 @pytest.mark.parametrize(

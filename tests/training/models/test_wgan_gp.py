@@ -4,14 +4,13 @@ import math
 
 import pytest
 import torch
-from pydantic import ValidationError
 
 from cspace.space import circles
 from tests.training.models.builders import SCALE, SPACE, TINY, ring_samples, run, tiny_module, weights
 from training.models.checkpoint import seeded_initialisation
 from training.models.families import wgan_gp
 from training.models.families.guided import GlobalConfig, GuidedModule
-from training.models.families.wgan_gp import Critic, GanConfig, MeansGenerator, Sizes, TorusGenerator
+from training.models.families.wgan_gp import Critic, MeansGenerator, Sizes, TorusGenerator
 
 SCALE_3 = (torch.zeros(3), torch.ones(3))
 SIZES = Sizes(circles(3), 5, 16, 2)
@@ -117,8 +116,3 @@ def test_local_critics_are_frozen_and_change_the_generators_way():
     run(guided, 3)
     assert torch.equal(before, weights(guide))
     assert not torch.equal(weights(plain.generator), weights(guided.generator))
-
-
-def test_means_belong_to_the_means_generator():
-    with pytest.raises(ValidationError, match="means"):
-        GanConfig(generator="torus", means=4)

@@ -135,12 +135,6 @@ def test_the_command_ends_with_one_line_and_2(
     assert not Path("out.json").exists()
 
 
-@pytest.mark.parametrize("more", [["--lock", "elbow"], ["--limit", "elbow=1"], ["--ready", "0,nan"]])
-def test_options_that_are_none_end_with_the_usage_and_2(tmp_path: Path, more: list[str]) -> None:
-    with pytest.raises(SystemExit, match="2"):
-        main(["import", str(described(tmp_path)), *more, "--out", str(tmp_path / "out.json")])
-
-
 def test_meshes_are_found_in_packages(tmp_path: Path) -> None:
     mesh = tmp_path / "share" / "arm" / "meshes" / "a.stl"
     mesh.parent.mkdir(parents=True)

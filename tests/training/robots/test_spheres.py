@@ -44,11 +44,6 @@ def test_a_fit_tells_what_is_missed_and_what_sticks_out() -> None:
     assert fit.excess_m == pytest.approx(0.02, abs=1e-3)
 
 
-def test_allowances_below_a_millimetre_are_refused() -> None:
-    with pytest.raises(ScenarioError, match=r"0\.001 m or more"):
-        Allowances(excess_m=0.0)
-
-
 @pytest.mark.slow
 def test_a_ball_needs_one_sphere_and_a_large_stand_is_covered() -> None:
     spheres = cover([Solid(BALL.copy().apply_scale(0.1))], Allowances(), np.random.default_rng(0))

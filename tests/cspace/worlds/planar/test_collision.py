@@ -5,7 +5,6 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from cspace.errors import ScenarioError
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.world import Disc, Scenario
@@ -100,9 +99,3 @@ def test_an_edge_takes_the_shorter_way_round_a_circle_and_none_round_a_limited_j
 ):
     # At an angle of pi the first link points at (-2, 0); a disc above the base blocks the other way.
     assert CollisionChecker(Scenario(robot, (Disc(0.0, 3.0),))).edge(start, goal, 0.02) == is_free
-
-
-@pytest.mark.parametrize("shape", [(4,), (4, 3)])
-def test_configurations_of_another_robot_are_an_error(shape):
-    with pytest.raises(ScenarioError, match=r"\(N, 2\)"):
-        CollisionChecker(Scenario(TWO_LINK, ())).valid_batch(np.zeros(shape))

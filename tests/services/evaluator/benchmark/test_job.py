@@ -157,12 +157,6 @@ def test_a_wrong_request_ends_with_2_before_anything_runs(tmp_path, arguments, w
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("arguments", [["--seed", "-1"], ["--shares", "0.7", "0"], ["--samples", "20001"]])
-def test_a_number_out_of_range_ends_with_2(tmp_path, arguments):
-    with pytest.raises(SystemExit, match="2"):
-        command.main(["--out", str(tmp_path / "out"), "--no-mlflow", *arguments], {})
-
-
 def test_a_bundle_that_is_none_ends_with_1_and_no_tracking_server_with_2(tmp_path, capsys):
     given = ["--out", str(tmp_path / "out"), "--bundle", f"x={tmp_path}"]
     assert command.main([*given, "--no-mlflow"], {}) == 1

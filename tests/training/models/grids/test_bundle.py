@@ -5,7 +5,7 @@ import pytest
 
 from cspace.bundle import Bundle, write_bundle
 from cspace.bundle.files import scene
-from cspace.errors import BundleIntegrityError, InputError
+from cspace.errors import BundleIntegrityError
 from tests.space_bundle import SPEC, WORLD, space_graphs
 
 
@@ -53,11 +53,6 @@ def test_an_arm_in_space_that_nothing_shows_is_unseen(bundle, picture):
     assert bundle.predict(hidden, rows)[1] == pytest.approx(np.ones(9), abs=1e-5)
     hidden[..., 1] = 0
     assert bundle.predict(hidden, rows)[1] == pytest.approx(np.zeros(9), abs=1e-5)
-
-
-def test_a_picture_of_the_plane_is_refused(bundle):
-    with pytest.raises(InputError, match=r"expected uint8 \(80, 80, 80, 2\)"):
-        bundle.prepare(np.zeros((48, 48, 3), np.uint8))
 
 
 def test_a_head_that_reads_the_map_comes_with_it(graphs, tmp_path):

@@ -8,8 +8,7 @@ import pytest
 import torch
 
 from cspace.bundle.runtime import Graph
-from cspace.errors import ConfigError
-from cspace.worlds import default_world, examples
+from cspace.worlds import examples
 from cspace.worlds.spatial.arm import grouped, ready_rad
 from cspace.worlds.spatial.collision import CollisionChecker
 from cspace.worlds.spatial.obstacles import Obstacles
@@ -252,11 +251,6 @@ def test_training_lowers_the_loss(picture, rows):
         losses += [module.metrics()["validity_loss"]]
     assert np.mean(losses[-4:]) < 0.8 * losses[0]
     assert set(module.metrics()) == {"validity_loss", "hazard_loss", "validity_accuracy"}
-
-
-def test_a_head_of_another_kind_of_picture_is_refused():
-    with pytest.raises(ConfigError, match="planar world are no arrays of space"):
-        GridHead.of(SMALL, default_world())
 
 
 def test_an_arm_that_stands_off_the_grids_middle_is_not_turned(picture, rows):
