@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cspace.planning.cost import Predict, ScoredPath, given_free, score
 from cspace.planning.paths import spaced
-from cspace.planning.refine import Effort, PathRefiner, route_search
+from cspace.planning.refine import Effort, PathRefiner, cheapest_route
 from cspace.planning.rrt_connect import Growth, grow_connect
 from cspace.planning.search import SearchLimits, find_paths, with_deadline
 from cspace.planning.trajectory import timed
@@ -32,17 +32,11 @@ from cspace.worlds import (
 
 
 def load_kernels(checker: Checker, configuration: NDArray[np.float64], step_rad: float) -> None:
-    """Have a checker's compiled code in this process: a first call loads it, or compiles it.
-
-    Args:
-        checker: of any scene.
-        configuration: (d,) rad.
-        step_rad: above 0.
-    """
+    """Have the compiled code of a checker of any scene in this process: a first call loads or compiles it."""
     checker.valid_batch(configuration[None])
     checker.edge_batch(configuration[None], configuration[None], step_rad)
     grow_connect(checker, configuration, configuration, configuration[None], Growth(step_rad, step_rad))
-    route_search()(np.zeros((1, 1)), 0, 0)
+    cheapest_route(np.zeros((1, 1)), 0, 0)
 
 
 def load_examples() -> list[str]:
@@ -85,23 +79,14 @@ _ROUNDED_RAD = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """A scene as a model knows it.
-
-    Args:
-        world: the robot and how it is seen.
-        picture: of the scene.
-        predict: what the model says of configurations in it.
-        plan_calibration: (a, b), see :mod:`cspace.planning.cost`.
-        known: of it beside the picture.
-        occupancy: float16 (X, Y, Z), how likely each voxel holds something, where a model tells.
-    """
+    """A scene as a model knows it."""
 
     world: World
     picture: Image
-    predict: Predict
-    plan_calibration: tuple[float, float] = (0.0, 1.0)
-    known: Known | None = None
-    occupancy: NDArray[np.float16] | None = None
+    predict: Predict  # what the model says of configurations
+    plan_calibration: tuple[float, float] = (0.0, 1.0)  # (a, b), see :mod:`cspace.planning.cost`
+    known: Known | None = None  # beside the picture
+    occupancy: NDArray[np.float16] | None = None  # (X, Y, Z), probability of each voxel, where a model tells
 
     def beside(self, unseen: Any, predict: Predict) -> Predict:
         """``predict`` times the chance that nothing is touched in the unseen space of a model's occupancy."""
@@ -118,40 +103,22 @@ class Seen:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Searched:
-    """Paths through what a picture shows.
+    """Paths through what a picture shows."""
 
-    Args:
-        paths: lowest cost first.
-        late: whether the time was over before there were as many as were wanted.
-        search_ms: looking for them.
-        score_ms: asking the model about them, and changing them until their cost is lower.
-        reason: why nothing was looked for, in words; None where something was.
-        checker: by which the paths are free; None without paths.
-    """
-
-    paths: list[ScoredPath]
-    late: bool
+    paths: list[ScoredPath]  # lowest cost first
+    late: bool  # whether the time was over before there were as many as were wanted
     search_ms: float
-    score_ms: float
-    reason: str | None = None
-    checker: Checker | None = None
+    score_ms: float  # asking the model about them, and refining them
+    reason: str | None = None  # why nothing was looked for, in words; None where something was
+    checker: Checker | None = None  # by which the paths are free; None without paths
 
 
 def plan(
     seen: Seen, ends: NDArray[np.float64], query: PlanQuery, check_cancelled: CheckCancelled | None = None
 ) -> Plan:
-    """Plan.
+    """The path of lowest cost; without ``min_confidence`` any confidence is enough.
 
-    Args:
-        seen: the scene.
-        ends: (2, d) rad, the query's start and goal as the model takes them; (1, d) where it has no goal.
-        query: the problem; without ``min_confidence`` any confidence is enough.
-        check_cancelled: called now and then; may raise to stop, which passes through.
-
-    Raises:
-        InputError: one of the query's views is no camera, one that the picture is from has no pose, or a
-            constraint does not fit the robot.
-        ImportError: the compiler of the checks is not installed.
+    ``ends``: (2, d) rad, the query's start and goal as the model takes them; (1, d) where it has no goal.
     """
     least = query.min_confidence or 0.0
     searched = search_paths(seen, ends, query.ways, query.seed, query.time_limit_s, check_cancelled, query)
@@ -259,18 +226,9 @@ def search_paths(
 ) -> Searched:
     """Up to so many paths from ``ends[0]`` to ``ends[1]``, scored.
 
-    Args:
-        seen: the scene.
-        ends: (2, d) rad; (1, d) where the constraints have the goal.
-        count: of paths.
-        seed: of all draws.
-        time_limit_s: of computing, for the search; without one the paths depend on nothing but the rest.
-        check_cancelled: called now and then; may raise to stop, which passes through.
-        constraints: a query whose ``goal_pose``, ``limits`` and ``upright`` hold; None for none.
-
-    Raises:
-        InputError: a constraint does not fit the robot.
-        ImportError: the compiler of the checks is not installed.
+    ``ends``: (2, d) rad; (1, d) where the constraints have the goal. ``time_limit_s``: of computing, for the
+    search; without one the paths depend on nothing but the rest. ``constraints``: a query whose goal_pose,
+    limits and upright hold.
     """
     checkers = seen_checkers(seen.world, seen.picture, ends, seen.known)
     # Before the time counts.
@@ -320,11 +278,7 @@ def search_paths(
 
 
 def planning_space(world: World, limits: Sequence[Sequence[float] | None] | None) -> JointSpace:
-    """The joint space that a query's paths lie in.
-
-    Raises:
-        InputError: the limits do not fit the robot.
-    """
+    """The joint space that a query's paths lie in."""
     return world.space if limits is None else world.space.narrowed(limits)
 
 

@@ -17,14 +17,8 @@ def fit_calibration(
 ) -> tuple[float, float]:
     """(a, b) by which paths of a cost D are free with exp(-exp(a + b log D)), by maximum likelihood.
 
-    Args:
-        cost: (n,) of each path, not negative.
-        free: (n,) whether each was collision-free.
-        prior: precision, halved, of a normal prior of a and b at ``usual``.
-        usual: without plans; (0, 1) leaves the cost as it is.
-
-    Returns:
-        (a, b), b above 0.
+    ``cost``: (n,), not negative. ``free``: (n,). ``prior``: precision, halved, of a normal prior of a and b
+    at ``usual``, of which (0, 1) leaves the cost as it is.
     """
     cost = np.maximum(cost, _LEAST)
 

@@ -23,24 +23,14 @@ FREE_RAD = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScoredPath:
-    """A path and what a model predicts for it.
+    """A path and what a model predicts for it."""
 
-    Args:
-        path: (k, d) rad.
-        states: (n, d) rad along it, both ends included.
-        pieces: (n,) the piece that each state lies on, 0 to k - 2.
-        confidence: (n,) of each state.
-        unseen: (n,) share of the robot that no picture shows, or None.
-        length_rad: Euclidean.
-        plan_calibration: (a, b), see this module.
-    """
-
-    path: NDArray[np.float64]
-    states: NDArray[np.float64]
-    pieces: NDArray[np.int64]
-    confidence: NDArray[np.float32]
-    unseen: NDArray[np.float32] | None
-    length_rad: float
+    path: NDArray[np.float64]  # (k, d) rad
+    states: NDArray[np.float64]  # (n, d) rad along it, both ends included
+    pieces: NDArray[np.int64]  # (n,) the piece that each state lies on, 0 to k - 2
+    confidence: NDArray[np.float32]  # (n,) of each state
+    unseen: NDArray[np.float32] | None  # (n,) share of the robot that no picture shows
+    length_rad: float  # Euclidean
     plan_calibration: tuple[float, float] = (0.0, 1.0)
 
     @property

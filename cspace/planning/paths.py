@@ -32,16 +32,7 @@ def length_rad(path: ArrayLike, space: JointSpace) -> float:
 
 
 def spread_points(path: NDArray[np.float64], count: int, space: JointSpace) -> NDArray[np.float64]:
-    """``count`` points at equal distances along a path, its ends included.
-
-    Args:
-        path: (k, d) rad, k at least 2.
-        count: at least 2.
-        space: of the path.
-
-    Returns:
-        (count, d) rad, periodic joints in [-pi, pi).
-    """
+    """``count`` points at equal distances along a path (k, d) rad, its ends included, (count, d) rad."""
     steps = space.difference(path[:-1], path[1:])
     lengths = np.linalg.norm(steps, axis=1)
     reached = np.concatenate([[0.0], np.cumsum(lengths)])
@@ -95,12 +86,8 @@ class AlongPaths:
     """A stream of configurations about paths.
 
     A turn goes along one path after the other, each from its start to its goal; each next turn adds more
-    noise, and all that follow the last of :data:`NOISE_RAD` as much as it does.
-
-    Args:
-        paths: (k, d) rad each, at least one.
-        space: the robot's joint space; no configuration leaves it.
-        rng: of the noise.
+    noise, and all that follow the last of :data:`NOISE_RAD` as much as it does. No configuration leaves
+    ``space``.
     """
 
     def __init__(
