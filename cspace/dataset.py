@@ -150,15 +150,6 @@ class Dataset:
             raise DatasetError("the data set holds no configurations in collision", got=str(self.folder))
         return self.collision[self.collision_offsets[scenario] : self.collision_offsets[scenario + 1]]
 
-    @property
-    def attributes(self) -> tuple[str, ...]:
-        return tuple(name for name in ATTRIBUTES if name in self.arrays)
-
-    def attribute_of(self, name: str, scenario: int) -> NDArray[Any]:
-        """One of :attr:`attributes` for one scenario's configurations, (n,)."""
-        offsets = self.arrays[f"{name.partition('_')[0]}_offsets"]
-        return self.arrays[name][offsets[scenario] : offsets[scenario + 1]]
-
 
 def open_dataset(folder: Path, *, verify: bool = True) -> Dataset:
     """Open a data-set folder. ``verify``: whether every file's digest is computed and compared."""

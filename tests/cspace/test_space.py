@@ -6,10 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from cspace.errors import ScenarioError
 from cspace.space import (
     JointSpace,
-    Standardisation,
     circles,
     difference,
     wrap,
@@ -45,9 +43,3 @@ def test_uniform_samples_fill_the_joint_space():
     assert MIXED.contains(samples).all()
     np.testing.assert_allclose(samples.mean(axis=0), [0.0, 0.5], atol=0.05)
     np.testing.assert_allclose(samples.std(axis=0), [2 * pi / sqrt(12), 3 / sqrt(12)], atol=0.03)
-
-
-@pytest.mark.parametrize(("mean", "std"), [((0.0,), (0.0,)), ((0.0,), (float("nan"),)), ((0.0, 0.0), (1.0,))])
-def test_a_standardisation_that_cannot_be_undone_is_an_error(mean, std):
-    with pytest.raises(ScenarioError, match="positive deviation"):
-        Standardisation(mean, std)

@@ -15,6 +15,7 @@ from cspace.worlds.planar.world import DiscScenes
 from services.planner.ompl_planner import solve
 from services.planner.result import PlannerSettings
 from services.scene_files import SceneFile, read_scene_file
+from tests.bundles import holds
 from tests.own_ray import run_alone
 from tests.training.clusters.test_pipeline import bundle_of
 from training.data.configurations import sample_configurations
@@ -110,7 +111,7 @@ def test_an_own_robot_goes_from_its_file_to_a_version_and_a_verdict(name, server
     assert bundle.spec.world.scenes == DiscScenes(**{key: _tuple(value) for key, value in FAMILY.items()})
     picture = np.full((48, 48, 3), 255, dtype=np.uint8)
     samples = bundle.sample(picture, 200, 1).samples
-    assert bundle.spec.world.space.holds(samples).all()
+    assert holds(bundle.spec.world.space, samples)
     judged = ("-m", "services.evaluator", "--model", f"{result['model']}/{result['version']}")
     few = run(server, tmp_path, *judged, "--scenarios", "4")
     assert "promoted" in few
