@@ -79,10 +79,6 @@ class StorageError(CspaceError):
     """The disk is full or the target cannot be written."""
 
 
-class StorageBusyError(StorageError):
-    """Another process changes the target."""
-
-
 class RegistryError(CspaceError):
     """The model registry refused or failed."""
 
@@ -105,10 +101,6 @@ class SamplerModelError(SamplerError):
 
 class SamplerUnavailableError(SamplerError):
     """The sampling endpoint does not answer."""
-
-
-class SamplerAnswerError(SamplerUnavailableError):
-    """The sampling endpoint's answer cannot be used: as good as none."""
 
 
 class PlanningError(CspaceError):

@@ -1,7 +1,6 @@
 """Plans a path from start to goal through what a picture shows, by what a model predicts of the rest."""
 
 import math
-import sys
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -39,8 +38,8 @@ def load_kernels(checker: Checker, configuration: NDArray[np.float64], step_rad:
     cheapest_route(np.zeros((1, 1)), 0, 0)
 
 
-def load_examples() -> list[str]:
-    """Have the compiled code of the worlds of every kind in this process; returns the examples' names."""
+def load_examples() -> None:
+    """Have the compiled code of the worlds of every kind in this process."""
     for world in examples().values():
         nothing = np.zeros(world.sensor.picture_shape, dtype=np.uint8)
         ends = np.zeros((2, world.dim))
@@ -52,13 +51,6 @@ def load_examples() -> list[str]:
             _constrained(world, checkers, ends, PlanQuery((), None, goal_pose=goal_pose))
             turned, _, _ = _constrained(world, checkers, ends, PlanQuery((), None, upright=upright))
             load_kernels(turned[0], ends[0], 0.1)
-    return list(examples())
-
-
-def main() -> int:
-    """Compile for every example; returns the exit code."""
-    sys.stdout.write(f"compiled for {', '.join(load_examples())}\n")
-    return 0
 
 
 # Between states that the model is asked about.
@@ -265,14 +257,16 @@ def search_paths(
     # The robot stands at its start.
     is_free = constraints is not None and constraints.goal_free
     predict = given_free(predict, space, ends if is_free else ends[:1])
-    scored = score(paths, space, STEP_RAD, predict, seen.plan_calibration)
-    ranked = _ranked(scored, space, seen.known)
+    ranked = _ranked(score(paths, space, STEP_RAD, predict, seen.plan_calibration), space, seen.known)
     if found.checker is not None:
         check_cancelled = with_deadline(until_s, check_cancelled)
-        refiner = PathRefiner(
-            found.checker, predict, seen.plan_calibration, Effort(step_rad=STEP_RAD), check_cancelled
-        )
-        ranked = _ranked(_refined(ranked, refiner, seed), space, seen.known)
+        effort = Effort(step_rad=STEP_RAD)
+        refiner = PathRefiner(found.checker, predict, seen.plan_calibration, effort, check_cancelled)
+        ranked[: effort.paths] = [
+            refiner.refine(path, np.random.default_rng([seed, number, 1]))
+            for number, path in enumerate(ranked[: effort.paths])
+        ]
+        ranked = _ranked(ranked, space, seen.known)
     scored_ms = 1e3 * (time.monotonic() - searched)
     return Searched(ranked, found.late, 1e3 * (searched - began), scored_ms, checker=found.checker)
 
@@ -314,15 +308,6 @@ def _constrained(
         nearest = np.argsort(space.distance(ends[0], goals), kind="stable")
         goals = goals[nearest[:MAX_GOALS]]
     return checkers, goals, None
-
-
-def _refined(ranked: list[ScoredPath], refiner: PathRefiner, seed: int) -> list[ScoredPath]:
-    """The paths, the first of them changed, in the same order."""
-    changed = ranked[: refiner.effort.paths]
-    found = [
-        refiner.refine(path, np.random.default_rng([seed, number, 1])) for number, path in enumerate(changed)
-    ]
-    return [*found, *ranked[len(changed) :]]
 
 
 def _led_back(found: Plan, start: NDArray[np.float64]) -> Plan:
@@ -385,4 +370,4 @@ def _answer(best: ScoredPath, found: int, min_confidence: float) -> Plan:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    load_examples()

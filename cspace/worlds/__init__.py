@@ -106,8 +106,7 @@ def seen_checkers(
     world: World, picture: Image, ends: NDArray[np.float64], known: Known | None = None
 ) -> Sequence[Checker]:
     """Checks by what a picture shows, the most careful first; the robot is free at ``ends`` (k, d) rad."""
-    options = {} if known is None else {"known": known}
-    found = _part(world.kind, "collision").seen_checkers(world, picture, ends, **options)
+    found = _part(world.kind, "collision").seen_checkers(world, picture, ends, known=known)
     return cast("Sequence[Checker]", found)
 
 
@@ -157,13 +156,8 @@ def checker_of(scene: Scene) -> Checker:
     return simulator_of(scene.world).checker(scene)
 
 
-def picture_of(scene: Scene) -> Image:
-    """The picture of a scene."""
-    return simulator_of(scene.world).render(scene)
-
-
 def picture_file_of(scene: Scene) -> bytes:
-    """The same as a file."""
+    """The picture of a scene as a file."""
     return simulator_of(scene.world).picture_file(scene)
 
 

@@ -10,7 +10,7 @@ import pytest
 from cspace.bundle import Bundle, graphs_of, write_bundle
 from cspace.query import SampleQuery
 from cspace.simulator import Split
-from cspace.worlds import picture_file_of, picture_of, robot_digest, simulator_of
+from cspace.worlds import picture_file_of, robot_digest, simulator_of
 from cspace.worlds.spatial.collision import CollisionChecker
 from cspace.worlds.spatial.obstacles import Obstacles
 from cspace.worlds.spatial.world import shipped, usual
@@ -53,7 +53,7 @@ def test_samples_are_uniform_and_kept_by_the_head(robot: Path, tmp_path: Path) -
     bundle = Bundle.load(folder)
     assert robot_digest(bundle.spec.world) == robot_digest(WORLD)
     problem = simulator_of(WORLD).problem("table", Split.VALIDATION, 0, 0)
-    picture = bundle.prepare(picture_of(problem.scenario))
+    picture = bundle.prepare(simulator_of(WORLD).render(problem.scenario))
     drawn = bundle.sample(picture, 4000, 1, min_confidence=0.0).samples
     assert holds(WORLD.space, drawn)
     shares = (drawn - np.array(WORLD.space.lower)) / np.subtract(WORLD.space.upper, WORLD.space.lower)
