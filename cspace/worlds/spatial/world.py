@@ -208,8 +208,7 @@ def shipped(name: str) -> SerialArm:
     return SerialArm.from_dict(json.loads(path.read_bytes()))
 
 
-# What a configuration says of such a world, and the worlds that commands can name.
-PARTS = {"body": (SerialArm,), "sensor": (DepthSensor,), "scenes": (SpatialScenes,)}
+# Worlds that commands can name.
 EXAMPLES = {name: usual(shipped(name)) for name in ("panda", "ur5")}
 
 
