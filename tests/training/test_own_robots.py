@@ -38,7 +38,6 @@ def robot_files(draw: st.DrawFn) -> dict[str, object]:
             "link_lengths_m": [scale_m * link for link in links],
             "half_width_m": scale_m * draw(st.floats(0.01, 0.2)),
             "joint_limits_rad": draw(st.none() | limits),
-            "self_collision": draw(st.booleans()),
         },
         "camera": {"x_min_m": -side_m, "x_max_m": side_m, "y_min_m": -side_m, "y_max_m": side_m},
         "scenes": {

@@ -266,9 +266,7 @@ class Values(BaseModel):
 def read_world(values: Values) -> PlanarWorld:
     """Robot, camera and family of scenes."""
     one = values.robot
-    arm = PlanarArm(
-        one.link_lengths_m, one.half_width_m, one.joint_limits_rad, self_collision=one.self_collision
-    )
+    arm = PlanarArm(one.link_lengths_m, one.half_width_m, one.joint_limits_rad)
     return PlanarWorld(arm, values.camera, values.scenes)
 
 

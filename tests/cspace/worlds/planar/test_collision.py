@@ -9,12 +9,10 @@ from cspace.errors import ScenarioError
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
 from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.world import Disc, Scenario
-from tests.capsules import self_clearance_by_hand
 
 LIMITED = PlanarArm(joint_limits_rad=(None, (-2.0, 2.5)))
-FOLDING = PlanarArm((2.0, 1.0, 2.0), 0.1, self_collision=True)
-LONG = PlanarArm((1.0, 0.8, 0.7, 0.9, 0.6), 0.05, (None, None, (-2.5, 3.0), None, None), self_collision=True)
-ROBOTS = st.sampled_from([TWO_LINK, THREE_LINK, LIMITED, FOLDING, LONG])
+LONG = PlanarArm((1.0, 0.8, 0.7, 0.9, 0.6), 0.05, (None, None, (-2.5, 3.0), None, None))
+ROBOTS = st.sampled_from([TWO_LINK, THREE_LINK, LIMITED, LONG])
 # Nearer to contact than this, the order of the additions decides.
 ROUNDING_M = 1e-9
 
@@ -26,10 +24,7 @@ angles = st.floats(-7.0, 7.0) | st.sampled_from([0.0, np.pi / 2, np.pi, -np.pi])
 
 
 def reference_clearance(scenario, q):
-    """Plain numpy, one link and one disc at a time: distance of a point to a segment, less both radii.
-
-    Of arms that collide with themselves, that of their links where it is less.
-    """
+    """Plain numpy, one link and one disc at a time: distance of a point to a segment, less both radii."""
     points = np.zeros((scenario.robot.dim + 1, 2))
     for joint, length in enumerate(scenario.robot.link_lengths_m):
         heading = np.sum(q[: joint + 1])
@@ -41,8 +36,6 @@ def reference_clearance(scenario, q):
             share = np.clip(np.dot(centre - tail, head - tail) / np.dot(head - tail, head - tail), 0.0, 1.0)
             nearest = tail + share * (head - tail)
             gaps.append(np.linalg.norm(centre - nearest) - disc.radius_m - scenario.robot.half_width_m)
-    if scenario.robot.self_collision:
-        gaps.append(self_clearance_by_hand(scenario.robot, q))
     return min(gaps)
 
 
