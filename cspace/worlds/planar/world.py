@@ -339,10 +339,3 @@ class Scenario:
     @classmethod
     def from_array(cls, robot: PlanarArm, discs: NDArray[Any], camera: Camera | None = None) -> "Scenario":
         return cls(robot, tuple(Disc(float(x), float(y), float(r)) for x, y, r in discs), camera or Camera())
-
-    def to_dict(self) -> dict[str, Any]:
-        return {
-            "robot": self.robot.to_dict(),
-            "discs": self.disc_array.tolist(),
-            "camera": self.camera.to_dict(),
-        }
