@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -135,9 +135,18 @@ def plan(
     space = planning_space(seen.world, query.limits)
     start = np.where(space.periodic, ends[0], query.start)
     if np.abs(start - ends[0]).max() > LIMIT_TOLERANCE_RAD and len(found.path):
-        found = _led_back(found, start)
+        # The first edge leads back to the limit.
+        length_rad = found.length_rad + float(np.linalg.norm(start - found.path[0]))
+        found = _changed(
+            found,
+            lambda rows: np.vstack([start, rows]),
+            lambda values: np.pad(values, (1, 0), mode="edge"),
+            length_rad,
+        )
     elif len(ends) > 1 and np.array_equal(*ends):
-        found = _one_point(found)
+        # The arm stays where it stands.
+        found = _changed(found, lambda rows: rows[:1], lambda values: values[:0], 0.0)
+        found = replace(found, alternatives=found.alternatives[:1])
     if found.status == "solved" and searched.checker is not None:
         found = replace(found, trajectory=_trajectory(seen, found, query, searched.checker))
     if query.unwrapped:
@@ -310,32 +319,21 @@ def _constrained(
     return checkers, goals, None
 
 
-def _led_back(found: Plan, start: NDArray[np.float64]) -> Plan:
-    """The plan from a start beyond a limit, whose first edge leads to the limit."""
-    alternatives = tuple(
-        replace(one, path=np.vstack([start, one.path]), edges=np.pad(one.edges, (1, 0), mode="edge"))
-        for one in found.alternatives
-    )
+def _changed(
+    found: Plan,
+    points: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    edges: Callable[[NDArray[np.float32]], NDArray[np.float32]],
+    length_rad: float,
+) -> Plan:
+    """The plan with other points and values of edges."""
+    others = (replace(one, path=points(one.path), edges=edges(one.edges)) for one in found.alternatives)
     return replace(
         found,
-        path=np.vstack([start, found.path]),
-        edges=np.pad(found.edges, (1, 0), mode="edge"),
-        unseen=None if found.unseen is None else np.pad(found.unseen, (1, 0), mode="edge"),
-        length_rad=found.length_rad + float(np.linalg.norm(start - found.path[0])),
-        alternatives=alternatives,
-    )
-
-
-def _one_point(found: Plan) -> Plan:
-    """The plan to where the arm stands."""
-    alternatives = tuple(replace(one, path=one.path[:1], edges=one.edges[:0]) for one in found.alternatives)
-    return replace(
-        found,
-        path=found.path[:1],
-        edges=found.edges[:0],
-        unseen=None if found.unseen is None else found.unseen[:0],
-        length_rad=0.0,
-        alternatives=alternatives[:1],
+        path=points(found.path),
+        edges=edges(found.edges),
+        unseen=None if found.unseen is None else edges(found.unseen),
+        length_rad=length_rad,
+        alternatives=tuple(others),
     )
 
 

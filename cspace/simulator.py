@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cspace.errors import ConfigError, ScenarioError
+from cspace.errors import ScenarioError
 from cspace.space import JointSpace
 from cspace.world import Image, Scene, World
 
@@ -266,13 +266,6 @@ class Simulator(ABC):
     @abstractmethod
     def proposals(self, scene: Scene, rng: np.random.Generator, count: int) -> Proposals:
         """So many configurations of a scene that a head learns from, uniform ones first."""
-
-    def group_hits(
-        self, arrays: Mapping[str, NDArray[Any]], configurations: ArrayLike, groups: int
-    ) -> NDArray[np.bool_]:
-        """Which groups of the robot's spheres touch an obstacle at (N, d) rad, (N, G)."""
-        del arrays, configurations
-        raise ConfigError(f"robots of the {self.world.kind} world have no {groups} groups of spheres")
 
     def require(self, family: str) -> None:
         names = self.families.names

@@ -101,17 +101,15 @@ class AlongPaths:
 
     def take(self, count: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """The next configurations (count, d) rad, and the number of each one's path (count,)."""
-        parts: list[slice] = []
-        rows = [self._rows[:0]]
+        rows, numbers = [self._rows[:0]], [self._number[:0]]
         while count > 0:
             part = slice(self._at, min(self._at + count, len(self._line)))
             rows.append(self._rows[part])
-            parts.append(part)
+            numbers.append(self._number[part])
             count, self._at = count - (part.stop - part.start), part.stop
             if self._at == len(self._line):
                 self._next_turn()
-        numbers = [self._number[part] for part in parts]
-        return np.concatenate(rows), np.concatenate([self._number[:0], *numbers])
+        return np.concatenate(rows), np.concatenate(numbers)
 
     @property
     def turn_rows(self) -> int:

@@ -57,7 +57,12 @@ class Trees:
 
     def path(self, joint: tuple[int, int]) -> NDArray[np.float64]:
         """From the start over the node that both trees share to the goal, (k, d)."""
-        halves = [self.nodes[side, to_root(self.parents[side].tolist(), joint[side])] for side in (0, 1)]
+        halves = []
+        for side, node in enumerate(joint):
+            numbers = [node]
+            while self.parents[side, numbers[-1]] >= 0:
+                numbers.append(int(self.parents[side, numbers[-1]]))
+            halves.append(self.nodes[side, numbers])
         return np.concatenate([halves[0][::-1], halves[1][1:]])
 
     def forest(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -124,11 +129,3 @@ def sampled_states(
     learned[np.flatnonzero(learned)[len(samples) :]] = False
     states[learned] = space.wrap(samples)[: int(learned.sum())]
     return states, learned
-
-
-def to_root(parents: list[int], node: int) -> list[int]:
-    """Numbers of the nodes from one to its root."""
-    numbers = [node]
-    while parents[numbers[-1]] >= 0:
-        numbers.append(parents[numbers[-1]])
-    return numbers

@@ -34,10 +34,6 @@ class PlanarArm(Record):
         return len(self.link_lengths_m)
 
     @property
-    def reach_m(self) -> float:
-        return float(sum(self.link_lengths_m))
-
-    @property
     def space(self) -> JointSpace:
         limits = self.joint_limits_rad or (None,) * self.dim
         return JointSpace(
