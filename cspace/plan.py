@@ -1,6 +1,5 @@
 """Plans a path from start to goal through what a picture shows, by what a model predicts of the rest."""
 
-import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -113,7 +112,7 @@ def plan(
     ``ends``: (2, d) rad, the query's start and goal as the model takes them; (1, d) where it has no goal.
     """
     least = query.min_confidence or 0.0
-    searched = search_paths(seen, ends, query.ways, query.seed, query.time_limit_s, check_cancelled, query)
+    searched = search_paths(seen, ends, query, check_cancelled)
     if searched.paths:
         best = searched.paths[0]
         found = _answer(best, len(searched.paths), least)
@@ -217,43 +216,32 @@ def _contact(seen: Seen, ends: NDArray[np.float64], found: Plan, query: PlanQuer
 
 
 def search_paths(
-    seen: Seen,
-    ends: NDArray[np.float64],
-    count: int,
-    seed: int,
-    time_limit_s: float = math.inf,
-    check_cancelled: CheckCancelled | None = None,
-    constraints: PlanQuery | None = None,
+    seen: Seen, ends: NDArray[np.float64], query: PlanQuery, check_cancelled: CheckCancelled | None = None
 ) -> Searched:
-    """Up to so many paths from ``ends[0]`` to ``ends[1]``, scored.
+    """Up to so many paths from ``ends[0]`` to ``ends[1]``, scored; (1, d) ``ends`` where a pose is the goal.
 
-    ``ends``: (2, d) rad; (1, d) where the constraints have the goal. ``time_limit_s``: of computing, for the
-    search; without one the paths depend on nothing but the rest. ``constraints``: a query whose goal_pose,
-    limits and upright hold.
+    The query's time is of computing, for the search; where it does not run out, it changes no path.
     """
     checkers = seen_checkers(seen.world, seen.picture, ends, seen.known)
     # Before the time counts.
     load_kernels(checkers[0], ends[0], STEP_RAD)
     began = time.monotonic()
-    until_s = time.thread_time() + time_limit_s
-    goals, predict, careful, unseen = ends[1:], seen.predict, 0, None
+    until_s = time.thread_time() + query.time_limit_s
+    careful, unseen = 0, None
     if seen.occupancy is not None:
         unseen = unseen_space(seen.world, seen.picture, seen.occupancy, ends, seen.known)
         checkers, careful = [unseen.careful_checker(), *checkers], 1
-    if constraints is not None:
-        checkers, goals, reason = _constrained(seen.world, checkers, ends, constraints)
-        if reason is not None:
-            took_ms = 1e3 * (time.monotonic() - began)
-            return Searched([], late=False, search_ms=took_ms, score_ms=0.0, reason=reason)
-        # The model takes circles in [-pi, pi).
-        own = seen.world.space
-        predict = (
-            seen.predict if constraints.limits is None else lambda rows: seen.predict(own.to_float32(rows))
-        )
+    checkers, goals, reason = _constrained(seen.world, checkers, ends, query)
+    if reason is not None:
+        took_ms = 1e3 * (time.monotonic() - began)
+        return Searched([], late=False, search_ms=took_ms, score_ms=0.0, reason=reason)
+    # The model takes circles in [-pi, pi).
+    own = seen.world.space
+    predict = seen.predict if query.limits is None else lambda rows: seen.predict(own.to_float32(rows))
     if unseen is not None:
         predict = seen.beside(unseen, predict)
-    search = partial(find_paths, start=ends[0], goal=goals, seed=seed, until_s=until_s)
-    found = search(checkers[careful:], count=count, check_cancelled=check_cancelled)
+    search = partial(find_paths, start=ends[0], goal=goals, seed=query.seed, until_s=until_s)
+    found = search(checkers[careful:], count=query.ways, check_cancelled=check_cancelled)
     paths = found.paths
     if paths and careful:
         # The ways that a careful robot would take, if there are any.
@@ -264,15 +252,14 @@ def search_paths(
     searched = time.monotonic()
     space = checkers[0].space
     # The robot stands at its start.
-    is_free = constraints is not None and constraints.goal_free
-    predict = given_free(predict, space, ends if is_free else ends[:1])
+    predict = given_free(predict, space, ends if query.goal_free else ends[:1])
     ranked = _ranked(score(paths, space, STEP_RAD, predict, seen.plan_calibration), space, seen.known)
     if found.checker is not None:
         check_cancelled = with_deadline(until_s, check_cancelled)
         effort = Effort(step_rad=STEP_RAD)
         refiner = PathRefiner(found.checker, predict, seen.plan_calibration, effort, check_cancelled)
         ranked[: effort.paths] = [
-            refiner.refine(path, np.random.default_rng([seed, number, 1]))
+            refiner.refine(path, np.random.default_rng([query.seed, number, 1]))
             for number, path in enumerate(ranked[: effort.paths])
         ]
         ranked = _ranked(ranked, space, seen.known)

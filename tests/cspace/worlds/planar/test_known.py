@@ -7,6 +7,7 @@ import pytest
 
 from cspace.files import encode_png
 from cspace.plan import Seen, search_paths
+from cspace.query import PlanQuery
 from cspace.view_file import pack_view
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
 from cspace.worlds.planar.collision import CollisionChecker, seen_checkers
@@ -96,7 +97,7 @@ def test_a_path_that_touches_what_is_known_between_the_states_of_the_search_is_n
 
     def found(what):
         seen = Seen(PlanarWorld(TWO_LINK), what.seen, lambda rows: (np.ones(len(rows)), None), known=what)
-        return search_paths(seen, ends, 4, 0).paths
+        return search_paths(seen, ends, PlanQuery(*map(tuple, ends), time_limit_s=60.0)).paths
 
     assert found(known)
     assert not found(ThinWall(known.arm, known.names, known.discs, known.seen))
