@@ -76,6 +76,12 @@ def default_world() -> World:
     return next(iter(examples().values()))
 
 
+def part_types(part: str) -> tuple[type[Any], ...]:
+    """The dataclasses of a part of worlds, ``body``, ``sensor`` or ``scenes``, of all kinds."""
+    found = (one for kind in KINDS for one in _part(kind, "world").PARTS[part])
+    return tuple(dict.fromkeys(found))
+
+
 def usual_world(robot: Body, **parts: Any) -> World:
     """A robot that is seen, and stands in scenes, as those of its type usually are, but for given parts."""
     example: Any = next(world for world in examples().values() if type(world.body) is type(robot))

@@ -3,20 +3,17 @@
 import hashlib
 import json
 from dataclasses import dataclass
+from functools import reduce
+from operator import or_
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, model_validator
+from pydantic_core import CoreSchema
 
 from cspace.errors import InputError
-from cspace.world import World
-from cspace.worlds import examples, named_world, usual_world
-from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
-from cspace.worlds.planar.camera import Camera
-from cspace.worlds.planar.world import DiscScenes, GivenScenes
-from cspace.worlds.spatial.arm import SerialArm
-from cspace.worlds.spatial.furniture import SpatialScenes
-from cspace.worlds.spatial.sensor import DepthSensor
+from cspace.world import Body, World
+from cspace.worlds import default_world, examples, named_world, part_types, usual_world
 from training.section import AbsolutePath, RobotName
 
 # Counts on with every change of what worlds propose for labelling, and of how they are seen then.
@@ -42,19 +39,29 @@ class Shard:
         return f"{'extra' if self.extra else 'scenes'}-{self.first:08d}-{self.count}.npz"
 
 
+@dataclass(frozen=True, slots=True)
+class _OfAnyKind:
+    """A part of a world by the fields of its type."""
+
+    part: str
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return handler.generate_schema(reduce(or_, part_types(self.part)))
+
+
 class GeneratedConfig(BaseModel):
     """What fixes any generated data set."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    robot: PlanarArm | SerialArm = Field(
-        TWO_LINK,
+    robot: Annotated[Body, _OfAnyKind("body")] = Field(
+        default_world().body,
         description="its fields, an example's name, or the absolute path of a robot's file",
     )
-    camera: Camera | DepthSensor | None = Field(
+    camera: Annotated[Any, _OfAnyKind("sensor")] | None = Field(
         None, exclude_if=lambda part: part is None, description="None: the usual one"
     )
-    scenes: DiscScenes | GivenScenes | SpatialScenes | None = Field(
+    scenes: Annotated[Any, _OfAnyKind("scenes")] | None = Field(
         None, exclude_if=lambda part: part is None, description="a family, or given ones; None: the usual"
     )
     robot_name: RobotName = None

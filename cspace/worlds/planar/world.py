@@ -287,6 +287,10 @@ class PlanarWorld(World):
         return values
 
 
+# The types of its parts.
+PARTS = {"body": (PlanarArm,), "sensor": (Camera,), "scenes": (DiscScenes, GivenScenes)}
+
+
 # An arm that is seen and stands in scenes as most are.
 usual = PlanarWorld
 # By the names of their robots, the first where none is named.

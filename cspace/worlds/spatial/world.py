@@ -208,7 +208,8 @@ def shipped(name: str) -> SerialArm:
     return SerialArm.from_dict(json.loads(path.read_bytes()))
 
 
-# Worlds that commands can name.
+# What a configuration says of such a world, and the worlds that commands can name.
+PARTS = {"body": (SerialArm,), "sensor": (DepthSensor,), "scenes": (SpatialScenes,)}
 EXAMPLES = {name: usual(shipped(name)) for name in ("panda", "ur5")}
 
 
