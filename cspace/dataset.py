@@ -106,10 +106,6 @@ class Dataset:
         return self.manifest.digest
 
     @property
-    def dim(self) -> int:
-        return self.world.dim
-
-    @property
     def scenario_count(self) -> int:
         return len(self.images)
 

@@ -135,15 +135,10 @@ class BundleSpec:
         return 0.0 if self.plan_calibration is None else PLAN_CONFIDENCE
 
     @property
-    def joint_space(self) -> dict[str, Any]:
-        """The joint space as ``bundle.json`` and the API's answers write it."""
-        return self.world.space.to_dict()
-
-    @property
     def _derived(self) -> dict[str, Any]:
         """What ``bundle.json`` holds beside the fields, for it follows from them."""
         return {
-            "joint_space": self.joint_space,
+            "joint_space": self.world.space.to_dict(),
             "image": self.world.sensor.convention,
             "conditions": list(self.conditions),
         }

@@ -75,7 +75,8 @@ def _import_bounded(options: argparse.Namespace, arguments: Sequence[str]) -> tu
 def describe(dataset: Dataset) -> str:
     """What a data set holds, in lines."""
     counts = "\n".join(f"  {name:<16}{count}" for name, count in sorted(dataset.manifest.counts.items()))
-    return f"{dataset.folder}\n{counts}\n  joints          {dataset.dim}\n  digest          {dataset.digest}"
+    joints = dataset.world.dim
+    return f"{dataset.folder}\n{counts}\n  joints          {joints}\n  digest          {dataset.digest}"
 
 
 def parser() -> argparse.ArgumentParser:
