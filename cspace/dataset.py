@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.errors import DamagedFileError, DatasetError, StorageError
+from cspace.errors import DatasetError, StorageError
 from cspace.files import (
     adapter_of,
     json_text,
@@ -75,7 +75,7 @@ class Manifest:
         digest = members.pop("digest", None)
         manifest = read_object(cls, members, str(path), DatasetError)
         if manifest.digest != digest:
-            raise DamagedFileError(f"{path} is damaged", expected=str(digest)[:200], got=manifest.digest)
+            raise DatasetError(f"{path} is damaged", expected=str(digest)[:200], got=manifest.digest)
         return manifest
 
 
@@ -154,12 +154,12 @@ def open_dataset(folder: Path, *, verify: bool = True) -> Dataset:
     for name, expected in manifest.files.items():
         path = folder / name
         if Path(name).name != name or not path.is_file():
-            raise DamagedFileError(f"{path} is missing", expected="a file of the data set")
+            raise DatasetError(f"{path} is missing", expected="a file of the data set")
         if verify and (got := file_digest(path)) != expected:
-            raise DamagedFileError(
+            raise DatasetError(
                 f"{path} is damaged", expected=f"SHA-256 {expected}", got=got, remedy="make or copy it again"
             )
-    arrays = {Path(name).stem: map_npy(folder / name, DamagedFileError) for name in manifest.files}
+    arrays = {Path(name).stem: map_npy(folder / name, DatasetError) for name in manifest.files}
     return Dataset(folder, manifest, arrays)
 
 

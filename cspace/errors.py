@@ -59,10 +59,6 @@ class DatasetError(InputError):
     """A data-set folder does not follow the format."""
 
 
-class DamagedFileError(DatasetError):
-    """A file's digest differs from the manifest's."""
-
-
 class BundleError(CspaceError):
     """A bundle cannot be used."""
 
@@ -117,10 +113,6 @@ class ServiceError(CspaceError):
 
 class PortTakenError(ServiceError):
     """A port that a service needs is held by somebody else."""
-
-
-class ServiceStartError(ServiceError):
-    """A service did not come up."""
 
 
 class JobError(CspaceError):

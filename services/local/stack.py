@@ -22,7 +22,7 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 from supervisor.states import RUNNING_STATES
 from supervisor.xmlrpc import SupervisorTransport
 
-from cspace.errors import ConfigError, PortTakenError, ServiceError, ServiceStartError, StorageError
+from cspace.errors import ConfigError, PortTakenError, ServiceError, StorageError
 from cspace.files import holding
 from services.commands import aligned
 from services.names import API_URL
@@ -341,7 +341,7 @@ def _start_supervisord(settings: Settings) -> Any:
         # A folder that somebody else has made cannot be deleted, and is not used.
         settings.temp_folder.mkdir(mode=0o700)
     except OSError as error:
-        raise ServiceStartError("there is no folder for sockets", got=str(error)) from error
+        raise ServiceError("there is no folder for sockets", got=str(error)) from error
     config = settings.home / "run" / "supervisord.conf"
     config.write_text(_configuration(settings), encoding="utf-8")
     command = [str(BIN / "supervisord"), "-c", str(config)]
@@ -350,7 +350,7 @@ def _start_supervisord(settings: Settings) -> Any:
     server = connect(settings)
     if server is None:
         log = log_file(settings, "supervisord")
-        raise ServiceStartError("supervisord did not start", got=done.stderr[-500:], remedy=f"see {log}")
+        raise ServiceError("supervisord did not start", got=done.stderr[-500:], remedy=f"see {log}")
     return server
 
 
@@ -412,7 +412,7 @@ def _wait_healthy(settings: Settings, server: Any, name: str) -> None:
         log = log_file(settings, name)
         last = log.read_text(encoding="utf-8", errors="replace").splitlines()[-LOG_LINES:]
         remedy = "\n".join([f"the end of its log {log}:", *last, "then `make down` and start again"])
-        raise ServiceStartError(f"{name} {failure}", remedy=remedy)
+        raise ServiceError(f"{name} {failure}", remedy=remedy)
 
 
 def _is_alive(process: psutil.Process) -> bool:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from cspace.dataset import MANIFEST_FILE, Manifest, file_digest, open_dataset, write_dataset
-from cspace.errors import DamagedFileError, DatasetError
+from cspace.errors import DatasetError
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
@@ -32,19 +32,19 @@ def test_a_changed_byte_is_found_and_its_file_named(folder, name):
     data = bytearray((folder / name).read_bytes())
     data[-1] ^= 1
     (folder / name).write_bytes(data)
-    with pytest.raises(DamagedFileError, match=f"{name} is damaged.*SHA-256"):
+    with pytest.raises(DatasetError, match=f"{name} is damaged.*SHA-256"):
         open_dataset(folder)
 
 
 def test_a_missing_file_is_named(folder):
     (folder / "collision.npy").unlink()
-    with pytest.raises(DamagedFileError, match=r"collision\.npy is missing"):
+    with pytest.raises(DatasetError, match=r"collision\.npy is missing"):
         open_dataset(folder)
 
 
 def test_a_changed_manifest_is_found(folder):
     edit(folder, world=PlanarWorld(TWO_LINK, Camera(pixels=17)).to_dict())
-    with pytest.raises(DamagedFileError, match=r"manifest\.json is damaged"):
+    with pytest.raises(DatasetError, match=r"manifest\.json is damaged"):
         open_dataset(folder)
 
 

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import httpx
 import pytest
 
-from cspace.errors import JobError, PlanningError, ServiceStartError
+from cspace.errors import JobError, PlanningError, ServiceError
 from services.local.quickstart import plan_and_draw, run_job, wait_served
 from services.local.stack import Settings
 from tests.services.local.conftest import WriteStub, ignore
@@ -77,7 +77,7 @@ def test_the_api_is_asked_until_it_serves_the_version(
     monkeypatch.setattr("services.local.quickstart.time", own)
     wait_served("http://api", "cspace-sampler/2", default=default)
     assert len(paused) == pauses
-    with pytest.raises(ServiceStartError, match="cspace-sampler/9"):
+    with pytest.raises(ServiceError, match="cspace-sampler/9"):
         wait_served("http://api", "cspace-sampler/9", default=False, limit_s=0.0)
 
 

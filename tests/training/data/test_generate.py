@@ -6,7 +6,7 @@ import pytest
 import ray
 
 from cspace.dataset import open_dataset
-from cspace.errors import DamagedFileError, DatasetError, StorageError
+from cspace.errors import DatasetError, StorageError
 from cspace.worlds import simulator_of
 from cspace.worlds.planar.arm import PlanarArm
 from cspace.worlds.planar.collision import CollisionChecker
@@ -110,7 +110,7 @@ def test_a_data_set_that_is_there_is_used_again_unless_it_is_another_or_damaged(
         generate(SMALL.model_copy(update={"seed": 4}), tmp_path / "data")
     path = made.folder / "free.npy"
     path.write_bytes(path.read_bytes()[:-1] + b"\x00")
-    with pytest.raises(DamagedFileError, match=r"free\.npy"):
+    with pytest.raises(DatasetError, match=r"free\.npy"):
         generate(SMALL, tmp_path / "data")
     assert again.made == []
 
