@@ -43,7 +43,7 @@ def measure(folder: Path, split: Split, seed: int, indices: range) -> list[Row]:
 def filtered_uniform(bundle: Bundle, scene: Scene) -> NDArray[np.float64]:
     """Uniform configurations that the validity head keeps, without the generator."""
     rows = scene.space.to_float32(scene.space.sample_uniform(scene.rng(4), 20 * SAMPLES))
-    kept = bundle.score(bundle.prepare(scene.image), rows) >= (bundle.spec.confidence_threshold or 0.0)
+    kept = bundle.predict(bundle.prepare(scene.image), rows)[0] >= (bundle.spec.confidence_threshold or 0.0)
     return rows[kept][:SAMPLES].astype(np.float64)
 
 

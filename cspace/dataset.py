@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.errors import DamagedFileError, DatasetError, StorageError
+from cspace.errors import DatasetError, StorageError
 from cspace.files import (
     adapter_of,
     json_text,
@@ -75,7 +75,7 @@ class Manifest:
         digest = members.pop("digest", None)
         manifest = read_object(cls, members, str(path), DatasetError)
         if manifest.digest != digest:
-            raise DamagedFileError(f"{path} is damaged", expected=str(digest)[:200], got=manifest.digest)
+            raise DatasetError(f"{path} is damaged", expected=str(digest)[:200], got=manifest.digest)
         return manifest
 
 
@@ -104,10 +104,6 @@ class Dataset:
     @property
     def digest(self) -> str:
         return self.manifest.digest
-
-    @property
-    def dim(self) -> int:
-        return self.world.dim
 
     @property
     def scenario_count(self) -> int:
@@ -150,15 +146,6 @@ class Dataset:
             raise DatasetError("the data set holds no configurations in collision", got=str(self.folder))
         return self.collision[self.collision_offsets[scenario] : self.collision_offsets[scenario + 1]]
 
-    @property
-    def attributes(self) -> tuple[str, ...]:
-        return tuple(name for name in ATTRIBUTES if name in self.arrays)
-
-    def attribute_of(self, name: str, scenario: int) -> NDArray[Any]:
-        """One of :attr:`attributes` for one scenario's configurations, (n,)."""
-        offsets = self.arrays[f"{name.partition('_')[0]}_offsets"]
-        return self.arrays[name][offsets[scenario] : offsets[scenario + 1]]
-
 
 def open_dataset(folder: Path, *, verify: bool = True) -> Dataset:
     """Open a data-set folder. ``verify``: whether every file's digest is computed and compared."""
@@ -167,12 +154,12 @@ def open_dataset(folder: Path, *, verify: bool = True) -> Dataset:
     for name, expected in manifest.files.items():
         path = folder / name
         if Path(name).name != name or not path.is_file():
-            raise DamagedFileError(f"{path} is missing", expected="a file of the data set")
+            raise DatasetError(f"{path} is missing", expected="a file of the data set")
         if verify and (got := file_digest(path)) != expected:
-            raise DamagedFileError(
+            raise DatasetError(
                 f"{path} is damaged", expected=f"SHA-256 {expected}", got=got, remedy="make or copy it again"
             )
-    arrays = {Path(name).stem: map_npy(folder / name, DamagedFileError) for name in manifest.files}
+    arrays = {Path(name).stem: map_npy(folder / name, DatasetError) for name in manifest.files}
     return Dataset(folder, manifest, arrays)
 
 

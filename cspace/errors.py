@@ -59,10 +59,6 @@ class DatasetError(InputError):
     """A data-set folder does not follow the format."""
 
 
-class DamagedFileError(DatasetError):
-    """A file's digest differs from the manifest's."""
-
-
 class BundleError(CspaceError):
     """A bundle cannot be used."""
 
@@ -77,10 +73,6 @@ class GoldenMismatchError(BundleError):
 
 class StorageError(CspaceError):
     """The disk is full or the target cannot be written."""
-
-
-class StorageBusyError(StorageError):
-    """Another process changes the target."""
 
 
 class RegistryError(CspaceError):
@@ -107,10 +99,6 @@ class SamplerUnavailableError(SamplerError):
     """The sampling endpoint does not answer."""
 
 
-class SamplerAnswerError(SamplerUnavailableError):
-    """The sampling endpoint's answer cannot be used: as good as none."""
-
-
 class PlanningError(CspaceError):
     """A planner was asked for something impossible."""
 
@@ -125,10 +113,6 @@ class ServiceError(CspaceError):
 
 class PortTakenError(ServiceError):
     """A port that a service needs is held by somebody else."""
-
-
-class ServiceStartError(ServiceError):
-    """A service did not come up."""
 
 
 class JobError(CspaceError):

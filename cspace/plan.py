@@ -1,9 +1,7 @@
 """Plans a path from start to goal through what a picture shows, by what a model predicts of the rest."""
 
-import math
-import sys
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -13,7 +11,7 @@ from numpy.typing import NDArray
 
 from cspace.planning.cost import Predict, ScoredPath, given_free, score
 from cspace.planning.paths import spaced
-from cspace.planning.refine import Effort, PathRefiner, route_search
+from cspace.planning.refine import Effort, PathRefiner, cheapest_route
 from cspace.planning.rrt_connect import Growth, grow_connect
 from cspace.planning.search import SearchLimits, find_paths, with_deadline
 from cspace.planning.trajectory import timed
@@ -32,21 +30,15 @@ from cspace.worlds import (
 
 
 def load_kernels(checker: Checker, configuration: NDArray[np.float64], step_rad: float) -> None:
-    """Have a checker's compiled code in this process: a first call loads it, or compiles it.
-
-    Args:
-        checker: of any scene.
-        configuration: (d,) rad.
-        step_rad: above 0.
-    """
+    """Have the compiled code of a checker of any scene in this process: a first call loads or compiles it."""
     checker.valid_batch(configuration[None])
     checker.edge_batch(configuration[None], configuration[None], step_rad)
     grow_connect(checker, configuration, configuration, configuration[None], Growth(step_rad, step_rad))
-    route_search()(np.zeros((1, 1)), 0, 0)
+    cheapest_route(np.zeros((1, 1)), 0, 0)
 
 
-def load_examples() -> list[str]:
-    """Have the compiled code of the worlds of every kind in this process; returns the examples' names."""
+def load_examples() -> None:
+    """Have the compiled code of the worlds of every kind in this process."""
     for world in examples().values():
         nothing = np.zeros(world.sensor.picture_shape, dtype=np.uint8)
         ends = np.zeros((2, world.dim))
@@ -58,13 +50,6 @@ def load_examples() -> list[str]:
             _constrained(world, checkers, ends, PlanQuery((), None, goal_pose=goal_pose))
             turned, _, _ = _constrained(world, checkers, ends, PlanQuery((), None, upright=upright))
             load_kernels(turned[0], ends[0], 0.1)
-    return list(examples())
-
-
-def main() -> int:
-    """Compile for every example; returns the exit code."""
-    sys.stdout.write(f"compiled for {', '.join(load_examples())}\n")
-    return 0
 
 
 # Between states that the model is asked about.
@@ -85,23 +70,14 @@ _ROUNDED_RAD = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """A scene as a model knows it.
-
-    Args:
-        world: the robot and how it is seen.
-        picture: of the scene.
-        predict: what the model says of configurations in it.
-        plan_calibration: (a, b), see :mod:`cspace.planning.cost`.
-        known: of it beside the picture.
-        occupancy: float16 (X, Y, Z), how likely each voxel holds something, where a model tells.
-    """
+    """A scene as a model knows it."""
 
     world: World
     picture: Image
-    predict: Predict
-    plan_calibration: tuple[float, float] = (0.0, 1.0)
-    known: Known | None = None
-    occupancy: NDArray[np.float16] | None = None
+    predict: Predict  # what the model says of configurations
+    plan_calibration: tuple[float, float] = (0.0, 1.0)  # (a, b), see :mod:`cspace.planning.cost`
+    known: Known | None = None  # beside the picture
+    occupancy: NDArray[np.float16] | None = None  # (X, Y, Z), probability of each voxel, where a model tells
 
     def beside(self, unseen: Any, predict: Predict) -> Predict:
         """``predict`` times the chance that nothing is touched in the unseen space of a model's occupancy."""
@@ -118,43 +94,25 @@ class Seen:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Searched:
-    """Paths through what a picture shows.
+    """Paths through what a picture shows."""
 
-    Args:
-        paths: lowest cost first.
-        late: whether the time was over before there were as many as were wanted.
-        search_ms: looking for them.
-        score_ms: asking the model about them, and changing them until their cost is lower.
-        reason: why nothing was looked for, in words; None where something was.
-        checker: by which the paths are free; None without paths.
-    """
-
-    paths: list[ScoredPath]
-    late: bool
+    paths: list[ScoredPath]  # lowest cost first
+    late: bool  # whether the time was over before there were as many as were wanted
     search_ms: float
-    score_ms: float
-    reason: str | None = None
-    checker: Checker | None = None
+    score_ms: float  # asking the model about them, and refining them
+    reason: str | None = None  # why nothing was looked for, in words; None where something was
+    checker: Checker | None = None  # by which the paths are free; None without paths
 
 
 def plan(
     seen: Seen, ends: NDArray[np.float64], query: PlanQuery, check_cancelled: CheckCancelled | None = None
 ) -> Plan:
-    """Plan.
+    """The path of lowest cost; without ``min_confidence`` any confidence is enough.
 
-    Args:
-        seen: the scene.
-        ends: (2, d) rad, the query's start and goal as the model takes them; (1, d) where it has no goal.
-        query: the problem; without ``min_confidence`` any confidence is enough.
-        check_cancelled: called now and then; may raise to stop, which passes through.
-
-    Raises:
-        InputError: one of the query's views is no camera, one that the picture is from has no pose, or a
-            constraint does not fit the robot.
-        ImportError: the compiler of the checks is not installed.
+    ``ends``: (2, d) rad, the query's start and goal as the model takes them; (1, d) where it has no goal.
     """
     least = query.min_confidence or 0.0
-    searched = search_paths(seen, ends, query.ways, query.seed, query.time_limit_s, check_cancelled, query)
+    searched = search_paths(seen, ends, query, check_cancelled)
     if searched.paths:
         best = searched.paths[0]
         found = _answer(best, len(searched.paths), least)
@@ -176,9 +134,18 @@ def plan(
     space = planning_space(seen.world, query.limits)
     start = np.where(space.periodic, ends[0], query.start)
     if np.abs(start - ends[0]).max() > LIMIT_TOLERANCE_RAD and len(found.path):
-        found = _led_back(found, start)
+        # The first edge leads back to the limit.
+        length_rad = found.length_rad + float(np.linalg.norm(start - found.path[0]))
+        found = _changed(
+            found,
+            lambda rows: np.vstack([start, rows]),
+            lambda values: np.pad(values, (1, 0), mode="edge"),
+            length_rad,
+        )
     elif len(ends) > 1 and np.array_equal(*ends):
-        found = _one_point(found)
+        # The arm stays where it stands.
+        found = _changed(found, lambda rows: rows[:1], lambda values: values[:0], 0.0)
+        found = replace(found, alternatives=found.alternatives[:1])
     if found.status == "solved" and searched.checker is not None:
         found = replace(found, trajectory=_trajectory(seen, found, query, searched.checker))
     if query.unwrapped:
@@ -249,52 +216,32 @@ def _contact(seen: Seen, ends: NDArray[np.float64], found: Plan, query: PlanQuer
 
 
 def search_paths(
-    seen: Seen,
-    ends: NDArray[np.float64],
-    count: int,
-    seed: int,
-    time_limit_s: float = math.inf,
-    check_cancelled: CheckCancelled | None = None,
-    constraints: PlanQuery | None = None,
+    seen: Seen, ends: NDArray[np.float64], query: PlanQuery, check_cancelled: CheckCancelled | None = None
 ) -> Searched:
-    """Up to so many paths from ``ends[0]`` to ``ends[1]``, scored.
+    """Up to so many paths from ``ends[0]`` to ``ends[1]``, scored; (1, d) ``ends`` where a pose is the goal.
 
-    Args:
-        seen: the scene.
-        ends: (2, d) rad; (1, d) where the constraints have the goal.
-        count: of paths.
-        seed: of all draws.
-        time_limit_s: of computing, for the search; without one the paths depend on nothing but the rest.
-        check_cancelled: called now and then; may raise to stop, which passes through.
-        constraints: a query whose ``goal_pose``, ``limits`` and ``upright`` hold; None for none.
-
-    Raises:
-        InputError: a constraint does not fit the robot.
-        ImportError: the compiler of the checks is not installed.
+    The query's time is of computing, for the search; where it does not run out, it changes no path.
     """
     checkers = seen_checkers(seen.world, seen.picture, ends, seen.known)
     # Before the time counts.
     load_kernels(checkers[0], ends[0], STEP_RAD)
     began = time.monotonic()
-    until_s = time.thread_time() + time_limit_s
-    goals, predict, careful, unseen = ends[1:], seen.predict, 0, None
+    until_s = time.thread_time() + query.time_limit_s
+    careful, unseen = 0, None
     if seen.occupancy is not None:
         unseen = unseen_space(seen.world, seen.picture, seen.occupancy, ends, seen.known)
         checkers, careful = [unseen.careful_checker(), *checkers], 1
-    if constraints is not None:
-        checkers, goals, reason = _constrained(seen.world, checkers, ends, constraints)
-        if reason is not None:
-            took_ms = 1e3 * (time.monotonic() - began)
-            return Searched([], late=False, search_ms=took_ms, score_ms=0.0, reason=reason)
-        # The model takes circles in [-pi, pi).
-        own = seen.world.space
-        predict = (
-            seen.predict if constraints.limits is None else lambda rows: seen.predict(own.to_float32(rows))
-        )
+    checkers, goals, reason = _constrained(seen.world, checkers, ends, query)
+    if reason is not None:
+        took_ms = 1e3 * (time.monotonic() - began)
+        return Searched([], late=False, search_ms=took_ms, score_ms=0.0, reason=reason)
+    # The model takes circles in [-pi, pi).
+    own = seen.world.space
+    predict = seen.predict if query.limits is None else lambda rows: seen.predict(own.to_float32(rows))
     if unseen is not None:
         predict = seen.beside(unseen, predict)
-    search = partial(find_paths, start=ends[0], goal=goals, seed=seed, until_s=until_s)
-    found = search(checkers[careful:], count=count, check_cancelled=check_cancelled)
+    search = partial(find_paths, start=ends[0], goal=goals, seed=query.seed, until_s=until_s)
+    found = search(checkers[careful:], count=query.ways, check_cancelled=check_cancelled)
     paths = found.paths
     if paths and careful:
         # The ways that a careful robot would take, if there are any.
@@ -305,26 +252,23 @@ def search_paths(
     searched = time.monotonic()
     space = checkers[0].space
     # The robot stands at its start.
-    is_free = constraints is not None and constraints.goal_free
-    predict = given_free(predict, space, ends if is_free else ends[:1])
-    scored = score(paths, space, STEP_RAD, predict, seen.plan_calibration)
-    ranked = _ranked(scored, space, seen.known)
+    predict = given_free(predict, space, ends if query.goal_free else ends[:1])
+    ranked = _ranked(score(paths, space, STEP_RAD, predict, seen.plan_calibration), space, seen.known)
     if found.checker is not None:
         check_cancelled = with_deadline(until_s, check_cancelled)
-        refiner = PathRefiner(
-            found.checker, predict, seen.plan_calibration, Effort(step_rad=STEP_RAD), check_cancelled
-        )
-        ranked = _ranked(_refined(ranked, refiner, seed), space, seen.known)
+        effort = Effort(step_rad=STEP_RAD)
+        refiner = PathRefiner(found.checker, predict, seen.plan_calibration, effort, check_cancelled)
+        ranked[: effort.paths] = [
+            refiner.refine(path, np.random.default_rng([query.seed, number, 1]))
+            for number, path in enumerate(ranked[: effort.paths])
+        ]
+        ranked = _ranked(ranked, space, seen.known)
     scored_ms = 1e3 * (time.monotonic() - searched)
     return Searched(ranked, found.late, 1e3 * (searched - began), scored_ms, checker=found.checker)
 
 
 def planning_space(world: World, limits: Sequence[Sequence[float] | None] | None) -> JointSpace:
-    """The joint space that a query's paths lie in.
-
-    Raises:
-        InputError: the limits do not fit the robot.
-    """
+    """The joint space that a query's paths lie in."""
     return world.space if limits is None else world.space.narrowed(limits)
 
 
@@ -362,41 +306,21 @@ def _constrained(
     return checkers, goals, None
 
 
-def _refined(ranked: list[ScoredPath], refiner: PathRefiner, seed: int) -> list[ScoredPath]:
-    """The paths, the first of them changed, in the same order."""
-    changed = ranked[: refiner.effort.paths]
-    found = [
-        refiner.refine(path, np.random.default_rng([seed, number, 1])) for number, path in enumerate(changed)
-    ]
-    return [*found, *ranked[len(changed) :]]
-
-
-def _led_back(found: Plan, start: NDArray[np.float64]) -> Plan:
-    """The plan from a start beyond a limit, whose first edge leads to the limit."""
-    alternatives = tuple(
-        replace(one, path=np.vstack([start, one.path]), edges=np.pad(one.edges, (1, 0), mode="edge"))
-        for one in found.alternatives
-    )
+def _changed(
+    found: Plan,
+    points: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    edges: Callable[[NDArray[np.float32]], NDArray[np.float32]],
+    length_rad: float,
+) -> Plan:
+    """The plan with other points and values of edges."""
+    others = (replace(one, path=points(one.path), edges=edges(one.edges)) for one in found.alternatives)
     return replace(
         found,
-        path=np.vstack([start, found.path]),
-        edges=np.pad(found.edges, (1, 0), mode="edge"),
-        unseen=None if found.unseen is None else np.pad(found.unseen, (1, 0), mode="edge"),
-        length_rad=found.length_rad + float(np.linalg.norm(start - found.path[0])),
-        alternatives=alternatives,
-    )
-
-
-def _one_point(found: Plan) -> Plan:
-    """The plan to where the arm stands."""
-    alternatives = tuple(replace(one, path=one.path[:1], edges=one.edges[:0]) for one in found.alternatives)
-    return replace(
-        found,
-        path=found.path[:1],
-        edges=found.edges[:0],
-        unseen=None if found.unseen is None else found.unseen[:0],
-        length_rad=0.0,
-        alternatives=alternatives[:1],
+        path=points(found.path),
+        edges=edges(found.edges),
+        unseen=None if found.unseen is None else edges(found.unseen),
+        length_rad=length_rad,
+        alternatives=tuple(others),
     )
 
 
@@ -431,4 +355,4 @@ def _answer(best: ScoredPath, found: int, min_confidence: float) -> Plan:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    load_examples()

@@ -2,12 +2,12 @@
 
 import re
 import secrets
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal, TypedDict, Unpack
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from pydantic import Field
 
 from cspace.errors import InputError
@@ -24,16 +24,6 @@ DOUBTED = 0.1
 _DIGEST = "^[0-9a-f]{64}$"
 PLAIN = (0.0,)
 """The schedule that leaves the encoder's standard deviation as it is."""
-
-
-class QueryOptions(TypedDict, total=False):
-    """What a call that asks for samples may leave out, as :meth:`SampleQuery.checked` takes it."""
-
-    epsilon_sigma: Sequence[float]
-    start: ArrayLike | None
-    goal: ArrayLike | None
-    min_confidence: float | None
-    robot: str | None
 
 
 _Angles = tuple[Annotated[float, Field(allow_inf_nan=False)], ...]
@@ -58,8 +48,8 @@ class SampleQuery:
     robot: Annotated[str, Field(pattern=_DIGEST)] | None = None
 
     @classmethod
-    def checked(cls, n: int, seed: int, **options: Unpack[QueryOptions]) -> "SampleQuery":
-        """The query of unchecked values, also numpy's."""
+    def checked(cls, n: int, seed: int, **options: Any) -> "SampleQuery":
+        """The query of unchecked values, also numpy's, of the fields that ``options`` name."""
         given = {"n": n, "seed": seed, **options}
         values = {
             name: None if one is None else np.asarray(one).tolist()

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cspace.errors import ConfigError, ScenarioError
+from cspace.errors import ScenarioError
 from cspace.space import JointSpace
 from cspace.world import Image, Scene, World
 
@@ -76,7 +76,6 @@ def derived_seed(seed: int, *use: str) -> int:
 
 # Shares of a path's length that shortcuts span are sampled down to this, evenly by their logarithm.
 SHORTEST_SPAN = 0.02
-StateTest = Callable[[NDArray[np.float64]], bool]
 EdgeTest = Callable[[NDArray[np.float64], NDArray[np.float64]], tuple[bool, int]]
 # A free path (k, d) rad between two free configurations (d,) rad, or None where none is found.
 PathSearch = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64] | None]
@@ -121,17 +120,6 @@ class Checker:
         )
         return found
 
-    def state_test(self) -> StateTest:
-        """For callbacks: whether a configuration (d,) float64 is free."""
-        kernel, scene, room = self.kernels.state_is_free, self.scene, self.kernels.room_of(self.scene)
-
-        def is_free(configuration: NDArray[np.float64]) -> bool:
-            return bool(kernel(configuration, scene, room))
-
-        # A process's first call loads the compiled kernel, which is no part of a search.
-        is_free(np.zeros(self.space.dim))
-        return is_free
-
     def edge_test(self, resolution_rad: float) -> EdgeTest:
         """For callbacks: whether an edge is free, and how many states were checked."""
         kernel, scene, room = self.kernels.checked_edge, self.scene, self.kernels.room_of(self.scene)
@@ -140,6 +128,7 @@ class Checker:
             found: tuple[bool, int] = kernel(start, end, resolution_rad, scene, room)
             return found
 
+        # A process's first call loads the compiled kernel, which is no part of a search.
         check(np.zeros(self.space.dim), np.zeros(self.space.dim))
         return check
 
@@ -277,13 +266,6 @@ class Simulator(ABC):
     @abstractmethod
     def proposals(self, scene: Scene, rng: np.random.Generator, count: int) -> Proposals:
         """So many configurations of a scene that a head learns from, uniform ones first."""
-
-    def group_hits(
-        self, arrays: Mapping[str, NDArray[Any]], configurations: ArrayLike, groups: int
-    ) -> NDArray[np.bool_]:
-        """Which groups of the robot's spheres touch an obstacle at (N, d) rad, (N, G)."""
-        del arrays, configurations
-        raise ConfigError(f"robots of the {self.world.kind} world have no {groups} groups of spheres")
 
     def require(self, family: str) -> None:
         names = self.families.names

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cspace.errors import InputError, ScenarioError
+from cspace.errors import InputError
 
 Floats = NDArray[np.floating[Any]]
 _TURN = 2.0 * np.pi
@@ -163,13 +163,6 @@ class JointSpace:
             else f"send {name} within its limits",
         )
 
-    def holds(self, configurations: Floats) -> NDArray[np.bool_]:
-        """Which values of (..., d) lie in their joint's range, compared in the precision of the values."""
-        low, high = (np.asarray(ends, dtype=configurations.dtype) for ends in (self.lower, self.upper))
-        limited = (configurations >= low) & (configurations <= high)
-        exact = configurations.astype(np.float64)
-        return np.where(self.periodic, (exact >= -np.pi) & (exact < np.pi), limited)
-
     def narrowed(self, limits: Sequence[Sequence[float] | None]) -> "JointSpace":
         """The space whose joints keep to (low, high) rad each, at any turn, or as they are where None."""
         if len(limits) != self.dim:
@@ -240,17 +233,3 @@ def _towards(ends: Sequence[float], inside: Sequence[float]) -> NDArray[np.float
     # By their signs: the product of two small numbers may be none.
     beyond = np.sign(np.subtract(cast, ends, dtype=np.float64)) * np.sign(np.subtract(inside, ends)) < 0.0
     return np.where(beyond, np.nextafter(cast, goal), cast)
-
-
-@dataclass(frozen=True, slots=True)
-class Standardisation:
-    """An affine map to zero mean and unit variance, per joint."""
-
-    mean: tuple[float, ...]  # (d,) rad
-    std: tuple[float, ...]  # (d,) rad, positive
-
-    def __post_init__(self) -> None:
-        if len(self.mean) != len(self.std) or any(not value > 0.0 for value in self.std):
-            raise ScenarioError(
-                "the standardisation does not fit", expected="positive deviations", got=str(self)
-            )

@@ -226,7 +226,7 @@ def about(served: ServedModel, novelty: float | None, warnings: list[PictureWarn
     return {
         "scenario": ScenarioInfo(novelty=novelty),
         "warnings": warnings,
-        "joint_space": JointSpaceInfo(**served.bundle.spec.joint_space),
+        "joint_space": JointSpaceInfo(**served.bundle.spec.world.space.to_dict()),
         "model": model_info(served),
     }
 
@@ -303,7 +303,7 @@ def npy_response(
         "X-Model-Digest": served.bundle.digest,
         "X-Robot": served.bundle.robot,
         "X-Alias-Confirmed": "true" if served.confirmed else "false",
-        "X-Joint-Space": json.dumps(served.bundle.spec.joint_space, separators=(",", ":")),
+        "X-Joint-Space": json.dumps(served.bundle.spec.world.space.to_dict(), separators=(",", ":")),
         "X-Warnings": _warnings_text(warnings),
         "Server-Timing": spent,
         **({} if novelty is None else {"X-Novelty": f"{novelty:.6g}"}),

@@ -35,7 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from cspace.errors import ConfigError, CspaceError, StorageBusyError, StorageError
+from cspace.errors import ConfigError, CspaceError, StorageError
 from cspace.files import holding
 from cspace.planning.cost import calibration_error
 from services.commands import report_error
@@ -335,7 +335,7 @@ class Upload:
 
 def upload(folder: Path, tracking: "Tracking") -> Iterator[Upload]:
     """Upload the outcomes of a folder in batches, and delete each batch after it was uploaded."""
-    busy = StorageBusyError("another process uploads these outcomes", remedy="wait until it is done")
+    busy = StorageError("another process uploads these outcomes", remedy="wait until it is done")
     try:
         with holding(folder / _UPLOAD_LOCK, busy):
             while claimed := _claim(folder):

@@ -10,11 +10,20 @@ from onnx import TensorProto, helper, numpy_helper
 
 from cspace.bundle import BundleSpec, GoldenCase, Provenance, RandomInput, write_bundle
 from cspace.bundle.spec import WAYS
+from cspace.space import JointSpace
 from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
 from cspace.worlds.planar.world import PlanarWorld
 
 LATENT = 4
 PIXELS = 48
+
+
+def holds(space: JointSpace, configurations: NDArray[np.floating]) -> bool:
+    """Whether all of (..., d) lie in their joints' ranges, compared in the precision of the values."""
+    low, high = (np.asarray(ends, dtype=configurations.dtype) for ends in (space.lower, space.upper))
+    limited = (configurations >= low) & (configurations <= high)
+    exact = configurations.astype(np.float64)
+    return bool(np.where(space.periodic, (exact >= -np.pi) & (exact < np.pi), limited).all())
 
 
 def tiny_spec(

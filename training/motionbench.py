@@ -24,7 +24,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from cspace.errors import CspaceError, DamagedFileError, DatasetError, InputError, ServiceError
+from cspace.errors import CspaceError, DatasetError, InputError, ServiceError
 from cspace.files import replacing
 from cspace.simulator import Split
 from cspace.worlds.spatial.benchmark import (
@@ -146,7 +146,7 @@ def read_archive(archive: Path, sha256: str, robot: str = "panda") -> dict[Split
     except OSError as error:
         raise DatasetError(f"{archive} cannot be read", expected="a file", got=error.strerror) from error
     if (found := hashlib.sha256(data).hexdigest()) != sha256:
-        raise DamagedFileError(
+        raise DatasetError(
             "the benchmark's archive is damaged or another",
             expected=f"{PACKAGE} {VERSION} with the SHA-256 sum {sha256}",
             got=found,

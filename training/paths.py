@@ -101,7 +101,7 @@ def path_samples(bundle: Bundle, dataset: Dataset, points: int) -> PathSamples:
     latents = []
     with Progress("pictures", len(dataset.images), _LOG.info, "picture") as progress:
         for image in dataset.images:
-            latents.append(bundle.encode(image))
+            latents.append(bundle.prepare(image).encoding)
             progress.advance()
     mu, sigma = (np.stack([getattr(one, name) for one in latents]) for name in ("mu", "sigma"))
     return PathSamples(*(torch.tensor(part) for part in (paths, ids, mu, sigma)))

@@ -250,27 +250,16 @@ def _close(name: str, expected: NDArray[Any], got: NDArray[Any], space: JointSpa
 
 
 def scene(size: Sequence[int]) -> NDArray[np.uint8]:
-    """A fixed picture (P, P, 3), or (X, Y, Z, channels) of a ball in the middle of space."""
-    if len(size) == 3:
-        return _flat_scene(size[0])
+    """A fixed picture of a disc (P, P, 3), or (X, Y, Z, channels) of a ball in the middle of space."""
     place = np.stack(np.meshgrid(*(np.linspace(-1.0, 1.0, side) for side in size[:-1]), indexing="ij"))
     gap = np.linalg.norm(place, axis=0) - 0.4
+    image = np.full(tuple(size), 255, dtype=np.uint8)
+    if len(size) == 3:
+        image[gap < 0.0, 1:] = 0
+        return image
     hidden = (gap < 0.0) | ((np.linalg.norm(place[:2], axis=0) < 0.4) & (place[2] < 0.0))
-    image = np.empty(tuple(size), dtype=np.uint8)
     image[..., 0] = np.minimum(np.abs(gap) * 1000.0, 255.0)
-    image[..., 1:] = np.where(hidden, np.clip(-gap * 250.0, 1.0, 253.0), 0.0)[..., None]
-    image[:2, ..., 1:] = 255
-    return image
-
-
-def _flat_scene(pixels: int) -> NDArray[np.uint8]:
-    """In the project's colours: two discs over a stretched arm."""
-    rows, columns = np.mgrid[0:pixels, 0:pixels] / pixels
-    image = np.full((pixels, pixels, 3), 255, dtype=np.uint8)
-    arm = (np.abs(rows - 0.5) < 0.02) & (columns > 0.5) & (columns < 0.9)
-    image[arm] = (0, 0, 255)
-    for row, column in ((0.3, 0.7), (0.75, 0.35)):
-        image[(rows - row) ** 2 + (columns - column) ** 2 < 0.01] = (255, 0, 0)
+    image[2:, ..., 1:] = np.where(hidden, np.clip(-gap * 250.0, 1.0, 253.0), 0.0)[2:, ..., None]
     return image
 
 
@@ -279,8 +268,4 @@ def endpoints(conditions: Sequence[str], space: JointSpace) -> tuple[tuple[float
     if not conditions:
         return None, None
     low, width = np.asarray(space.lower), np.subtract(space.upper, space.lower)
-    limited = (low + 0.25 * width, low + 0.75 * width)
-    ends = (
-        np.where(space.periodic, circle, inside) for circle, inside in zip((-0.5, 1.0), limited, strict=True)
-    )
-    return tuple(tuple(end.tolist()) for end in ends)
+    return tuple(tuple((low + share * width).tolist()) for share in (0.4, 0.65))

@@ -7,7 +7,7 @@ from copy import copy
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any, Unpack, cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +50,7 @@ from cspace.bundle.spec import (
 from cspace.errors import BundleError, BundleIntegrityError, InputError, StorageError
 from cspace.files import replacing
 from cspace.plan import plan
-from cspace.query import Plan, PlanQuery, QueryOptions, SampleQuery
+from cspace.query import Plan, PlanQuery, SampleQuery
 from cspace.world import CheckCancelled, Examined, World
 from cspace.worlds import robot_digest
 
@@ -133,10 +133,6 @@ class Bundle:
             return PathSampler(self.spec, self._head())
         return GeneratorSampler(self.spec, self._graphs.generator, self._validity)
 
-    def encode(self, image: NDArray[np.uint8]) -> Encoding:
-        """Mean and standard deviation of the latent for a picture, uint8 (P, P, 3)."""
-        return self.prepare(image).encoding
-
     def prepare(self, picture: NDArray[np.uint8] | Examined) -> Picture:
         """An encoded picture, of one that is decoded, uint8 (P, P, 3), or that a world has examined."""
         image = picture.images[0] if isinstance(picture, Examined) else picture
@@ -183,7 +179,7 @@ class Bundle:
         *,
         report_confidence: bool = True,
         check_cancelled: CheckCancelled = lambda: None,
-        **options: Unpack[QueryOptions],
+        **options: Any,
     ) -> SampleSet:
         query = SampleQuery.checked(n, seed, **options)
         return self.answer(image, query, report_confidence=report_confidence, check_cancelled=check_cancelled)
@@ -246,15 +242,6 @@ class Bundle:
         rows = space.to_float32(space.sample_uniform(rng, query.n))
         return SampleSet(rows, self._head().scores(self.prepare(image), rows, lambda: None))
 
-    def score(
-        self,
-        image: NDArray[np.uint8] | Picture,
-        configurations: NDArray[np.float32],
-        check_cancelled: CheckCancelled = lambda: None,
-    ) -> NDArray[np.float32]:
-        """The first of what :meth:`predict` gives, float32 (n,)."""
-        return self.predict(image, configurations, check_cancelled)[0]
-
     def predict(
         self,
         image: NDArray[np.uint8] | Picture,
@@ -298,7 +285,7 @@ class Bundle:
 
     def _replay(self, case: GoldenCase) -> None:
         try:
-            encoding = self.encode(case.image)
+            encoding = self.prepare(case.image).encoding
             answer = self.golden_answer(case.image, case.query)
         except InputError as error:
             raise BundleIntegrityError("the golden case does not fit its bundle", got=str(error)) from error
@@ -342,7 +329,7 @@ def _compute_golden(folder: Path, contents: Mapping[str, bytes]) -> GoldenCase:
     image = scene(bundle.spec.world.sensor.picture_shape)
     start, goal = endpoints(bundle.spec.endpoints, bundle.spec.world.space)
     query = SampleQuery(GOLDEN_COUNT, GOLDEN_SEED, GOLDEN_EPSILON, start, goal, min_confidence=0.0)
-    encoding, answer = bundle.encode(image), bundle.golden_answer(image, query)
+    encoding, answer = bundle.prepare(image).encoding, bundle.golden_answer(image, query)
     return GoldenCase(image, query, encoding.mu, encoding.sigma, answer.samples, answer.confidence)
 
 

@@ -28,7 +28,7 @@ from cspace.bundle.spec import MAP, PICTURE, BundleSpec, RandomInput
 from cspace.errors import BundleError
 from cspace.plan import Seen, search_paths
 from cspace.planning.paths import AlongPaths
-from cspace.query import DEFAULT_PATHS, SampleQuery
+from cspace.query import PlanQuery, SampleQuery
 from cspace.world import CheckCancelled, Known, Sensor
 
 CONFIDENCE, UNSEEN = "confidence", "unseen"
@@ -430,13 +430,8 @@ class PathSampler:
         """As :meth:`GeneratorSampler.sample`; no time ends the search, its effort does."""
         spec, head, space = self._spec, self._head, self._spec.world.space
         ends = np.asarray([request.start, request.goal], dtype=np.float64)
-        searched = search_paths(
-            head.seen(spec, picture, check_cancelled),
-            ends,
-            DEFAULT_PATHS,
-            request.seed,
-            check_cancelled=check_cancelled,
-        )
+        query = PlanQuery(tuple(ends[0]), tuple(ends[1]), request.seed, time_limit_s=math.inf)
+        searched = search_paths(head.seen(spec, picture, check_cancelled), ends, query, check_cancelled)
         if not searched.paths:
             none = np.empty((0, 1 + head.reports_unseen), dtype=np.float32)
             rows = space.to_float32(np.empty((0, space.dim)))

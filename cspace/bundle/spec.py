@@ -14,7 +14,7 @@ from cspace.errors import BundleIntegrityError, InputError, OtherRobotError
 from cspace.files import Share, adapter_of, json_text, read_json, read_object, validated
 from cspace.plan import planning_space
 from cspace.query import PlanQuery, SampleQuery
-from cspace.space import LIMIT_TOLERANCE_RAD, NEAR_LIMIT_RAD, JointSpace, Standardisation
+from cspace.space import LIMIT_TOLERANCE_RAD, NEAR_LIMIT_RAD, JointSpace
 from cspace.view_file import MAX_PICTURES
 from cspace.worlds import WorldField, robot_digest, tool_constraints
 
@@ -49,6 +49,14 @@ class RandomInput:
             fits = self.low is not None and self.high is not None and self.low < self.high
         if not fits:
             raise ValueError("low < high where uniform and none else")
+
+
+@validated(BundleIntegrityError)
+class Standardisation:
+    """An affine map to zero mean and unit variance, per joint."""
+
+    mean: tuple[float, ...]  # (d,) rad
+    std: tuple[Annotated[float, Field(gt=0.0)], ...]  # (d,) rad
 
 
 @validated(BundleIntegrityError)
@@ -93,10 +101,11 @@ class BundleSpec:
     def __post_init__(self) -> None:
         names = [item.name for item in self.random_inputs]
         scale, rows = self.standardisation, self.novelty_quantiles or ()
+        widths = set() if scale is None else {len(scale.mean), len(scale.std)}
         wrong = {
             "random_inputs: different names": len(set(names)) != len(names),
             "novelty_quantiles: rising rows": any(np.any(np.diff(row) < 0.0) for row in rows),
-            "standardisation: a number a joint": scale is not None and len(scale.mean) != self.dim,
+            "standardisation: a number a joint": widths - {self.dim},
             f"kind: path for {WAYS}": self.model_kind == WAYS and self.kind != "path",
         }
         if any(wrong.values()):
@@ -126,15 +135,10 @@ class BundleSpec:
         return 0.0 if self.plan_calibration is None else PLAN_CONFIDENCE
 
     @property
-    def joint_space(self) -> dict[str, Any]:
-        """The joint space as ``bundle.json`` and the API's answers write it."""
-        return self.world.space.to_dict()
-
-    @property
     def _derived(self) -> dict[str, Any]:
         """What ``bundle.json`` holds beside the fields, for it follows from them."""
         return {
-            "joint_space": self.joint_space,
+            "joint_space": self.world.space.to_dict(),
             "image": self.world.sensor.convention,
             "conditions": list(self.conditions),
         }

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,24 +24,14 @@ FREE_RAD = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScoredPath:
-    """A path and what a model predicts for it.
+    """A path and what a model predicts for it."""
 
-    Args:
-        path: (k, d) rad.
-        states: (n, d) rad along it, both ends included.
-        pieces: (n,) the piece that each state lies on, 0 to k - 2.
-        confidence: (n,) of each state.
-        unseen: (n,) share of the robot that no picture shows, or None.
-        length_rad: Euclidean.
-        plan_calibration: (a, b), see this module.
-    """
-
-    path: NDArray[np.float64]
-    states: NDArray[np.float64]
-    pieces: NDArray[np.int64]
-    confidence: NDArray[np.float32]
-    unseen: NDArray[np.float32] | None
-    length_rad: float
+    path: NDArray[np.float64]  # (k, d) rad
+    states: NDArray[np.float64]  # (n, d) rad along it, both ends included
+    pieces: NDArray[np.int64]  # (n,) the piece that each state lies on, 0 to k - 2
+    confidence: NDArray[np.float32]  # (n,) of each state
+    unseen: NDArray[np.float32] | None  # (n,) share of the robot that no picture shows
+    length_rad: float  # Euclidean
     plan_calibration: tuple[float, float] = (0.0, 1.0)
 
     @property
@@ -93,6 +84,31 @@ def confidence_of_cost(
     offset, slope = plan_calibration
     with np.errstate(divide="ignore"):
         return np.asarray(np.exp(-np.exp(np.minimum(offset + slope * np.log(cost), _MOST))))
+
+
+def fit_calibration(
+    cost: NDArray[np.float64],
+    free: NDArray[np.bool_],
+    prior: float = 4.0,
+    usual: tuple[float, float] = (0.0, 1.0),
+) -> tuple[float, float]:
+    """(a, b) by which paths of a cost D are free with exp(-exp(a + b log D)), by maximum likelihood.
+
+    ``cost``: (n,), not negative. ``free``: (n,). ``prior``: precision, halved, of a normal prior of a and b
+    at ``usual``, of which (0, 1) leaves the cost as it is.
+    """
+    # By name: who only reads bundles has no scipy.
+    minimize = import_module("scipy.optimize").minimize
+    cost = np.maximum(cost, _LEAST)
+
+    def loss(parameters: NDArray[np.float64]) -> float:
+        confidence = confidence_of_cost(cost, (parameters[0], parameters[1]))
+        confidence = np.clip(confidence, _LEAST, 1.0 - _LEAST)
+        pull = prior * ((parameters[0] - usual[0]) ** 2 + (parameters[1] - usual[1]) ** 2)
+        return float(pull - np.where(free, np.log(confidence), np.log1p(-confidence)).sum())
+
+    found = minimize(loss, np.array(usual), method="L-BFGS-B", bounds=[(-10.0, 10.0), (0.05, 10.0)])
+    return float(found.x[0]), float(found.x[1])
 
 
 def calibration_error(confidence: NDArray[np.float64], free: Sequence[bool] | NDArray[np.bool_]) -> float:

@@ -1,4 +1,4 @@
-"""The compiled half of planning, shared by all simulators: edge check, RRT-Connect, shortcuts, routes.
+"""The compiled half of planning, shared by all simulators: edge check, RRT-Connect, shortcuts.
 
 A simulator brings its state check; :class:`SceneKernels` compiles the rest around it. Sources: Kuffner and
 LaValle, RRT-Connect: An Efficient Approach to Single-Query Path Planning, ICRA 2000, with the metric (the sum
@@ -9,7 +9,6 @@ Planning, IJRR 26 (2007), for shortcuts.
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cspace.kernel_cache import njit
 
@@ -23,13 +22,9 @@ _SAME_RAD = 1e-9
 class SceneKernels:
     """Compiled checks and searches of a simulator.
 
-    ``scene`` is a named tuple of arrays with ``lower``, ``upper`` (d,) rad and ``periodic`` (d,) bool among
-    them; ``room`` is what a state check works in.
-
-    Args:
-        state_is_free: kernel of a configuration (d,), a scene and a room, to whether it is free.
-        state_clearance: kernel of the same to a distance, m; negative in collision.
-        room_of: kernel of a scene to a room.
+    A simulator's kernels take a configuration (d,), a scene and a room. ``scene`` is a named tuple of arrays
+    with ``lower``, ``upper`` (d,) rad and ``periodic`` (d,) bool among them; ``room`` is what a state check
+    works in.
     """
 
     def __init__(self, state_is_free: Any, state_clearance: Any, room_of: Any) -> None:
@@ -242,44 +237,3 @@ def _distance(first, second, periodic):  # type: ignore[no-untyped-def]
     for joint in range(first.shape[0]):
         square += gap(first[joint], second[joint], periodic[joint]) ** 2
     return np.sqrt(square)
-
-
-def cheapest_route(costs: NDArray[np.float64], start: int, goal: int) -> NDArray[np.int64] | None:
-    """Nodes from start to goal at the least cost; None where there is no path.
-
-    Source: Dijkstra, A Note on Two Problems in Connexion with Graphs, 1959, for few nodes with many edges.
-
-    Args:
-        costs: (n, n) of edges, 0 or more, inf where there is none.
-        start: its number.
-        goal: likewise.
-    """
-    before = _before(costs, start, goal)
-    route = [goal]
-    while route[-1] != start:
-        if before[route[-1]] < 0:
-            return None
-        route.append(int(before[route[-1]]))
-    return np.array(route[::-1], dtype=np.int64)
-
-
-@njit(cache=True, nogil=True)
-def _before(costs, start, goal):  # type: ignore[no-untyped-def]
-    """The node before each on its path from the start, (n,); -1 where none is known."""
-    count = len(costs)
-    reached, done = np.full(count, np.inf), np.zeros(count, dtype=np.bool_)
-    before = np.full(count, -1, dtype=np.int64)
-    reached[start] = 0.0
-    for _ in range(count):
-        at = -1
-        for node in range(count):
-            if not done[node] and (at < 0 or reached[node] < reached[at]):
-                at = node
-        if at == goal or np.isinf(reached[at]):
-            break
-        done[at] = True
-        for node in range(count):
-            onward = reached[at] + costs[at, node]
-            if onward < reached[node]:
-                reached[node], before[node] = onward, at
-    return before

@@ -32,16 +32,7 @@ def length_rad(path: ArrayLike, space: JointSpace) -> float:
 
 
 def spread_points(path: NDArray[np.float64], count: int, space: JointSpace) -> NDArray[np.float64]:
-    """``count`` points at equal distances along a path, its ends included.
-
-    Args:
-        path: (k, d) rad, k at least 2.
-        count: at least 2.
-        space: of the path.
-
-    Returns:
-        (count, d) rad, periodic joints in [-pi, pi).
-    """
+    """``count`` points at equal distances along a path (k, d) rad, its ends included, (count, d) rad."""
     steps = space.difference(path[:-1], path[1:])
     lengths = np.linalg.norm(steps, axis=1)
     reached = np.concatenate([[0.0], np.cumsum(lengths)])
@@ -95,12 +86,8 @@ class AlongPaths:
     """A stream of configurations about paths.
 
     A turn goes along one path after the other, each from its start to its goal; each next turn adds more
-    noise, and all that follow the last of :data:`NOISE_RAD` as much as it does.
-
-    Args:
-        paths: (k, d) rad each, at least one.
-        space: the robot's joint space; no configuration leaves it.
-        rng: of the noise.
+    noise, and all that follow the last of :data:`NOISE_RAD` as much as it does. No configuration leaves
+    ``space``.
     """
 
     def __init__(
@@ -114,17 +101,15 @@ class AlongPaths:
 
     def take(self, count: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """The next configurations (count, d) rad, and the number of each one's path (count,)."""
-        parts: list[slice] = []
-        rows = [self._rows[:0]]
+        rows, numbers = [self._rows[:0]], [self._number[:0]]
         while count > 0:
             part = slice(self._at, min(self._at + count, len(self._line)))
             rows.append(self._rows[part])
-            parts.append(part)
+            numbers.append(self._number[part])
             count, self._at = count - (part.stop - part.start), part.stop
             if self._at == len(self._line):
                 self._next_turn()
-        numbers = [self._number[part] for part in parts]
-        return np.concatenate(rows), np.concatenate([self._number[:0], *numbers])
+        return np.concatenate(rows), np.concatenate(numbers)
 
     @property
     def turn_rows(self) -> int:

@@ -1,6 +1,5 @@
 """Refines paths until a model gives them less cost."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 
@@ -31,54 +30,29 @@ _SHORTER, _SHORTCUTS = 2, 16
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """How much is done for a lower cost.
+    """How much is done for a lower cost."""
 
-    Args:
-        paths: those of lowest cost, which are changed.
-        rounds: for each of them.
-        states: drawn about it in each round.
-        step_rad: between states that the model is asked about.
-        check_rad: between states that are checked by the picture, the largest over the joints.
-        enough: cost at which a path is left as it is.
-    """
-
-    paths: int = 4
-    rounds: int = 4
-    states: int = 75
-    step_rad: float = 0.15
-    check_rad: float = 0.03
-    enough: float = 0.02
+    paths: int = 4  # those of lowest cost, which are changed
+    rounds: int = 4  # for each of them
+    states: int = 75  # drawn about it in each round
+    step_rad: float = 0.15  # between states that the model is asked about
+    check_rad: float = 0.03  # between states that are checked by the picture, the largest over the joints
+    enough: float = 0.02  # cost at which a path is left as it is
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Graph:
-    """Configurations about a path.
+    """Configurations about a path."""
 
-    Args:
-        nodes: (n, d) rad, the first of them the path's.
-        node_costs: (n,) of each.
-        lengths: (n, n) between them, rad.
-        costs: (n, n) of going straight, inf where that is none of the paths; changed by what is found out.
-        own: how many are the path's.
-    """
-
-    nodes: NDArray[np.float64]
-    node_costs: NDArray[np.float64]
-    lengths: NDArray[np.float64]
-    costs: NDArray[np.float64]
-    own: int
+    nodes: NDArray[np.float64]  # (n, d) rad, the first of them the path's
+    node_costs: NDArray[np.float64]  # (n,)
+    lengths: NDArray[np.float64]  # (n, n) between them, rad
+    costs: NDArray[np.float64]  # (n, n) of straight edges, inf without one; changed by what is found out
+    own: int  # how many are the path's
 
 
 class PathRefiner:
-    """Lowers the cost of paths in one scene.
-
-    Args:
-        checker: of what the picture shows.
-        predict: what the model says of configurations.
-        plan_calibration: see :mod:`cspace.planning.cost`.
-        effort: how much is done.
-        check_cancelled: called now and then; may raise to stop, which passes through.
-    """
+    """Lowers the cost of paths in one scene."""
 
     def __init__(
         self,
@@ -132,7 +106,6 @@ class PathRefiner:
 
     def _through(self, graph: _Graph) -> NDArray[np.float64] | None:
         """The path of lowest cost that is free and as it seemed, (k, d) rad; None without one."""
-        cheapest_route = route_search()
         known, predicted = (np.zeros(graph.costs.shape, dtype=np.bool_) for _ in range(2))
         ahead = np.arange(graph.own - 1)
         known[ahead, ahead + 1] = known[ahead + 1, ahead] = True
@@ -192,15 +165,19 @@ class PathRefiner:
         return costs_of(self._predict(self._space.to_float32(rows))[0])
 
 
-def route_search() -> Callable[[NDArray[np.float64], int, int], NDArray[np.int64] | None]:
-    """:func:`cspace.planning.kernels.cheapest_route`, by name: who only reads bundles has no compiler.
-
-    Raises:
-        ImportError: the compiler is not installed.
-    """
-    found: Callable[[NDArray[np.float64], int, int], NDArray[np.int64] | None]
-    found = import_module("cspace.planning.kernels").cheapest_route
-    return found
+def cheapest_route(costs: NDArray[np.float64], start: int, goal: int) -> NDArray[np.int64] | None:
+    """Nodes from start to goal at the least cost of edges (n, n), inf where there is none; None without."""
+    # By name: who only reads bundles has no scipy.
+    sparse, csgraph = import_module("scipy.sparse"), import_module("scipy.sparse.csgraph")
+    rows, columns = np.nonzero(np.isfinite(costs))
+    graph = sparse.csr_array((costs[rows, columns], (rows, columns)), shape=costs.shape)
+    before = csgraph.dijkstra(graph, indices=start, return_predecessors=True)[1]
+    route = [goal]
+    while route[-1] != start:
+        if before[route[-1]] < 0:
+            return None
+        route.append(int(before[route[-1]]))
+    return np.array(route[::-1], dtype=np.int64)
 
 
 def _neighbours(lengths: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -17,54 +17,30 @@ BLOCK = 64
 
 @dataclass(frozen=True, slots=True)
 class Growth:
-    """How trees grow.
+    """How trees grow."""
 
-    Args:
-        range_rad: longest step, the sum over the joints.
-        resolution_rad: largest distance between states that are looked at in any joint.
-        time_limit_s: of computing, after which the search ends; waiting for others does not count.
-        check_cancelled: called between blocks of states; may raise to stop, which passes through.
-    """
-
-    range_rad: float
-    resolution_rad: float
-    time_limit_s: float = math.inf
-    check_cancelled: CheckCancelled = lambda: None
+    range_rad: float  # longest step, the sum over the joints
+    resolution_rad: float  # largest distance between states that are looked at in any joint
+    time_limit_s: float = math.inf  # of computing; waiting for others does not count
+    check_cancelled: CheckCancelled = lambda: None  # called between blocks of states
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grown:
-    """What a search has found and taken.
+    """What a search has found and taken."""
 
-    Args:
-        path: (k, d) rad from start to goal; None without one.
-        nodes: (V, d) rad, of both trees one after the other.
-        parents: (V,) the node from which each was reached, -1 for roots.
-        iterations: states that were drawn.
-        edge_checks: motions that were checked.
-        state_checks: states within them.
-        time_s: wall time of the search alone.
-        timed_out: whether the time ended it.
-    """
-
-    path: NDArray[np.float64] | None
-    nodes: NDArray[np.float64]
-    parents: NDArray[np.int64]
-    iterations: int
+    path: NDArray[np.float64] | None  # (k, d) rad from start to goal
+    nodes: NDArray[np.float64]  # (V, d) rad, of both trees one after the other
+    parents: NDArray[np.int64]  # (V,) the node from which each was reached, -1 for roots
+    iterations: int  # states that were drawn
     edge_checks: int
-    state_checks: int
-    time_s: float
+    state_checks: int  # within the edges
+    time_s: float  # wall time of the search alone
     timed_out: bool
 
 
 class Trees:
-    """The tree of the start and that of the goal, in arrays that grow.
-
-    Args:
-        start: (d,) rad.
-        goal: (d,) rad.
-        block: what a block of iterations adds at most to one tree.
-    """
+    """The trees of start and goal, in arrays that grow by at most ``block`` nodes a tree at a time."""
 
     def __init__(self, start: NDArray[np.float64], goal: NDArray[np.float64], block: int) -> None:
         self._block = block
@@ -81,7 +57,12 @@ class Trees:
 
     def path(self, joint: tuple[int, int]) -> NDArray[np.float64]:
         """From the start over the node that both trees share to the goal, (k, d)."""
-        halves = [self.nodes[side, to_root(self.parents[side].tolist(), joint[side])] for side in (0, 1)]
+        halves = []
+        for side, node in enumerate(joint):
+            numbers = [node]
+            while self.parents[side, numbers[-1]] >= 0:
+                numbers.append(int(self.parents[side, numbers[-1]]))
+            halves.append(self.nodes[side, numbers])
         return np.concatenate([halves[0][::-1], halves[1][1:]])
 
     def forest(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -100,15 +81,7 @@ def grow_connect(
     states: NDArray[np.float64],
     growth: Growth,
 ) -> Grown:
-    """Grow a tree from either end, until they meet or there are no more states.
-
-    Args:
-        checker: of the scene.
-        start: (d,) rad, free.
-        goal: (d,) rad, free.
-        states: (n, d) rad that are drawn, in order.
-        growth: how.
-    """
+    """Grow a tree from either free end (d,) rad, until they meet or there are no more states (n, d) rad."""
     space = checker.space
     ranges = np.where(space.periodic, np.pi, np.subtract(space.upper, space.lower))
     farthest = int(np.ceil(ranges.sum() / growth.range_rad)) + 2
@@ -145,12 +118,8 @@ def sampled_states(
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """All states that a search may draw, (count, d) rad, and which of them are learned.
 
-    Args:
-        space: the joint space.
-        samples: (n, d) learned ones in rad, in this order and once each; None for uniform ones alone.
-        uniform_share: of uniform ones while learned ones are left, 0 to 1.
-        count: how many.
-        rng: of all draws.
+    ``samples``: (n, d) learned ones in rad, in this order and once each; None for uniform ones alone.
+    ``uniform_share``: of uniform ones while learned ones are left.
     """
     states = space.sample_uniform(rng, count)
     learned = rng.random(len(states)) >= uniform_share
@@ -160,11 +129,3 @@ def sampled_states(
     learned[np.flatnonzero(learned)[len(samples) :]] = False
     states[learned] = space.wrap(samples)[: int(learned.sum())]
     return states, learned
-
-
-def to_root(parents: list[int], node: int) -> list[int]:
-    """Numbers of the nodes from one to its root."""
-    numbers = [node]
-    while parents[numbers[-1]] >= 0:
-        numbers.append(parents[numbers[-1]])
-    return numbers

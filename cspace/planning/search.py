@@ -19,38 +19,23 @@ class OutOfTimeError(Exception):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundPaths:
-    """What a search for paths came to.
+    """What a search for paths came to."""
 
-    Args:
-        paths: (k, d) rad each.
-        late: whether the time was over before there were as many as were wanted.
-        checker: by which they are free; None without paths.
-    """
-
-    paths: list[NDArray[np.float64]]
-    late: bool
-    checker: Checker | None
+    paths: list[NDArray[np.float64]]  # (k, d) rad each
+    late: bool  # whether the time was over before there were as many as were wanted
+    checker: Checker | None  # by which they are free; None without paths
 
 
 @dataclass(frozen=True, slots=True)
 class SearchLimits:
-    """Effort for each path.
+    """Effort for each path."""
 
-    Args:
-        states: uniform ones that trees grow towards, most.
-        first: of them in the first round over all checkers; each next round has four times as many.
-        range_rad: longest step of a tree, the sum over the joints.
-        search_rad: between states that trees look at, the largest over the joints.
-        shortcuts: proposed for each path.
-        shortcut_rad: the same as ``search_rad`` for shortcuts.
-    """
-
-    states: int = 4096
-    first: int = 256
-    range_rad: float = 2.0
-    search_rad: float = 0.05
+    states: int = 4096  # uniform ones that trees grow towards, most
+    first: int = 256  # of them in the first round over all checkers; each next round has four times as many
+    range_rad: float = 2.0  # longest step of a tree, the sum over the joints
+    search_rad: float = 0.05  # between states that trees look at, the largest over the joints
     shortcuts: int = 64
-    shortcut_rad: float = 0.03
+    shortcut_rad: float = 0.03  # the same as ``search_rad`` for shortcuts
 
     def rounds(self) -> list[int]:
         """States of each round, to the most."""
@@ -77,15 +62,8 @@ def find_paths(
     The most careful checker in which a path is found with as few states as any gives all of them: all are
     tried in turn, with few states at first, for a careful one without a path would take all the time.
 
-    Args:
-        checkers: the most careful first.
-        start: (d,) rad.
-        goal: (d,) rad, or (g, d) of which any will do.
-        count: of paths.
-        seed: of all draws; each path has draws of its own.
-        until_s: by ``time.thread_time``: what the thread has computed, not what it has waited for others.
-        limits: effort for each path.
-        check_cancelled: called now and then; may raise to stop, which passes through.
+    ``goal``: (d,) rad, or (g, d) of which any will do. ``until_s``: by ``time.thread_time``: what the thread
+    has computed, not what it has waited for others.
     """
     check_cancelled = with_deadline(until_s, check_cancelled)
     found: list[NDArray[np.float64]] = []

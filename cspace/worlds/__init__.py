@@ -1,7 +1,6 @@
 """The kinds of worlds, one folder each, and how they are found by kind."""
 
 import json
-from argparse import ArgumentParser, Namespace
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -20,11 +19,9 @@ from cspace.files import read_object
 from cspace.simulator import Checker, Simulator
 from cspace.world import Body, Image, Known, Scene, World
 
-# Each folder has ``world`` (NumPy alone) with ``read``, ``EXAMPLES`` (worlds by name), ``add_options`` and
-# ``described``, which gives None where none of its options was used and the kind is not the first;
-# ``simulator`` with ``open_simulator``; ``collision`` with ``seen_checkers``. One that no picture shows whole
-# has ``benchmark`` with ``open_partly_seen``; one whose robot has a tool ``constraints`` with
-# ``ToolConstraints``.
+# Each folder has ``world`` (NumPy alone) with ``read`` and ``EXAMPLES`` (worlds by name); ``simulator`` with
+# ``open_simulator``; ``collision`` with ``seen_checkers``. One that no picture shows whole has ``benchmark``
+# with ``open_partly_seen``; one whose robot has a tool ``constraints`` with ``ToolConstraints``.
 KINDS = ("planar", "spatial")
 _PARTLY_SEEN, WITH_TOOL = (
     tuple(kind for kind in KINDS if find_spec(f"{__name__}.{kind}.{part}"))
@@ -92,18 +89,6 @@ def usual_world(robot: Body, **parts: Any) -> World:
     return cast("World", replace(_part(example.kind, "world").usual(robot), **own))
 
 
-def add_world_options(parser: ArgumentParser, *, sensor: bool) -> None:
-    """Add the options by which a command line describes a robot and, where asked for, how it is seen."""
-    for kind in KINDS:
-        _part(kind, "world").add_options(parser, sensor=sensor)
-
-
-def described_world(options: Namespace) -> World:
-    """The world that parsed options describe: of the last kind whose options are given, else of the first."""
-    worlds = (_part(kind, "world").described(options) for kind in reversed(KINDS))
-    return cast("World", next(world for world in worlds if world is not None))
-
-
 @lru_cache(maxsize=16)
 def simulator_of(world: World) -> Simulator:
     """The simulator of a world; its kernels are loaded at the first call."""
@@ -121,8 +106,7 @@ def seen_checkers(
     world: World, picture: Image, ends: NDArray[np.float64], known: Known | None = None
 ) -> Sequence[Checker]:
     """Checks by what a picture shows, the most careful first; the robot is free at ``ends`` (k, d) rad."""
-    options = {} if known is None else {"known": known}
-    found = _part(world.kind, "collision").seen_checkers(world, picture, ends, **options)
+    found = _part(world.kind, "collision").seen_checkers(world, picture, ends, known=known)
     return cast("Sequence[Checker]", found)
 
 
@@ -172,13 +156,8 @@ def checker_of(scene: Scene) -> Checker:
     return simulator_of(scene.world).checker(scene)
 
 
-def picture_of(scene: Scene) -> Image:
-    """The picture of a scene."""
-    return simulator_of(scene.world).render(scene)
-
-
 def picture_file_of(scene: Scene) -> bytes:
-    """The same as a file."""
+    """The picture of a scene as a file."""
     return simulator_of(scene.world).picture_file(scene)
 
 

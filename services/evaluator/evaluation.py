@@ -14,7 +14,7 @@ from cspace.errors import EvaluationError, ScenarioError
 from cspace.query import SampleQuery
 from cspace.simulator import UNIFORM, Families, Problem, Split
 from cspace.world import World
-from cspace.worlds import picture_of, simulator_of
+from cspace.worlds import simulator_of
 from services.evaluator.metrics import Head, Metric, Run, Task, measured, metrics_of
 from services.evaluator.metrics.geometry_score import POINTS, Clouds
 from services.evaluator.scenes import SAMPLES, Scene, Stage, unfiltered
@@ -256,7 +256,8 @@ def plan_problem(
 
     ``confident`` samples are those that a validity head accepts, of path models without one further ones.
     """
-    seeded, image = replace(settings, seed=seed), picture_of(problem.scenario)
+    seeded = replace(settings, seed=seed)
+    image = simulator_of(problem.scenario.world).render(problem.scenario)
     learned = learned_samples(problem, image, seed, sampler)
     groups: dict[str, NDArray[np.float32] | None] = {"uniform": None, "learned": learned}
     if sampler.threshold is not None or sampler.with_ends:

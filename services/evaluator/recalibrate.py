@@ -26,8 +26,7 @@ from cspace.bundle import Bundle, load_verified
 from cspace.bundle.files import GOLDEN_FILE, GoldenCase
 from cspace.bundle.load import graphs_of, write_bundle
 from cspace.errors import ConfigError, CspaceError, EvaluationError, InputError, ModelNotFoundError
-from cspace.planning.calibration import fit_calibration
-from cspace.planning.cost import confidence_of_cost
+from cspace.planning.cost import confidence_of_cost, fit_calibration
 from services.commands import SHARE, report_error
 from services.evaluator.statistics import Interval, log_losses, mean_interval
 from services.names import ALIAS_CHALLENGER, EXPERIMENT, MODEL_NAME, OUTCOMES_FILE, TAG_MODEL, TAG_STAGE

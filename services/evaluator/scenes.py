@@ -17,7 +17,7 @@ from cspace.simulator import UNIFORM, Checker, Measures, Problem, Split, scenari
 from cspace.space import JointSpace
 from cspace.world import Scene as WorldScene
 from cspace.world import World
-from cspace.worlds import checker_of, picture_of, simulator_of
+from cspace.worlds import checker_of, simulator_of
 from services.evaluator.metrics import Samples
 from services.planner.samples import BundleSampler, SampleSource
 
@@ -111,7 +111,7 @@ class Scene:
     @cached_property
     def image(self) -> NDArray[np.uint8]:
         """Its picture, (P, P, 3)."""
-        return picture_of(self.scenario)
+        return simulator_of(self.scenario.world).render(self.scenario)
 
     @cached_property
     def checker(self) -> Checker:

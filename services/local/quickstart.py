@@ -13,7 +13,7 @@ from pathlib import Path
 import httpx
 from pydantic import BaseModel, ValidationError
 
-from cspace.errors import ConfigError, JobError, PlanningError, ScenarioError, ServiceStartError
+from cspace.errors import ConfigError, JobError, PlanningError, ScenarioError, ServiceError
 from cspace.simulator import Split
 from cspace.world import World
 from cspace.worlds import named_world, robot_digest, simulator_of
@@ -133,7 +133,7 @@ def wait_served(url: str, reference: str, *, default: bool, limit_s: float = SER
             return
         time.sleep(POLL_S)
     what = f"the inference API does not serve {reference}{' by default' if default else ''}"
-    raise ServiceStartError(what, got=str(sorted(seen)), remedy="see api.log in the logs folder")
+    raise ServiceError(what, got=str(sorted(seen)), remedy="see api.log in the logs folder")
 
 
 def plan_and_draw(

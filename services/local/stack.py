@@ -22,7 +22,7 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 from supervisor.states import RUNNING_STATES
 from supervisor.xmlrpc import SupervisorTransport
 
-from cspace.errors import ConfigError, PortTakenError, ServiceError, ServiceStartError
+from cspace.errors import ConfigError, PortTakenError, ServiceError
 from cspace.files import holding
 from services.commands import aligned
 from services.names import API_URL
@@ -329,7 +329,7 @@ def _start_supervisord(settings: Settings) -> Any:
     server = connect(settings)
     if server is None:
         log = log_file(settings, "supervisord")
-        raise ServiceStartError("supervisord did not start", got=done.stderr[-500:], remedy=f"see {log}")
+        raise ServiceError("supervisord did not start", got=done.stderr[-500:], remedy=f"see {log}")
     return server
 
 
@@ -391,7 +391,7 @@ def _wait_healthy(settings: Settings, server: Any, name: str) -> None:
         log = log_file(settings, name)
         last = log.read_text(encoding="utf-8", errors="replace").splitlines()[-25:]
         remedy = "\n".join([f"the end of its log {log}:", *last, "then `make down` and start again"])
-        raise ServiceStartError(f"{name} {failure}", remedy=remedy)
+        raise ServiceError(f"{name} {failure}", remedy=remedy)
 
 
 def _is_alive(process: psutil.Process) -> bool:

@@ -264,13 +264,13 @@ class StateValidator:
         self.checks = 0
         self._access = StateAccess(checker.space)
         self._buffer = np.zeros(checker.space.dim)
-        self._test = checker.state_test()
+        self._checker = checker
 
     def __call__(self, state: Any) -> bool:
         """Whether the state is free."""
         self.checks += 1
         self._access.read(state, self._buffer)
-        return self._test(self._buffer)
+        return self._checker.valid(self._buffer)
 
 
 class TorusLength(ob.OptimizationObjective):  # type: ignore[misc]

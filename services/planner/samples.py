@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any, Protocol, Self, Unpack
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ import cspace_client
 from cspace.bundle import Bundle, load_verified
 from cspace.bundle.spec import fitted
 from cspace.errors import BundleError, InputError, SamplerError, SamplerUnavailableError, ServiceError
-from cspace.query import MAX_SAMPLES, PlanQuery, QueryOptions, SampleQuery, random_seed
+from cspace.query import MAX_SAMPLES, PlanQuery, SampleQuery, random_seed
 from cspace.world import Examined
 from cspace_client import DEFAULT_TIMEOUT_S, FoundPlan, JointSpace, PictureWarning, SampleBatch
 from cspace_client.answers import as_query
@@ -70,7 +70,7 @@ class SampleSource(Protocol):
         seed: int | None = None,
         *,
         model: str | None = None,
-        **options: Unpack[QueryOptions],
+        **options: Any,
     ) -> SampleBatch:
         """:meth:`answer` to the query of these arguments; None draws a seed."""
         try:
@@ -102,7 +102,7 @@ class BundleSampler(SampleSource):
 
     def score(self, image: NDArray[np.uint8], configurations: NDArray[np.float32]) -> NDArray[np.float32]:
         """P(free) of (n, d) configurations in rad, (n,)."""
-        return self.bundle.score(image, configurations)
+        return self.bundle.predict(image, configurations)[0]
 
     def answer(self, picture: Picture, query: SampleQuery, model: str | None = None) -> SampleBatch:
         """One batch; raises SamplerError where the request does not fit the bundle."""

@@ -84,7 +84,7 @@ def test_samples_that_reach_the_confidence_are_as_many_as_asked_for(scored: Bund
     assert (len(part.samples), part.shortfall) == (500, 0)
     assert part.confidence.min() >= np.float32(0.4)
     assert part.acceptance == pytest.approx(share, abs=0.1)
-    np.testing.assert_array_equal(part.confidence, scored.score(picture(), part.samples))
+    np.testing.assert_array_equal(part.confidence, scored.predict(picture(), part.samples)[0])
     again = scored.sample(picture(), 500, 3, min_confidence=0.4)
     assert part.samples.tobytes() == again.samples.tobytes()
 
@@ -122,7 +122,7 @@ def test_a_filtered_request_is_served_by_the_generator_with_a_quarter_of_uniform
     assert 0.2 < counts.uniform / (counts.uniform + counts.generator) < 0.3
     assert 0 < counts.uniform_kept <= counts.uniform
     assert 0 < counts.generator_kept <= counts.generator
-    np.testing.assert_array_equal(found.confidence, bundle.score(picture(), found.samples))
+    np.testing.assert_array_equal(found.confidence, bundle.predict(picture(), found.samples)[0])
     assert bundle.answer(picture(), query).samples.tobytes() == found.samples.tobytes()
     # Whatever the seed: of a single sample all proposals may be of one kind.
     assert all(bundle.answer(picture(), SampleQuery(1, seed)).shortfall == 0 for seed in range(30))
@@ -143,7 +143,7 @@ def test_a_prepared_picture_gives_the_same_answer_and_the_encoder_rests(scored: 
         assert plain.samples.tobytes() == quick.samples.tobytes()
         assert plain.encode_ms > 0.0 == quick.encode_ms
     np.testing.assert_array_equal(
-        scored.score(prepared, plain.samples), scored.score(picture(), plain.samples)
+        scored.predict(prepared, plain.samples)[0], scored.predict(picture(), plain.samples)[0]
     )
 
 

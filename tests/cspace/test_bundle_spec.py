@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 
 from cspace.bundle import BundleSpec, Provenance
+from cspace.bundle.spec import Standardisation
 from cspace.errors import BundleIntegrityError
-from cspace.space import Standardisation
 from cspace.worlds.planar.arm import THREE_LINK
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
@@ -55,6 +55,7 @@ CHANGES: list[dict[str, Any]] = [
     {"random_inputs": [{"name": "u"}]},
     {"standardisation": {"mean": [0.0], "std": [1.0]}},
     {"standardisation": {"mean": [0, 0, 0], "std": [1, 0, 1]}},
+    {"standardisation": {"mean": [0, 0, 0], "std": [1, 1]}},
     {"conditions": []},
     {"confidence_threshold": 1.5},
     {"novelty_quantiles": [[0.0, 1.0], [1.0, 0.5]]},

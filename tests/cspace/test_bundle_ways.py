@@ -71,7 +71,7 @@ def test_it_is_loaded_and_scores_where_nothing_compiles(folder, monkeypatch):
         monkeypatch.setitem(sys.modules, name, None)
     bundle = Bundle.load(folder)
     rows = np.zeros((3, 2), dtype=np.float32)
-    assert bundle.score(picture(1), rows).shape == (3,)
+    assert bundle.predict(picture(1), rows)[0].shape == (3,)
     with pytest.raises(ImportError):
         bundle.sample(picture(1), 10, 7, start=(0.0, 0.0), goal=(1.0, 1.0))
 

@@ -8,7 +8,7 @@ import pytest
 from cspace.bundle import Bundle
 from cspace.bundle.files import SPEC_FILE
 from cspace.simulator import Split, scenario_rng
-from cspace.worlds import checker_of, examples, picture_of, simulator_of
+from cspace.worlds import checker_of, examples, simulator_of
 from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.simulator import render
 from inference_api.settings import PRETRAINED_FOLDER, further_folders
@@ -92,7 +92,7 @@ def test_its_samples_are_free_in_space_more_often_than_uniform_ones(panda: Bundl
     for index in range(6):
         scene = simulator.scene(scenario_rng(Split.DEMO, 21, index), Split.DEMO, index)
         checker = checker_of(scene)
-        found = panda.sample(picture_of(scene), 200, index)
+        found = panda.sample(simulator_of(scene.world).render(scene), 200, index)
         served.append(checker.valid_batch(found.samples).mean())
         uniform.append(checker.valid_batch(space.sample_uniform(np.random.default_rng(index), 1000)).mean())
     assert np.mean(served) > 0.9

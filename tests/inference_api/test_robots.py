@@ -13,7 +13,7 @@ from cspace.worlds import examples, robot_digest
 from cspace.worlds.planar.arm import TWO_LINK, PlanarArm
 from cspace.worlds.planar.world import PlanarWorld
 from services.names import MODEL_NAME
-from tests.bundles import write_tiny_bundle
+from tests.bundles import holds, write_tiny_bundle
 from tests.inference_api.answers import PNG, assert_problem
 from tests.inference_api.client import ApiClient
 from tests.inference_api.conftest import StartApi
@@ -131,7 +131,7 @@ def test_answers_tell_limits_and_keep_them(start_api: StartApi, tmp_path: Path) 
     }  # fmt: skip
     assert json.loads(ask(api, NPY, **fields).headers["x-joint-space"]) == body["joint_space"]
     samples = np.float32(body["samples"])
-    assert LIMITED.space.holds(samples).all()
+    assert holds(LIMITED.space, samples)
     assert (samples[:, 0] > np.pi).any()
     problem = assert_problem(ask(api, **fields | {"goal": "[4.1, 0.0]"}), 422, "invalid-value")
     assert "goal lies outside the limits" in problem["detail"]

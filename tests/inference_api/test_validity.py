@@ -41,7 +41,7 @@ def ask(
 
 @pytest.fixture(scope="module")
 def expected(bundles):
-    return Bundle.load(bundles["careful"]).score(picture(), ROWS.astype(np.float32))
+    return Bundle.load(bundles["careful"]).predict(picture(), ROWS.astype(np.float32))[0]
 
 
 def test_every_form_of_the_question_has_the_bundle_s_own_answer(api, expected):

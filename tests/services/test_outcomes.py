@@ -15,7 +15,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from cspace.errors import StorageBusyError
+from cspace.errors import StorageError
 from cspace.files import holding
 from services import outcomes
 from services.names import OUTCOMES_FILE, TAG_KEEP_UNTIL, VIEWS_FILE
@@ -256,5 +256,5 @@ def test_an_interrupted_upload_goes_on_with_its_batch_and_run(spool, tmp_path):
     spool.add([row(1)])
     first, second = upload(folder, tracking)
     assert (len(tracking.runs), first.counts, second.counts) == (2, {"plan": 1}, {"plan": 1})
-    with holding(folder / ".upload.lock", StorageBusyError("held")), pytest.raises(StorageBusyError):
+    with holding(folder / ".upload.lock", StorageError("held")), pytest.raises(StorageError):
         list(upload(folder, tracking))

@@ -1,6 +1,5 @@
 """Scene files: what they say, and the line that is wrong."""
 
-import itertools
 import json
 from pathlib import Path
 
@@ -15,11 +14,10 @@ from cspace.worlds.planar.arm import PlanarArm
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import Disc, DiscScenes, GivenScenes, PlanarWorld, Scenario
 from services.planner.__main__ import main
-from services.planner.planning import SampleRequest, plan, plan_scene
+from services.planner.planning import SampleRequest, plan
 from services.planner.result import PlannerSettings
 from services.planner.samples import SampleBatch
 from services.scene_files import given_scenes, read_scene_file, schema
-from tests.capsules import self_clearance_by_hand
 
 WHOLE = """\
 name: bench-arm
@@ -83,11 +81,6 @@ def test_the_schema_is_one_and_takes_what_is_read():
         ("radius_m: [0.4, 0.4]", "radius_m: [9, 9]", "family of scenes"),
         ("goal: [-1.8, -0.5]", "goal: [-103, -0.5]", "goal lies outside.*joint 1 at -103 rad.*degrees"),
         ("goal: [-1.8, -0.5]", "goal: [-1.8]", "2 angles"),
-        (
-            WHOLE[WHOLE.index("  link") : WHOLE.index("camera")],
-            "  link_lengths_m: [1, 0.1, 1]\n  self_collision: true\n",
-            "always collides with itself",
-        ),
         ("[1.6, 1.4]", "[1.6, 1e200]", r"link_lengths_m\.1.*equal to 1000000"),
         ("name: bench-arm", "world: hyperbolic", "the world is unknown"),
     ],
@@ -137,25 +130,6 @@ def test_the_command_plans_in_a_file(write, tmp_path, capsys):
     shown = capsys.readouterr().out
     assert "your own, 2 joints" in shown
     assert figure.stat().st_size > 10_000
-
-
-@pytest.mark.slow
-def test_a_plan_of_an_arm_that_collides_with_itself_never_crosses_it(write):
-    robot = "robot: {{link_lengths_m: [2, 1, 2], half_width_m: 0.1{}}}\n"
-    ends = "obstacles: []\nstart: [0, 1.2, 2.0]\ngoal: [0, 1.2, -2.0]\n"
-    away = "http://127.0.0.1:1"
-    plain = plan_scene(write(robot.format("") + ends, "plain.yaml"), api=away).result
-    assert plain.solved
-    path = write(robot.format(", self_collision: true") + ends)
-    arm, result = read_scene_file(path).world.body, plan_scene(path, api=away).result
-    assert arm == PlanarArm((2.0, 1.0, 2.0), 0.1, self_collision=True)
-    assert result.solved
-    assert result.length_rad > plain.length_rad
-    for first, second in itertools.pairwise(result.path):
-        for share in np.linspace(0.0, 1.0, 50):
-            q = first + share * arm.space.difference(first, second)
-            # Links that cross are 0.2 m deep; between the states that a check looks at they move by less.
-            assert self_clearance_by_hand(arm, q) > -0.05
 
 
 def test_a_problem_without_a_solution_is_told_at_once(write, capsys):

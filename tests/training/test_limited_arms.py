@@ -54,7 +54,7 @@ def outside(robot, samples):
 @pytest.mark.parametrize("least", [0.0, None])
 def test_no_served_sample_lies_outside(trained, least):
     robot, bundle, _ = trained
-    assert bundle.spec.joint_space == robot.space.to_dict()
+    assert bundle.spec.world.space == robot.space
     for seed, image in enumerate(pictures(robot)):
         found = bundle.sample(image, SAMPLES, seed, min_confidence=least, epsilon_sigma=(0.0, 1.0))
         assert len(found.samples) > SAMPLES / 10

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from cspace.errors import DamagedFileError, ServiceError
+from cspace.errors import DatasetError, ServiceError
 from cspace.simulator import Split
 from cspace.worlds.spatial.benchmark import BENCH_FAMILIES, NUMBERS, problems
 from training import motionbench
@@ -132,7 +132,7 @@ def test_an_archive_with_another_digest_is_refused(
 ) -> None:
     damaged = tmp_path / "damaged.tar.gz"
     damaged.write_bytes(sound[0].read_bytes()[:-1])
-    with pytest.raises(DamagedFileError, match="SHA-256"):
+    with pytest.raises(DatasetError, match="SHA-256"):
         motionbench.read_archive(damaged, sound[1])
     # Sound, but not the one that the problems are taken from.
     assert motionbench.main(["fetch", "--archive", str(sound[0]), "--out", str(tmp_path / "out")]) == 2

@@ -10,11 +10,12 @@ import pytest
 from cspace.bundle import Bundle, graphs_of, write_bundle
 from cspace.query import SampleQuery
 from cspace.simulator import Split
-from cspace.worlds import picture_file_of, picture_of, robot_digest, simulator_of
+from cspace.worlds import picture_file_of, robot_digest, simulator_of
 from cspace.worlds.spatial.collision import CollisionChecker
 from cspace.worlds.spatial.obstacles import Obstacles
 from cspace.worlds.spatial.world import shipped, usual
 from services.planner.samples import SamplingClient
+from tests.bundles import holds
 from tests.contracts.mlflow_server import mlflow_server
 from tests.contracts.mlflow_warnings import MLFLOW_WARNINGS
 from tests.inference_api.server import api_server
@@ -52,9 +53,9 @@ def test_samples_are_uniform_and_kept_by_the_head(robot: Path, tmp_path: Path) -
     bundle = Bundle.load(folder)
     assert robot_digest(bundle.spec.world) == robot_digest(WORLD)
     problem = simulator_of(WORLD).problem("table", Split.VALIDATION, 0, 0)
-    picture = bundle.prepare(picture_of(problem.scenario))
+    picture = bundle.prepare(simulator_of(WORLD).render(problem.scenario))
     drawn = bundle.sample(picture, 4000, 1, min_confidence=0.0).samples
-    assert WORLD.space.holds(drawn).all()
+    assert holds(WORLD.space, drawn)
     shares = (drawn - np.array(WORLD.space.lower)) / np.subtract(WORLD.space.upper, WORLD.space.lower)
     for column in shares.T:
         counts, _ = np.histogram(column, bins=8, range=(0.0, 1.0))

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cspace.bundle import Bundle, BundleSpec, write_bundle
+from cspace.bundle.spec import Standardisation
 from cspace.dataset import Dataset
 from cspace.files import discard
-from cspace.space import Standardisation
 from cspace.world import World
 from training.clusters.calibration import (
     choose_bounded,

@@ -16,8 +16,7 @@ from cspace.bundle.load import quantiles_of
 from cspace.bundle.sampling import UNIFORM_SHARE
 from cspace.dataset import Dataset
 from cspace.errors import ImageError, ScenarioError
-from cspace.planning.calibration import fit_calibration
-from cspace.planning.cost import calibration_error, confidence_of_cost
+from cspace.planning.cost import calibration_error, confidence_of_cost, fit_calibration
 from cspace.planning.paths import spaced
 from cspace.query import PlanQuery
 from cspace.simulator import Split
@@ -118,7 +117,7 @@ def validation_scores(
         few = round(UNIFORM_SHARE * samples)
         mixed = np.concatenate([generated[few:], anywhere[:few]])
         for group, rows in ((proposed, mixed), (uniform, anywhere)):
-            group.append(Scored(bundle.score(picture, rows), scene.checker.valid_batch(rows)))
+            group.append(Scored(bundle.predict(picture, rows)[0], scene.checker.valid_batch(rows)))
     return proposed, uniform
 
 

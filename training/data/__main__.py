@@ -20,7 +20,8 @@ from cspace import bounded
 from cspace.dataset import Dataset, open_dataset
 from cspace.errors import ConfigError, CspaceError, DatasetError, ScenarioError
 from cspace.files import project_error
-from cspace.worlds import add_world_options, described_world
+from cspace.world import World
+from cspace.worlds import default_world, named_world
 from services.commands import report_error
 from services.registry import tracking_uri
 from services.scene_files import given_scenes, read_scene_file
@@ -74,7 +75,8 @@ def _import_bounded(options: argparse.Namespace, arguments: Sequence[str]) -> tu
 def describe(dataset: Dataset) -> str:
     """What a data set holds, in lines."""
     counts = "\n".join(f"  {name:<16}{count}" for name, count in sorted(dataset.manifest.counts.items()))
-    return f"{dataset.folder}\n{counts}\n  joints          {dataset.dim}\n  digest          {dataset.digest}"
+    joints = dataset.world.dim
+    return f"{dataset.folder}\n{counts}\n  joints          {joints}\n  digest          {dataset.digest}"
 
 
 def parser() -> argparse.ArgumentParser:
@@ -119,10 +121,7 @@ def _add_generate(parser: argparse.ArgumentParser) -> None:
             choices=choices or None,
             help=f"{field.description or ''} (default {_default(name, field.default)})".strip(),
         )
-    add_world_options(parser, sensor=False)
-    parser.add_argument(
-        "--robot", type=Path, metavar="FILE", help="a scene file: its robot, camera and family of scenes"
-    )
+    _add_world(parser)
     parser.add_argument(
         "--scenes",
         type=Path,
@@ -145,14 +144,29 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
         help="name.png (depth: name.json or name.view), name.npy, optional name.collision.npy, extra/",
     )
     parser.add_argument("folder", type=Path, help="where the data set goes")
-    add_world_options(parser, sensor=True)
+    _add_world(parser)
     parser.set_defaults(run=_import, is_foreign=True)
+
+
+def _add_world(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--arm", metavar="NAME|FILE", help="a robot's name, or what python -m training.robots import wrote"
+    )
+    parser.add_argument(
+        "--robot", type=Path, metavar="FILE", help="a scene file: its robot, camera and family of scenes"
+    )
+
+
+def _world_of(options: argparse.Namespace) -> World:
+    if options.robot:
+        return read_scene_file(options.robot).world
+    return default_world() if options.arm is None else named_world(options.arm)
 
 
 def _add_outcomes(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("folder", type=Path, help="where the data set goes")
     parser.add_argument("--site", help="plans of this place only, as outcomes name it")
-    add_world_options(parser, sensor=True)
+    _add_world(parser)
     parser.set_defaults(run=_import_outcomes)
 
 
@@ -161,7 +175,7 @@ def _import_outcomes(options: argparse.Namespace) -> Dataset:
     from services.registry.tracking import Tracking  # noqa: PLC0415
 
     uri = tracking_uri()
-    world = described_world(options)
+    world = _world_of(options)
     return import_outcomes(options.folder, world=world, tracking=Tracking(uri), site=options.site)
 
 
@@ -184,7 +198,7 @@ def _generate(options: argparse.Namespace) -> Dataset:
 def _world_parts(options: argparse.Namespace) -> dict[str, Any]:
     """Robot, camera and scenes of options; each given scene is taken once, where no number is asked for."""
     if not (options.robot or options.scenes):
-        world = described_world(options)
+        world = _world_of(options)
         return {"robot": world.body, **(USUAL_OF_ARMS if world.kind == "spatial" else {})}
     files = [read_scene_file(path) for path in _files(options.scenes or ())]
     first = read_scene_file(options.robot) if options.robot else files[0]
@@ -208,7 +222,7 @@ def _files(paths: Sequence[Path]) -> list[Path]:
 
 
 def _import(options: argparse.Namespace) -> Dataset:
-    return import_folder(options.source, options.folder, world=described_world(options))
+    return import_folder(options.source, options.folder, world=_world_of(options))
 
 
 if __name__ == "__main__":

@@ -31,7 +31,7 @@ from cspace.worlds.spatial.camera import decode_depth, encode_depth, in_range, r
 from cspace.worlds.spatial.diagnosis import ELSEWHERE
 from cspace.worlds.spatial.hypotheses import HYPOTHESES
 from cspace.worlds.spatial.poses import quaternion_pose
-from cspace.worlds.spatial.world import SpatialWorld, add_options, described
+from cspace.worlds.spatial.world import SpatialWorld, named
 from services.commands import Progress, finite
 
 _LOG = logging.getLogger(__name__)
@@ -468,7 +468,9 @@ def add_recording_options(parser: argparse.ArgumentParser) -> None:
         "source", type=Path, help="a recording of ROS 2: FILE.mcap, FILE.db3, or their folder"
     )
     parser.add_argument("folder", type=Path, help="where views and data set go")
-    add_options(parser, sensor=False)
+    parser.add_argument(
+        "--arm", metavar="NAME|FILE", help="the arm: panda, or what python -m training.robots import wrote"
+    )
     for name, one in RecordingOptions.model_fields.items():
         kind = finite if isinstance(one.default, float) else int if isinstance(one.default, int) else str
         flag = f"--{name.removesuffix('_s').replace('_', '-')}"
@@ -483,4 +485,5 @@ def _run(options: argparse.Namespace) -> Imported:
         settings = RecordingOptions.model_validate(values)
     except ValidationError as error:
         raise project_error(error, ConfigError, "the import's options") from error
-    return import_recording(options.source, options.folder, world=described(options), options=settings)
+    world = None if options.arm is None else named(options.arm)
+    return import_recording(options.source, options.folder, world=world, options=settings)

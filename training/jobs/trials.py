@@ -123,4 +123,6 @@ def _hits(dataset: Dataset, scenario: int, rows: NDArray[np.float32], groups: in
     if not set(names) <= set(dataset.arrays):
         return np.zeros((len(rows), 0), dtype=np.bool_)
     scene = {name: np.asarray(dataset.arrays[name][scenario]) for name in names}
-    return simulator_of(dataset.world).group_hits(scene, rows, groups)
+    simulator: Any = simulator_of(dataset.world)
+    found: NDArray[np.bool_] = simulator.group_hits(scene, rows, groups)
+    return found

@@ -112,7 +112,7 @@ def equal_paths(dataset: Dataset, points: int) -> tuple[NDArray[np.float32], NDA
     rows = dataset.arrays["paths"]
     owner = np.asarray(dataset.arrays["path_scenario"])
     if (sizes == points).all():
-        return np.asarray(rows).reshape(-1, points, dataset.dim), owner
+        return np.asarray(rows).reshape(-1, points, dataset.world.dim), owner
     space = dataset.world.space
     parts = [spread_points(np.asarray(rows[a:b], np.float64), points, space) for a, b in pairwise(offsets)]
     return np.stack(parts).astype(np.float32), owner

@@ -4,7 +4,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field, StrictBool
+from pydantic import Field
 
 from cspace.errors import ScenarioError
 from cspace.files import Record, read_object, validated
@@ -22,27 +22,16 @@ class PlanarArm(Record):
     link_lengths_m: Annotated[tuple[Length, ...], Field(min_length=1)] = (2.0, 2.0)
     half_width_m: Length = 0.1
     joint_limits_rad: JointLimits | None = None  # (low, high), at any turn; None for circles
-    # Whether capsules of links that are not neighbours collide with each other
-    self_collision: Annotated[StrictBool, Field(exclude_if=lambda collides: not collides)] = False
 
     def __post_init__(self) -> None:
         limits = self.joint_limits_rad or (None,) * self.dim
         if len(limits) != self.dim or not all(lim is None or is_range(*lim) for lim in limits):
             expected = f"{self.dim} entries, each None or low < high, {MIN_RANGE_RAD} rad or more"
             raise ScenarioError("the joint limits do not fit", expected=expected, got=str(limits))
-        width_m = 2.0 * self.half_width_m
-        if self.self_collision and min(self.link_lengths_m[1:-1], default=np.inf) <= width_m:
-            raise ScenarioError(
-                "the arm always collides with itself", expected=f"links longer than {width_m} m"
-            )
 
     @property
     def dim(self) -> int:
         return len(self.link_lengths_m)
-
-    @property
-    def reach_m(self) -> float:
-        return float(sum(self.link_lengths_m))
 
     @property
     def space(self) -> JointSpace:
@@ -63,12 +52,11 @@ class PlanarArm(Record):
         return np.concatenate([base, np.cumsum(steps, axis=1)], axis=1)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON; ``self_collision`` where it is true, as files before it have none."""
         return {"kind": _KIND, **Record.to_dict(self)}
 
     @classmethod
     def from_dict(cls, values: object) -> "PlanarArm":
-        """The inverse of :meth:`to_dict`; kind, limits and ``self_collision`` may be missing."""
+        """The inverse of :meth:`to_dict`; kind and limits may be missing."""
         usual = {"kind": _KIND, "joint_limits_rad": None}
         members = usual | read_object(dict[str, Any], values, "the robot", ScenarioError)
         if (kind := members.pop("kind")) != _KIND:

@@ -11,72 +11,6 @@ from cspace.simulator import Checker
 from cspace.worlds.planar.arm import link_offsets_m
 from cspace.worlds.planar.world import KnownDiscs, PlanarWorld, Scenario
 
-# Sine of the angle up to which two lines count as parallel.
-_PARALLEL = 1e-9
-
-
-@njit(cache=True, nogil=True)
-def segment_gap(ax, ay, bx, by, cx, cy, dx, dy):  # type: ignore[no-untyped-def]
-    """Distance between the segments from a to b and from c to d; 0 where they cross."""
-    ux, uy, vx, vy = bx - ax, by - ay, dx - cx, dy - cy
-    turn = ux * vy - uy * vx
-    # Rounding lets parallel lines cross anywhere, and their ends tell the distance anyway.
-    if turn * turn > (_PARALLEL * _PARALLEL) * (ux * ux + uy * uy) * (vx * vx + vy * vy):
-        first = ((cx - ax) * vy - (cy - ay) * vx) / turn
-        second = ((cx - ax) * uy - (cy - ay) * ux) / turn
-        if 0.0 <= first <= 1.0 and 0.0 <= second <= 1.0:
-            return 0.0
-    from_first = min(_point_gap(ax, ay, cx, cy, dx, dy), _point_gap(bx, by, cx, cy, dx, dy))
-    from_second = min(_point_gap(cx, cy, ax, ay, bx, by), _point_gap(dx, dy, ax, ay, bx, by))
-    return min(from_first, from_second)
-
-
-@njit(cache=True, nogil=True)
-def _point_gap(px, py, ax, ay, bx, by):  # type: ignore[no-untyped-def]
-    """Distance of a point to the segment from a to b."""
-    dx, dy = bx - ax, by - ay
-    along = ((px - ax) * dx + (py - ay) * dy) / (dx * dx + dy * dy)
-    along = min(1.0, max(0.0, along))
-    return np.hypot(px - ax - along * dx, py - ay - along * dy)
-
-
-@njit(cache=True, nogil=True)
-def self_clearance(q, links, half_width, pairs):  # type: ignore[no-untyped-def]
-    """Smallest distance between the capsules of the links of a pair, m."""
-    count = links.shape[0]
-    x, y, heading = np.zeros(count + 1), np.zeros(count + 1), 0.0
-    for joint in range(count):
-        heading += q[joint]
-        x[joint + 1] = x[joint] + links[joint] * np.cos(heading)
-        y[joint + 1] = y[joint] + links[joint] * np.sin(heading)
-    least = np.inf
-    for pair in range(pairs.shape[0]):
-        i, j = pairs[pair, 0], pairs[pair, 1]
-        gap = segment_gap(x[i], y[i], x[i + 1], y[i + 1], x[j], y[j], x[j + 1], y[j + 1])
-        least = min(least, gap)
-    return least - 2.0 * half_width
-
-
-@njit(cache=True, nogil=True)
-def arm_clearance(q, links, half_width, discs, pairs):  # type: ignore[no-untyped-def]
-    """Smallest distance of the arm's capsules to the discs, or between those of a pair, m; else inf."""
-    clearance = np.inf
-    if pairs is not None:
-        clearance = self_clearance(q, links, half_width, pairs)
-    x0, y0, heading = 0.0, 0.0, 0.0
-    for joint in range(links.shape[0]):
-        heading += q[joint]
-        dx, dy = links[joint] * np.cos(heading), links[joint] * np.sin(heading)
-        for disc in range(discs.shape[0]):
-            px, py = discs[disc, 0] - x0, discs[disc, 1] - y0
-            along = (px * dx + py * dy) / (dx * dx + dy * dy)
-            along = min(1.0, max(0.0, along))
-            gap = np.hypot(px - along * dx, py - along * dy) - discs[disc, 2] - half_width
-            clearance = min(clearance, gap)
-        x0 += dx
-        y0 += dy
-    return clearance
-
 
 class SceneArrays(NamedTuple):
     """An arm of d joints among discs as the kernels take it."""
@@ -84,7 +18,6 @@ class SceneArrays(NamedTuple):
     links: NDArray[np.float64]  # (d,) m
     half_width: float  # m
     discs: NDArray[np.float64]  # (D, 3) x, y, radius, m
-    pairs: NDArray[np.int64] | None  # (K, 2) links that collide with each other; None saves the time
     lower: NDArray[np.float64]  # (d,) rad
     upper: NDArray[np.float64]  # (d,) rad
     periodic: NDArray[np.bool_]  # (d,) which joints are circles
@@ -97,13 +30,26 @@ def room_of(_scene):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def state_clearance(q, scene, _room):  # type: ignore[no-untyped-def]
-    """The clearance of one configuration (d,), m."""
-    return arm_clearance(q, scene.links, scene.half_width, scene.discs, scene.pairs)
+    """Smallest distance of the arm's capsules at a configuration (d,) to the discs, m; inf without any."""
+    links, discs, clearance = scene.links, scene.discs, np.inf
+    x0, y0, heading = 0.0, 0.0, 0.0
+    for joint in range(links.shape[0]):
+        heading += q[joint]
+        dx, dy = links[joint] * np.cos(heading), links[joint] * np.sin(heading)
+        for disc in range(discs.shape[0]):
+            px, py = discs[disc, 0] - x0, discs[disc, 1] - y0
+            along = (px * dx + py * dy) / (dx * dx + dy * dy)
+            along = min(1.0, max(0.0, along))
+            gap = np.hypot(px - along * dx, py - along * dy) - discs[disc, 2] - scene.half_width
+            clearance = min(clearance, gap)
+        x0 += dx
+        y0 += dy
+    return clearance
 
 
 @njit(cache=True, nogil=True)
 def state_is_free(q, scene, room):  # type: ignore[no-untyped-def]
-    """Whether one configuration (d,) is within its limits, clear of every disc and of itself."""
+    """Whether one configuration (d,) is within its limits and clear of every disc."""
     for joint in range(q.shape[0]):
         if not scene.periodic[joint] and not scene.lower[joint] <= q[joint] <= scene.upper[joint]:
             return False
@@ -121,16 +67,14 @@ _GROUND = 255.0
 
 
 class CollisionChecker(Checker):
-    """Exact checks of an arm among discs: every clearance is above zero, also between its own links."""
+    """Exact checks of an arm among discs: every clearance is above zero."""
 
     def __init__(self, scenario: Scenario) -> None:
         space, robot = scenario.robot.space, scenario.robot
-        pairs = np.argwhere(np.triu(np.ones((robot.dim, robot.dim)), 2)).astype(np.int64)
         arrays = SceneArrays(
             np.asarray(robot.link_lengths_m, dtype=np.float64),
             float(robot.half_width_m),
             scenario.disc_array,
-            pairs if robot.self_collision and robot.dim > 2 else None,
             np.asarray(space.lower, dtype=np.float64),
             np.asarray(space.upper, dtype=np.float64),
             np.asarray(space.periodic, dtype=np.bool_),

@@ -23,7 +23,7 @@ from cspace.simulator import (
     Split,
     near_contact,
 )
-from cspace.world import Image, Scene, World
+from cspace.world import Image, Scene
 from cspace.worlds.planar.arm import PlanarArm
 from cspace.worlds.planar.camera import Camera, Length, Place
 from cspace.worlds.planar.collision import CollisionChecker
@@ -234,9 +234,7 @@ class PlanarSimulator(Simulator):
         return scenes.count[1]
 
 
-def open_simulator(world: World) -> PlanarSimulator:
-    """The simulator of a planar world."""
-    return PlanarSimulator(cast("PlanarWorld", world))
+open_simulator = PlanarSimulator
 
 
 _Configuration = Annotated[tuple[Place, ...], Field(min_length=1, description="rad")]
@@ -266,9 +264,7 @@ class Values(BaseModel):
 def read_world(values: Values) -> PlanarWorld:
     """Robot, camera and family of scenes."""
     one = values.robot
-    arm = PlanarArm(
-        one.link_lengths_m, one.half_width_m, one.joint_limits_rad, self_collision=one.self_collision
-    )
+    arm = PlanarArm(one.link_lengths_m, one.half_width_m, one.joint_limits_rad)
     return PlanarWorld(arm, values.camera, values.scenes)
 
 

@@ -1,7 +1,6 @@
 """The planar world as a value: an arm, the camera above it, and discs, drawn, given or known."""
 
-import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -9,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from cspace.errors import ConfigError, DatasetError, ImageError, InputError, ScenarioError
+from cspace.errors import DatasetError, ImageError, InputError, ScenarioError
 from cspace.files import Record, read_json, read_object, validated
 from cspace.simulator import Split
 from cspace.view_file import View, check_counts
 from cspace.world import Arrays, CheckCancelled, Contact, Examined, LinkSamplePoints, World
-from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, JointLimits, PlanarArm, link_offsets_m
+from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm, link_offsets_m
 from cspace.worlds.planar.camera import Camera, Length, Place, decode_png
 
 MAX_DISCS, MAX_GIVEN = 64, 1000
@@ -344,55 +343,3 @@ class Scenario:
     @classmethod
     def from_array(cls, robot: PlanarArm, discs: NDArray[Any], camera: Camera | None = None) -> "Scenario":
         return cls(robot, tuple(Disc(float(x), float(y), float(r)) for x, y, r in discs), camera or Camera())
-
-    def to_dict(self) -> dict[str, Any]:
-        return {
-            "robot": self.robot.to_dict(),
-            "discs": self.disc_array.tolist(),
-            "camera": self.camera.to_dict(),
-        }
-
-
-def add_options(parser: argparse.ArgumentParser, *, sensor: bool) -> None:
-    """See :func:`cspace.worlds.add_world_options`."""
-    arm, camera = PlanarArm(), Camera()
-    parser.set_defaults(pixels=camera.pixels, view=camera.extent_m)
-    if sensor:
-        parser.add_argument("--pixels", type=int, help="side of the data set's pictures")
-        parser.add_argument("--view", type=float, nargs=4, metavar=("XMIN", "XMAX", "YMIN", "YMAX"))
-    parser.add_argument(
-        "--links", type=float, nargs="+", metavar="M", default=arm.link_lengths_m, help="link lengths, m"
-    )
-    parser.add_argument(
-        "--half-width", type=float, metavar="M", default=arm.half_width_m, help="half the links' width, m"
-    )
-    parser.add_argument(
-        "--limit",
-        nargs=3,
-        action="append",
-        type=float,
-        metavar=("JOINT", "LOW", "HIGH"),
-        help="limits of one joint (1 is the first), rad; repeatable; other joints are circles",
-    )
-
-
-def described(options: argparse.Namespace) -> PlanarWorld:
-    """The planar world of parsed options."""
-    x_min_m, x_max_m, y_min_m, y_max_m = options.view
-    if options.pixels < 1 or not (x_min_m < x_max_m and y_min_m < y_max_m):
-        raise ConfigError("the camera does not fit", got=f"{options.pixels} pixels, {options.view}")
-    arm = PlanarArm(tuple(options.links), options.half_width, _limits(options.limit, len(options.links)))
-    return PlanarWorld(arm, Camera(x_min_m, x_max_m, y_min_m, y_max_m, options.pixels))
-
-
-def _limits(entries: Sequence[tuple[float, float, float]] | None, dim: int) -> JointLimits | None:
-    if not entries:
-        return None
-    limits: list[tuple[float, float] | None] = [None] * dim
-    for joint, low, high in entries:
-        if joint not in range(1, dim + 1):
-            raise ConfigError(
-                "the joint limits do not fit", expected=f"joints 1 to {dim}", got=f"joint {joint:g}"
-            )
-        limits[int(joint) - 1] = (low, high)
-    return tuple(limits)

@@ -1,6 +1,5 @@
 """The spatial world as a value: a serial arm, depth cameras about it, and the families of its scenes."""
 
-import argparse
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -228,21 +227,6 @@ class _Parts:
 
 
 _MAX_BYTES = 2**20
-
-
-def add_options(parser: argparse.ArgumentParser, *, sensor: bool) -> None:
-    """See :func:`cspace.worlds.add_world_options`."""
-    del sensor
-    parser.add_argument(
-        "--arm",
-        metavar="NAME|FILE",
-        help="a serial arm in space, seen by depth cameras: panda, or what python -m training.robots wrote",
-    )
-
-
-def described(options: argparse.Namespace) -> SpatialWorld | None:
-    """The spatial world of parsed options; None where they name no such arm."""
-    return None if options.arm is None else named(options.arm)
 
 
 def named(text: str) -> SpatialWorld:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cspace.dataset import open_dataset, write_dataset
+from cspace.dataset import ATTRIBUTES, open_dataset, write_dataset
 from tests.dataset_content import content
 
 
@@ -24,6 +24,7 @@ def test_it_is_read_back_by_scenario(tmp_path, name):
     given = attribute(name)
     write_dataset(tmp_path / "data", **content(), attributes=given)
     dataset = open_dataset(tmp_path / "data")
-    assert dataset.attributes == (name,)
-    for scenario, values in enumerate(given[name]):
-        np.testing.assert_allclose(dataset.attribute_of(name, scenario), values, rtol=1e-6)
+    assert ATTRIBUTES.keys() & dataset.arrays.keys() == {name}
+    offsets = dataset.arrays[f"{name.partition('_')[0]}_offsets"]
+    for values, found in zip(given[name], np.split(dataset.arrays[name], offsets[1:-1]), strict=True):
+        np.testing.assert_allclose(found, values, rtol=1e-6)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from cspace.dataset import MANIFEST_FILE, Manifest, file_digest, open_dataset, write_dataset
-from cspace.errors import DamagedFileError, DatasetError
+from cspace.errors import DatasetError
 from cspace.worlds.planar.arm import TWO_LINK
 from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.world import PlanarWorld
@@ -32,7 +32,7 @@ def test_a_changed_byte_is_found_and_its_file_named(folder, name):
     data = bytearray((folder / name).read_bytes())
     data[-1] ^= 1
     (folder / name).write_bytes(data)
-    with pytest.raises(DamagedFileError, match=f"{name} is damaged.*SHA-256"):
+    with pytest.raises(DatasetError, match=f"{name} is damaged.*SHA-256"):
         open_dataset(folder)
 
 

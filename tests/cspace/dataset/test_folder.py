@@ -18,7 +18,7 @@ def test_what_was_written_is_read_back(tmp_path, robot):
     values = content(robot)
     write_dataset(tmp_path / "deep" / "data", **values)
     dataset = open_dataset(tmp_path / "deep" / "data")
-    assert (dataset.world, dataset.dim) == (PlanarWorld(robot, CAMERA), robot.dim)
+    assert dataset.world == PlanarWorld(robot, CAMERA)
     assert (dataset.scenario_count, dataset.generator_seed) == (SCENARIOS, 7)
     np.testing.assert_array_equal(dataset.images, values["images"])
     np.testing.assert_array_equal(dataset.extra_images, values["extra_images"])

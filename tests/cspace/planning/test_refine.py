@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from cspace.planning.cost import score
-from cspace.planning.kernels import cheapest_route
-from cspace.planning.refine import Effort, PathRefiner
+from cspace.planning.refine import Effort, PathRefiner, cheapest_route
 from cspace.planning.search import OutOfTimeError
 from cspace.worlds import examples
 

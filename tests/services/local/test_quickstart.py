@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from cspace.errors import JobError, PlanningError, ServiceStartError
+from cspace.errors import JobError, PlanningError, ServiceError
 from cspace.worlds.spatial.world import shipped
 from services.local.quickstart import plan_and_draw, run_job, serve_untrained, wait_served
 from services.local.stack import Settings
@@ -84,7 +84,7 @@ def test_the_api_is_asked_until_it_serves_the_version(answers: list[tuple[int, s
         wait_served(f"http://127.0.0.1:{server.server_port}", "cspace-sampler/2", default=default)
         server.shutdown()
     assert left == []
-    with pytest.raises(ServiceStartError, match="cspace-sampler/9"):
+    with pytest.raises(ServiceError, match="cspace-sampler/9"):
         wait_served("http://127.0.0.1:1", "cspace-sampler/9", default=False, limit_s=0.5)
 
 

@@ -53,7 +53,7 @@ def test_queries_of_the_project_are_sent_as_the_contract_has_them():
     ("answer", "error"),
     [
         (httpx.ConnectError("refused"), cspace.errors.SamplerUnavailableError),
-        (httpx.Response(200, content=b"{}"), cspace.errors.SamplerAnswerError),
+        (httpx.Response(200, content=b"{}"), cspace.errors.SamplerUnavailableError),
         (httpx.Response(422), cspace.errors.SamplerError),
     ],
     ids=["away", "no answer", "refused"],

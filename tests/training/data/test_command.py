@@ -7,6 +7,7 @@ import pytest
 from PIL import Image
 
 from cspace.dataset import open_dataset
+from cspace.worlds.planar.camera import Camera
 from training.data.__main__ import main
 
 
@@ -20,20 +21,30 @@ def own(tmp_path):
     return folder
 
 
-THREE = ["--links", "1.6", "1.4", "1.0"]
+@pytest.fixture
+def three(tmp_path):
+    """The options of a robot with three links, one of which has limits."""
+    path = tmp_path / "three.yaml"
+    path.write_text(
+        "robot: {link_lengths_m: [1.6, 1.4, 1.0], joint_limits_rad: [null, [-1.0, 2.0], null]}\n"
+        "camera: {x_min_m: -4, x_max_m: 4, y_min_m: -3, y_max_m: 3, pixels: 32}\n"
+    )
+    return ["--robot", str(path)]
 
 
-def test_own_data_of_three_links_are_imported_and_verified(own, tmp_path, capsys):
-    assert main(["import", str(own), str(tmp_path / "data"), *THREE, "--limit", "2", "-1", "2"]) == 0
+def test_own_data_of_three_links_are_imported_and_verified(own, three, tmp_path, capsys):
+    assert main(["import", str(own), str(tmp_path / "data"), *three]) == 0
     dataset = open_dataset(tmp_path / "data")
     assert dataset.world.body.link_lengths_m == (1.6, 1.4, 1.0)
     assert dataset.world.body.joint_limits_rad == (None, (-1.0, 2.0), None)
+    assert dataset.world.sensor == Camera(-4.0, 4.0, -3.0, 3.0, 32)
+    assert dataset.images.shape == (2, 32, 32, 3)
     assert main(["verify", str(tmp_path / "data")]) == 0
     assert dataset.digest in capsys.readouterr().out
 
 
-def test_a_damaged_data_set_ends_with_one_and_names_the_file(own, tmp_path, capsys):
-    main(["import", str(own), str(tmp_path / "data"), *THREE])
+def test_a_damaged_data_set_ends_with_one_and_names_the_file(own, three, tmp_path, capsys):
+    main(["import", str(own), str(tmp_path / "data"), *three])
     path = tmp_path / "data" / "free.npy"
     path.write_bytes(path.read_bytes()[:-1] + b"\x01")
     assert main(["verify", str(tmp_path / "data")]) == 1
@@ -41,21 +52,18 @@ def test_a_damaged_data_set_ends_with_one_and_names_the_file(own, tmp_path, caps
 
 
 @pytest.mark.parametrize(
-    "options",
+    "robot",
     [
-        ["--links", "2.0", "-1.0"],
-        ["--limit", "3", "-1", "2"],
-        ["--limit", "0", "-1", "2"],
-        ["--limit", "1.5", "-1", "2"],
-        ["--limit", "1", "2", "1"],
-        ["--limit", "1", "-4000", "1"],
-        ["--pixels", "0"],
-        ["--view", "5", "-5", "-5", "5"],
+        "robot: {link_lengths_m: [2.0, -1.0]}",
+        "robot: {link_lengths_m: [2, 1], joint_limits_rad: [null]}",
+        "{",
     ],
 )
-def test_options_that_cannot_be_end_with_two(own, tmp_path, options, capsys):
-    assert main(["import", str(own), str(tmp_path / "data"), *options]) == 2
-    assert "error:" in capsys.readouterr().err
+def test_a_robot_that_cannot_be_ends_with_two(own, tmp_path, robot, capsys):
+    path = tmp_path / "robot.yaml"
+    path.write_text(robot)
+    assert main(["import", str(own), str(tmp_path / "data"), "--robot", str(path)]) == 2
+    assert f"error: {path}" in capsys.readouterr().err
     assert not (tmp_path / "data").exists()
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from cspace.space import circles
 from services.outcomes import Spool, upload, view_row
+from tests.bundles import holds
 from tests.fakes.registry import FakeTracking
 from training.data.outcomes import KnownPlan, known_plans
 
@@ -58,7 +59,7 @@ def test_a_path_is_free_up_to_where_it_collides() -> None:
     assert (len(free), len(collision)) == (16, 0)
     np.testing.assert_allclose(free[0], PATH[0], atol=1e-6)
     np.testing.assert_allclose(free[-1], PATH[-1], atol=1e-4)
-    assert SPACE.holds(free).all()
+    assert holds(SPACE, free)
     free, collision = KnownPlan(b"", PATH, 0.8, "run").labelled(SPACE)
     np.testing.assert_allclose(collision, [[-2.2832, 0.2]], atol=1e-3)
     assert len(free) == 11

@@ -38,7 +38,7 @@ def test_own_pictures_become_a_data_set_in_the_order_of_their_names(tmp_path, ro
     angles = fill(tmp_path / "own", robot)
     take(tmp_path / "own", tmp_path / "data", robot)
     dataset = open_dataset(tmp_path / "data")
-    assert (dataset.world.body, dataset.dim, dataset.scenario_count) == (robot, robot.dim, 3)
+    assert (dataset.world.body, dataset.scenario_count) == (robot, 3)
     for index, name in enumerate("abc"):
         np.testing.assert_allclose(dataset.free_of(index), angles[name], atol=1e-6)
         picture = np.asarray(Image.open(tmp_path / "own" / f"{name}.png"))

@@ -69,7 +69,7 @@ def test_given_scenes_are_taken_once_each_and_some_are_held_out(robot: Path, tmp
     assert (len(data.images), len(given.train), len(given.held_out)) == (6, 6, 1)
     assert sorted(data.arrays["discs"][:, 0, 0]) == [1.0, 1.25, 1.5, 1.75, 2.25, 2.5]
     (held_out,) = simulator_of(data.world).scenes(Split.TEST, 0, 10)
-    assert held_out.to_dict()["discs"] == [[2.0, 1.5, 0.3]]
+    assert held_out.disc_array.tolist() == [[2.0, 1.5, 0.3]]
     pictures = {picture.tobytes() for picture in np.asarray(data.images)}
     assert len(pictures) == 6
     assert simulator_of(data.world).render(held_out).tobytes() not in pictures

@@ -6,7 +6,6 @@ from cspace.worlds.planar.arm import THREE_LINK, PlanarArm
 from cspace.worlds.planar.collision import CollisionChecker
 from cspace.worlds.planar.simulator import render
 from cspace.worlds.planar.world import Scenario
-from tests.capsules import self_clearance_by_hand
 from tests.scenarios import random_scenarios
 from training.data.config import DatasetConfig, PathDatasetConfig, Shard
 from training.data.configurations import ConfigurationRecipe, sample_configurations
@@ -48,20 +47,6 @@ def test_configurations_are_what_they_are_said_to_be(config):
     assert len({picture.tobytes() for picture in pictures}) == 8
 
 
-def test_no_free_sample_of_an_arm_that_collides_with_itself_does_so():
-    arm = PlanarArm((2.0, 1.0, 2.0), 0.1, self_collision=True)
-    arrays = joined(SMALL.model_copy(update={"robot": arm}))
-    free = arrays["free"].reshape(-1, 3)
-    assert min(self_clearance_by_hand(arm, q) for q in free) > 0.0
-    collision = arrays["collision"].reshape(-1, 3)
-    discs = np.repeat(arrays["discs"], 20, axis=0)
-    plain = PlanarArm(arm.link_lengths_m, arm.half_width_m)
-    for q, among in zip(collision, discs, strict=True):
-        if CollisionChecker(Scenario.from_array(plain, among)).valid(q):
-            assert self_clearance_by_hand(arm, q) <= 0.0
-    assert min(self_clearance_by_hand(arm, q) for q in collision) < 0.0
-
-
 def test_the_content_does_not_depend_on_the_size_of_the_shards():
     for extra in (False, True):
         small = joined(SMALL, extra=extra)
@@ -97,9 +82,6 @@ def test_a_shard_that_is_damaged_counts_as_missing(tmp_path):
     assert load_shard(tmp_path, shard) is None
 
 
-FOLDING = THREE.model_copy(update={"robot": PlanarArm((1.6, 1.4, 1.0), self_collision=True)})
-
-
 @pytest.mark.parametrize(
     ("config", "key"),
     [
@@ -107,7 +89,6 @@ FOLDING = THREE.model_copy(update={"robot": PlanarArm((1.6, 1.4, 1.0), self_coll
         (PathDatasetConfig(), "1f0125b182a8"),
         (THREE, "b1635dc6f04a"),
         (LIMITED, "b4444c1d23fb"),
-        (FOLDING, FOLDING.key),
     ],
 )
 def test_data_that_were_made_before_are_found_again_by_their_key(config, key):

@@ -3,6 +3,7 @@ import pytest
 import torch
 
 from cspace.space import JointSpace, circles
+from tests.bundles import holds
 from training.models.families.wgan_gp import MeansGenerator, Sizes, TorusGenerator, UniformBase
 from training.models.joints import Joints
 
@@ -23,7 +24,7 @@ def test_folding_keeps_what_is_inside_and_mirrors_the_rest_at_the_limits():
     outside = torch.tensor([[4.5, 9.0, 1.25], [-3.0, -9.0, -7.5], [4.0 + 6.9 + 0.1, 0.0, -7.0]])
     folded = torch.tensor([[3.5, 9.0, 0.75], [-2.8, -9.0, -6.5], [-2.8, 0.0, -7.0]])
     torch.testing.assert_close(MIXED.fold(outside), folded, rtol=0, atol=1e-5)
-    assert SPACE.holds(SPACE.to_float32(MIXED.fold(angles(5000)).numpy())).all()
+    assert holds(SPACE, SPACE.to_float32(MIXED.fold(angles(5000)).numpy()))
 
 
 def test_what_is_uniform_on_the_torus_becomes_uniform_within_the_limits():

@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 
 from cspace.errors import ScenarioError
+from cspace.worlds import robot_digest
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK, PlanarArm
+from cspace.worlds.planar.world import PlanarWorld
 
 
 def test_two_links_reach_where_they_point():
@@ -45,3 +47,8 @@ def test_a_robot_survives_json(arm):
 def test_a_robot_that_cannot_be_is_an_error(values):
     with pytest.raises(ScenarioError, match="expected"):
         PlanarArm(**values)
+
+
+def test_the_digests_of_robots_are_what_they_were():
+    digests = [robot_digest(PlanarWorld(arm))[:16] for arm in (TWO_LINK, THREE_LINK)]
+    assert digests == ["14c4c4a2dfa4d819", "0f5028b4ee2dd87b"]

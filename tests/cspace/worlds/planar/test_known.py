@@ -1,13 +1,13 @@
 """Known discs of the plane: checked as the exact checker does, and drawn as the renderer does."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from cspace.files import encode_png
 from cspace.plan import Seen, search_paths
+from cspace.query import PlanQuery
 from cspace.view_file import pack_view
 from cspace.worlds.planar.arm import THREE_LINK, TWO_LINK
 from cspace.worlds.planar.collision import CollisionChecker, seen_checkers
@@ -33,11 +33,11 @@ def known_discs(arm=TWO_LINK, discs=DISCS, shown=(SHOWN,)):
     return KnownDiscs.read(text_of(discs), arm, render(Scenario(arm, shown)))
 
 
-@pytest.mark.parametrize("arm", [TWO_LINK, THREE_LINK, replace(THREE_LINK, self_collision=True)])
+@pytest.mark.parametrize("arm", [TWO_LINK, THREE_LINK])
 def test_what_is_free_is_what_the_exact_checker_finds_clear_of_the_discs_alone(arm):
     rows = arm.space.sample_uniform(np.random.default_rng(1), 3000)
     known = known_discs(arm)
-    clearance = CollisionChecker(Scenario(replace(arm, self_collision=False), DISCS)).clearance(rows)
+    clearance = CollisionChecker(Scenario(arm, DISCS)).clearance(rows)
     np.testing.assert_array_equal(known.free(rows), clearance > 0.0)
     assert 300 < (clearance <= 0.0).sum() < 2700
     for row, away in zip(rows[:300], clearance[:300], strict=True):
@@ -97,7 +97,7 @@ def test_a_path_that_touches_what_is_known_between_the_states_of_the_search_is_n
 
     def found(what):
         seen = Seen(PlanarWorld(TWO_LINK), what.seen, lambda rows: (np.ones(len(rows)), None), known=what)
-        return search_paths(seen, ends, 4, 0).paths
+        return search_paths(seen, ends, PlanQuery(*map(tuple, ends), time_limit_s=60.0)).paths
 
     assert found(known)
     assert not found(ThinWall(known.arm, known.names, known.discs, known.seen))

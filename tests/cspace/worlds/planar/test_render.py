@@ -29,10 +29,10 @@ def drawn_by_pillow(scenario):
         draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=colour)
 
     width = robot.half_width_m
-    (left, top), (right, bottom) = at(0.0, width), at(robot.reach_m, -width)
+    (left, top), (right, bottom) = at(0.0, width), at(sum(robot.link_lengths_m), -width)
     draw.rectangle((left, top, right, bottom), fill=BLUE)
     disc(0.0, 0.0, width, BLUE)
-    disc(robot.reach_m, 0.0, width, BLUE)
+    disc(sum(robot.link_lengths_m), 0.0, width, BLUE)
     for one in scenario.discs:
         disc(one.x_m, one.y_m, one.radius_m, RED)
     return np.asarray(picture.reduce(FINE))

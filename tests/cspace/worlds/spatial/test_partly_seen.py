@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cspace.simulator import ProblemRequest, Split, UnseenPolicy
-from cspace.worlds import checker_of, examples, partly_seen, picture_file_of, picture_of
+from cspace.worlds import checker_of, examples, partly_seen, picture_file_of, simulator_of
 from cspace.worlds.spatial.benchmark import level_face
 from cspace.worlds.spatial.collision import CollisionChecker
 from cspace.worlds.spatial.visibility import lookup
@@ -32,7 +32,7 @@ def test_two_cameras_stand_on_either_side_and_draws_are_the_same_again(problem):
 
 
 def test_what_is_taken_for_occupied_collides_and_what_is_true_is_kept_to(problem):
-    image = picture_of(problem.scenario)
+    image = simulator_of(problem.scenario.world).render(problem.scenario)
     rng = np.random.default_rng(0)
     rows = problem.space.sample_uniform(rng, 300)
     free = {taken: SETS.checkers(problem, image, taken)[-1].valid_batch(rows) for taken in UnseenPolicy}

@@ -1,6 +1,5 @@
 """Scene files and options of the spatial world."""
 
-import argparse
 import json
 
 import numpy as np
@@ -8,7 +7,7 @@ import pytest
 import yaml
 
 from cspace.errors import ConfigError, ScenarioError
-from cspace.worlds import add_world_options, described_world, examples
+from cspace.worlds import examples, named_world
 from cspace.worlds.spatial.arm import ready_rad
 from cspace.worlds.spatial.obstacles import Box, Cylinder
 from services.scene_files import given_scenes, read_scene_file
@@ -81,22 +80,16 @@ def test_scenes_of_files_are_planned_in_and_not_learned_from(tmp_path):
         given_scenes(one.world, [one])
 
 
-def described(*arguments):
-    parser = argparse.ArgumentParser()
-    add_world_options(parser, sensor=True)
-    return described_world(parser.parse_args(arguments))
-
-
 def test_an_arm_is_read_from_its_file(tmp_path):
     path = tmp_path / "arm.json"
     path.write_text(json.dumps(PANDA.body.to_dict()))
-    assert described("--arm", str(path)) == PANDA
+    assert named_world(str(path)) == PANDA
     with pytest.raises(ScenarioError):
-        described("--arm", "kuka")
+        named_world("kuka")
     for text in ("{", "[" * 100_000, '{"a": NaN}'):
         path.write_text(text)
         with pytest.raises(ConfigError):
-            described("--arm", str(path))
+            named_world(str(path))
     path.write_text(" " * (2**20 + 1))
     with pytest.raises(ConfigError):
-        described("--arm", str(path))
+        named_world(str(path))
