@@ -5,8 +5,7 @@ import pytest
 
 from cspace.bundle import Bundle
 from cspace.errors import EvaluationError
-from cspace.planning.calibration import fit_calibration
-from cspace.planning.cost import confidence_of_cost
+from cspace.planning.cost import confidence_of_cost, fit_calibration
 from services.evaluator.recalibrate import careful_fit, predicted_reports, recalibrate
 from services.names import ALIAS_CHALLENGER, ALIAS_CHAMPION
 from services.outcomes import Spool, upload
