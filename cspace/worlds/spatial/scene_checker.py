@@ -11,17 +11,10 @@ from cspace.errors import InputError
 from cspace.view_file import MAX_MESHES, MAX_TRIANGLES
 from cspace.world import CheckCancelled, Contact
 from cspace.worlds.spatial.arm import MAX_SPHERES, TOOL, Part, SerialArm
-from cspace.worlds.spatial.bodies import (
-    BodyArrays,
-    are_inside,
-    body_arrays,
-    part_contact,
-    points_to_bodies,
-    write_body,
-)
+from cspace.worlds.spatial.bodies import are_inside, part_contact, points_to_bodies, write_body
 from cspace.worlds.spatial.collision import KERNELS, scene_arrays
 from cspace.worlds.spatial.kinematics import arm_arrays, sphere_centres_batch
-from cspace.worlds.spatial.obstacles import Obstacles, kernel_row
+from cspace.worlds.spatial.obstacles import BodyArrays, Obstacles, body_arrays, kernel_row
 from cspace.worlds.spatial.planning_scene import Attached, Body, BoxShape, PlanningScene
 from cspace.worlds.spatial.poses import HERE, moved, vector
 from cspace.worlds.spatial.sensor import NO_READING, OUT_OF_VIEW, GridBox
@@ -249,12 +242,7 @@ def bodies_of(bodies: Iterable[Body], meshes: Mapping[str, NDArray[np.float64]])
             spheres.append((*pose[:3, 3], one.sphere.radius_m))
         elif one.mesh is not None:
             triangles.append(moved(pose, meshes[one.mesh.file] * one.mesh.scale))
-    return body_arrays(
-        np.asarray(boxes, dtype=np.float64).reshape(-1, 16),
-        np.asarray(cylinders, dtype=np.float64).reshape(-1, 15),
-        np.asarray(spheres, dtype=np.float64).reshape(-1, 4),
-        triangles,
-    )
+    return body_arrays(boxes, cylinders, spheres, triangles)
 
 
 def cover(
