@@ -158,11 +158,6 @@ def view_findings(arm: SerialArm, sensor: DepthSensor, view: DepthView) -> tuple
     )
 
 
-def unseen_m(arm: SerialArm, grid: GridBox, image: Image) -> NDArray[np.float64]:
-    """(N, 3): centres of the voxels in reach that are not seen, free or at a surface, m in the base frame."""
-    return grid.centres_m()[_reach(arm, grid) & ~_seen(arm, grid, image)]
-
-
 def least_novelty(arm: SerialArm, grid: GridBox, image: Image) -> float:
     """How novel a picture (X, Y, Z, 2) is at least: 1 where nothing in reach is seen, 0 from a little on."""
     return max(0.0, 1.0 - _seen_share(arm, grid, image) / LITTLE_SEEN)
@@ -397,7 +392,7 @@ def diagnose(
                     f"picture {number}: its camera is on a link; the suggested pose is in the base frame, by "
                     "where this picture's `state` puts the link"
                 )
-            kept = self_filter(smaller, own, request.spheres, check_cancelled=check_cancelled).depth_mm
+            kept = self_filter(smaller, own, request.spheres).depth_mm
             rest_m = np.asarray(kept * 1e-3, dtype=np.float64)
             found += arm_found.findings or _of_rest(request, rest_m, number)
             # An arm that has moved is no reason why pictures should agree.

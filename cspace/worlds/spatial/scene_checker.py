@@ -252,29 +252,18 @@ def cover(
     if body.sphere is not None:
         return np.array([[0.0, 0.0, 0.0, body.sphere.radius_m]])
     own = bodies_of([replace(body, pose=HERE)], meshes)
-    low, high = _bounds(body, meshes)
+    # Of a mesh, a box or a cylinder, of which there is one.
+    corners = own.corners.reshape(-1, 3)
+    if not len(corners):
+        half = own.boxes[0, 12:15] if len(own.boxes) else own.cylinders[0, [12, 12, 13]]
+        corners = np.stack([-half, half])
+    low, high = corners.min(axis=0), corners.max(axis=0)
     x, y, z = high - low
     # Not far below the side at which so many squares cover the box round the body.
     cell_m = max(_CELL_M, 0.7 * float(np.sqrt(2.0 * (x * y + y * z + z * x) / most)))
     while len(found := _cells(own, low, high, cell_m, most)) > most:
         cell_m *= _COARSER
     return found
-
-
-def _bounds(
-    body: Body, meshes: Mapping[str, NDArray[np.float64]]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Lowest and highest corner (3,) in the body's own frame, m."""
-    if body.mesh is not None:
-        corners = meshes[body.mesh.file] * body.mesh.scale
-        return corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-    size_m = np.zeros(3)
-    if body.box is not None:
-        size_m = np.asarray(body.box.size_m)
-    elif body.cylinder is not None:
-        side = 2.0 * body.cylinder.radius_m
-        size_m = np.array([side, side, body.cylinder.length_m])
-    return -size_m / 2.0, size_m / 2.0
 
 
 def _cells(

@@ -234,7 +234,7 @@ class SpatialScene:
         spheres = None if self.state is None else self.arm.spheres_at(self.state)
         pictures = []
         for camera in self.cameras:
-            depth = render_depth(self.obstacles, camera, spheres).depth_m
+            depth = render_depth(self.obstacles, camera, spheres)
             read = depth if self.noise is None else NOISE_MODELS[self.noise](rng, depth, camera)
             if self.holes and rng.random() < self.holes:
                 with_holes = holed(rng, read)
