@@ -20,7 +20,7 @@ from cspace.world import Image, World
 from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.collision import CollisionChecker, seen_checkers
 from cspace.worlds.spatial.furniture import FAMILIES, GoalRegion, Layout
-from cspace.worlds.spatial.mesh_checker import Description, MeshChecker, RobotMeshes, panda_urdf
+from cspace.worlds.spatial.mesh_checker import MeshChecker, RobotMeshes, panda_urdf
 from cspace.worlds.spatial.obstacles import Box, Obstacles
 from cspace.worlds.spatial.poses import pose_of, vector
 from cspace.worlds.spatial.problems import draw_problem
@@ -247,16 +247,15 @@ def _found(world: SpatialWorld, request: ProblemRequest, family: str, index: int
 @lru_cache(maxsize=2)
 def _meshes(arm: SerialArm, folder: Path | None) -> RobotMeshes | None:
     urdf = panda_urdf()
-    if is_benchmarked(arm) and urdf is not None:
-        fingers = dict.fromkeys(("panda_finger_joint1", "panda_finger_joint2"), FINGERS_M)
-        description = Description(urdf, fingers)
-    elif arm.name == UR5 and folder is not None:
-        place = folder / "description"
-        description = Description(place / "ur5.urdf", packages=(place,))
-    else:
-        return None
     try:
-        return RobotMeshes(arm, description)
+        if is_benchmarked(arm) and urdf is not None:
+            return RobotMeshes(
+                arm, urdf, dict.fromkeys(("panda_finger_joint1", "panda_finger_joint2"), FINGERS_M)
+            )
+        if arm.name == UR5 and folder is not None:
+            place = folder / "description"
+            return RobotMeshes(arm, place / "ur5.urdf", packages=(place,))
     except (ScenarioError, ValueError):
         # Without Pinocchio, or a file of the description.
         return None
+    return None

@@ -176,6 +176,27 @@ def room_of(scene):  # type: ignore[no-untyped-def]
     )
 
 
+def _hit_test(distance: Any) -> Any:
+    @njit(cache=True, nogil=True, error_model="numpy")
+    def hits(row, arm, centres, bounds):  # type: ignore[no-untyped-def]
+        """Whether a sphere of a part that moves touches a shape, whose distance to points a kernel knows."""
+        for part in range(bounds.shape[0]):
+            if arm.bound_links[part] == 0:
+                continue
+            reach, x, y, z = arm.bound_radii[part], bounds[part, 0], bounds[part, 1], bounds[part, 2]
+            if is_beyond(x, y, z, row, reach) or distance(x, y, z, row) > reach:
+                continue
+            for at in range(arm.ranges[part, 0], arm.ranges[part, 1]):
+                if distance(centres[at, 0], centres[at, 1], centres[at, 2], row) <= arm.radii[at]:
+                    return True
+        return False
+
+    return hits
+
+
+_box_hits, _cylinder_hits = _hit_test(box_distance), _hit_test(cylinder_distance)
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def state_is_free(q, scene, room):  # type: ignore[no-untyped-def]
     """Whether one configuration (d,) is within its limits, clear of every obstacle and of itself."""
@@ -225,34 +246,6 @@ def _is_upright(row, frame):  # type: ignore[no-untyped-def]
     for at in range(3):
         cosine += row[3 + at] * (frame[at, 0] * row[0] + frame[at, 1] * row[1] + frame[at, 2] * row[2])
     return cosine >= row[6]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _box_hits(row, arm, centres, bounds):  # type: ignore[no-untyped-def]
-    for part in range(bounds.shape[0]):
-        if arm.bound_links[part] == 0:
-            continue
-        reach, x, y, z = arm.bound_radii[part], bounds[part, 0], bounds[part, 1], bounds[part, 2]
-        if is_beyond(x, y, z, row, reach) or box_distance(x, y, z, row) > reach:
-            continue
-        for at in range(arm.ranges[part, 0], arm.ranges[part, 1]):
-            if box_distance(centres[at, 0], centres[at, 1], centres[at, 2], row) <= arm.radii[at]:
-                return True
-    return False
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _cylinder_hits(row, arm, centres, bounds):  # type: ignore[no-untyped-def]
-    for part in range(bounds.shape[0]):
-        if arm.bound_links[part] == 0:
-            continue
-        reach, x, y, z = arm.bound_radii[part], bounds[part, 0], bounds[part, 1], bounds[part, 2]
-        if is_beyond(x, y, z, row, reach) or cylinder_distance(x, y, z, row) > reach:
-            continue
-        for at in range(arm.ranges[part, 0], arm.ranges[part, 1]):
-            if cylinder_distance(centres[at, 0], centres[at, 1], centres[at, 2], row) <= arm.radii[at]:
-                return True
-    return False
 
 
 KERNELS = SceneKernels(state_is_free, state_clearance, room_of)

@@ -134,20 +134,6 @@ def sphere_centres_batch(q, arm):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True, nogil=True)
-def self_distance_batch(q, arm):  # type: ignore[no-untyped-def]
-    """Signed distance of the closest spheres of parts that can touch, for (N, d) rad, (N,) m."""
-    out = np.empty(q.shape[0])
-    frames = np.empty((q.shape[1] + 1, 4, 4))
-    centres, bounds = np.empty(arm.centres.shape), np.empty(arm.bound_centres.shape)
-    for row in range(q.shape[0]):
-        link_frames_into(q[row], arm.origins, arm.axes, frames)
-        points_into(frames, arm.links, arm.centres, centres)
-        points_into(frames, arm.bound_links, arm.bound_centres, bounds)
-        out[row] = self_distance(centres, bounds, arm, np.inf)
-    return out
-
-
 _ANY, _ALONG, _FULL = 0, 1, 2
 # What an angle of 1 rad weighs beside places, m.
 _LEVER_M = 0.3

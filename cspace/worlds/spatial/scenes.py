@@ -1,7 +1,6 @@
 """Scenes of the spatial world: what stands about an arm, who looks at it, and where the arm is meanwhile."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -235,18 +234,6 @@ class SpatialScene:
                 read = with_holes if (with_holes > 0.0).any() else read
             pictures.append(to_mm(read))
         return DepthView(tuple(pictures), self.cameras, self.state)
-
-    def to_dict(self) -> dict[str, Any]:
-        return {
-            "robot": self.world.body.to_dict(),
-            "obstacles": self.obstacles.to_dict(),
-            "cameras": [camera.to_dict() for camera in self.cameras],
-            "state": None if self.state is None else list(self.state),
-            "noise": self.noise,
-            "noise_seed": self.noise_seed,
-            "regions": [region.to_dict() for region in self.regions],
-            "holes": self.holes,
-        }
 
 
 def draw_scene(rng: np.random.Generator, world: SpatialWorld, split: Split, index: int) -> SpatialScene:
