@@ -163,23 +163,23 @@ def least_novelty(arm: SerialArm, grid: GridBox, image: Image) -> float:
     return max(0.0, 1.0 - _seen_share(arm, grid, image) / LITTLE_SEEN)
 
 
-def start_findings(arm: SerialArm, grid: GridBox, image: Image, start: ArrayLike) -> tuple[Finding, ...]:
-    """Of a picture without `state`: whether the arm seems to stand in it where a plan starts, (d,) rad."""
-    spheres = arm.spheres_at(start)[arm.sphere_links() > 0]
-    if not _are_solid(grid, image, spheres):
-        return ()
-    seen = "surfaces stand inside the arm at the start, and no `state` was sent"
-    effect = "the arm's pixels count as obstacles away from the start, and may hide every path"
-    return (Finding(ARM_IN_PICTURE, seen, effect, _STATE),)
+def state_findings(
+    arm: SerialArm, grid: GridBox, image: Image | None, start: ArrayLike | None, colliding: float
+) -> Iterator[Finding]:
+    """Of a picture without `state`, in which the arm may stand where a plan starts, (d,) rad.
 
-
-def colliding_findings(share: float) -> tuple[Finding, ...]:
-    """Of a picture without `state`: whether most of many configurations are held to collide."""
-    if share < _MOST_COLLIDE:
-        return ()
-    seen = f"{share:.0%} of the configurations are held to collide, and no `state` was sent"
-    effect = "if the arm is in a picture, its pixels count as obstacles"
-    return (Finding("most-collide", seen, effect, _STATE),)
+    ``colliding``: the share of many configurations that are held to collide.
+    """
+    if colliding >= _MOST_COLLIDE:
+        seen = f"{colliding:.0%} of the configurations are held to collide, and no `state` was sent"
+        effect = "if the arm is in a picture, its pixels count as obstacles"
+        yield Finding("most-collide", seen, effect, _STATE)
+    if image is None or start is None:
+        return
+    if _are_solid(grid, image, arm.spheres_at(start)[arm.sphere_links() > 0]):
+        seen = "surfaces stand inside the arm at the start, and no `state` was sent"
+        effect = "the arm's pixels count as obstacles away from the start, and may hide every path"
+        yield Finding(ARM_IN_PICTURE, seen, effect, _STATE)
 
 
 @lru_cache(maxsize=16)

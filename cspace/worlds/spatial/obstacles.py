@@ -84,7 +84,9 @@ def body_arrays(
     lows, highs, rights, firsts, counts = zip(*nodes, strict=True) if nodes else ((),) * 5
     every = np.concatenate(centres)
     return BodyArrays(
-        *kinds,
+        kinds[0],
+        kinds[1],
+        kinds[2],
         np.concatenate(ordered),
         np.asarray(lows, dtype=np.float64).reshape(-1, 3),
         np.asarray(highs, dtype=np.float64).reshape(-1, 3),

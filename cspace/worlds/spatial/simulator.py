@@ -12,7 +12,6 @@ from scipy.spatial import ConvexHull
 from cspace.errors import ScenarioError
 from cspace.simulator import (
     UNIFORM,
-    Checker,
     Families,
     Measures,
     PathSearch,
@@ -97,15 +96,14 @@ class SpatialSimulator(Simulator):
     def picture_file(self, scene: Scene) -> bytes:
         return write_view(cast("SpatialScene", scene).view())
 
-    def checker(self, scene: Scene) -> Checker:
+    def checker(self, scene: Scene) -> CollisionChecker:
         found = cast("SpatialScene", scene)
         return CollisionChecker(found.world.body, found.obstacles)
 
     def proposals(self, scene: Scene, rng: np.random.Generator, count: int) -> Proposals:
         found = cast("SpatialScene", scene)
         start = None if found.state is None else np.asarray(found.state)
-        checker = CollisionChecker(found.world.body, found.obstacles)
-        return draw_proposals(checker, found.regions, start, rng, count)
+        return draw_proposals(self.checker(scene), found.regions, start, rng, count)
 
     def group_hits(
         self, arrays: Mapping[str, NDArray[Any]], configurations: ArrayLike, groups: int
@@ -120,11 +118,10 @@ class SpatialSimulator(Simulator):
         del free
         found = cast("SpatialScene", scene)
         state = None if found.state is None else np.asarray(found.state)
-        checker = CollisionChecker(found.world.body, found.obstacles)
-        return Ends(checker, found.regions, rng).pairs(count, state)
+        return Ends(self.checker(scene), found.regions, rng).pairs(count, state)
 
     def path_search(self, scene: Scene) -> PathSearch:
-        checker = cast("CollisionChecker", self.checker(scene))
+        checker = self.checker(scene)
 
         def search(start: NDArray[np.float64], goal: NDArray[np.float64]) -> NDArray[np.float64] | None:
             return find_path(checker, start, goal, np.random.default_rng(0), PathLimits())

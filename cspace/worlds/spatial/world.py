@@ -27,12 +27,11 @@ from cspace.world import (
 )
 from cspace.worlds.spatial.arm import SerialArm, grouped, touching_sets
 from cspace.worlds.spatial.diagnosis import (
-    colliding_findings,
     diagnose,
     least_novelty,
     picture_findings,
     pose_findings,
-    start_findings,
+    state_findings,
     view_findings,
 )
 from cspace.worlds.spatial.furniture import SpatialScenes
@@ -83,10 +82,7 @@ class SpatialWorld(World):
         start: ArrayLike | None = None,
         colliding: float = 0.0,
     ) -> tuple[Finding, ...]:
-        found = colliding_findings(colliding)
-        if image is not None and start is not None:
-            found += start_findings(self.body, self.sensor.grid, image, start)
-        return found
+        return tuple(state_findings(self.body, self.sensor.grid, image, start, colliding))
 
     def observed(self, view: DepthView) -> NDArray[np.uint8]:
         """What a view says of the space about the arm, (X, Y, Z, 2)."""
