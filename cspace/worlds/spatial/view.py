@@ -1,7 +1,6 @@
 """What depth cameras saw of a scene, as arrays, and of untrusted view files and pictures. NumPy alone."""
 
 import io
-import json
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -68,13 +67,9 @@ class DepthView:
 
 
 def write_view(view: DepthView) -> bytes:
-    """The view file of a view."""
-    kept = (*PINHOLE, "pose")
-    cameras = [
-        {name: value for name, value in camera.to_dict().items() if name in kept} for camera in view.cameras
-    ]
-    known = None if view.known is None else json.dumps(view.known.to_dict()).encode()
-    return pack_view([encode_depth(picture) for picture in view.pictures], cameras, view.state, known=known)
+    """The view file of a view's pictures, cameras and state."""
+    cameras = [{name: one.to_dict()[name] for name in (*PINHOLE, "pose")} for one in view.cameras]
+    return pack_view([encode_depth(picture) for picture in view.pictures], cameras, view.state)
 
 
 def read_view(
