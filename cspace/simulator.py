@@ -337,4 +337,3 @@ class ProblemRequest:
     split: Split
     seed: int = 0
     folder: Path | None = None  # of problems that do not ship; None where none are needed
-    held: bool = False  # whether the robot holds what its goal grasps, and planners know this and the table

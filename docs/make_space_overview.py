@@ -17,7 +17,6 @@ from cspace.bundle import Bundle
 from cspace.errors import CspaceError
 from cspace.simulator import Problem, Split
 from cspace.worlds import checker_of, picture_file_of, simulator_of
-from cspace.worlds.spatial.simulator import draw_arm, draw_obstacles, draw_seen
 from cspace.worlds.spatial.view import DepthView, read_view
 from services.planner.plotting import GOAL, PATH, START
 
@@ -82,10 +81,11 @@ def draw(
     figure.colorbar(image, ax=taken, label="depth (m)", shrink=0.8)
     taken.set(xlabel="column (pixels)", ylabel="row (pixels)")
     scene: Any = problem.scenario
-    draw_seen(shown, seen, scene.world.sensor.grid)
-    draw_obstacles(shown, scene.obstacles, "none")
+    simulator = simulator_of(scene.world)
+    simulator.draw_picture(shown, seen)
+    simulator.draw_scene(shown, scene, "none")
     for configuration, colour in ((problem.start, START), (problem.goal, PATH)):
-        draw_arm(shown, scene.world.body, configuration, colour, 3)
+        simulator.draw_robot(shown, configuration, colour, 3)
     low, high = (np.asarray(one) for one in (scene.world.sensor.grid.low_m, scene.world.sensor.grid.high_m))
     shown.set(xlim=(low[0], high[0]), ylim=(low[2], high[2]))
     _predicted(predicted, *predictions, threshold)

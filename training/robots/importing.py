@@ -9,7 +9,8 @@ import numpy as np
 
 from cspace.errors import ScenarioError
 from cspace.worlds.spatial.arm import MAX_OVERLAP_M, MAX_SPHERES, Part, SerialArm
-from cspace.worlds.spatial.kinematics import arm_arrays, self_distance_batch
+from cspace.worlds.spatial.collision import CollisionChecker
+from cspace.worlds.spatial.obstacles import Obstacles
 from cspace.worlds.spatial.poses import moved
 from cspace.worlds.spatial.sensor import VOXEL_M, grid_of
 from training.robots.chain import Chain, Held, Limits, read_chain
@@ -270,7 +271,7 @@ def _touching(
             why = "neighbours" if pair in neighbours else f"SRDF: {disabled[pair]}"
             found.append(Touching(names, None, kept=False, why=why))
             continue
-        distances = self_distance_batch(sampled, arm_arrays(replace(arm, touching=(names,))))
+        distances = CollisionChecker(replace(arm, touching=(names,)), Obstacles()).clearance(sampled)
         share = float(np.mean(distances < 0.0))
         if pair in kept:
             why = "--keep"

@@ -18,12 +18,10 @@ from cspace.files import Record, parse_json, read_object, replacing, validated
 from cspace.simulator import Problem, ProblemRequest, Split, UnseenPolicy
 from cspace.world import Image, World
 from cspace.worlds.spatial.arm import SerialArm
-from cspace.worlds.spatial.bodies import distance_m
 from cspace.worlds.spatial.collision import CollisionChecker, seen_checkers
 from cspace.worlds.spatial.furniture import FAMILIES, GoalRegion, Layout
-from cspace.worlds.spatial.mesh_checker import Description, MeshChecker, RobotMeshes, panda_urdf
-from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles
-from cspace.worlds.spatial.planning_scene import Attached, Body, BoxShape, CylinderShape, PlanningScene
+from cspace.worlds.spatial.mesh_checker import MeshChecker, RobotMeshes, panda_urdf
+from cspace.worlds.spatial.obstacles import Box, Obstacles
 from cspace.worlds.spatial.poses import pose_of, vector
 from cspace.worlds.spatial.problems import draw_problem
 from cspace.worlds.spatial.scenes import SpatialScene, scenes_of, seen
@@ -120,7 +118,6 @@ def write_problems(folder: Path, split: Split, found: Iterable[BenchProblem]) ->
 
 
 PREFIX = "motionbench_"
-_GRASPING = (f"{PREFIX}table_pick", f"{PREFIX}table_under_pick")
 # Of MotionBenchMaker's Panda, m.
 FINGERS_M = 0.065
 
@@ -141,10 +138,6 @@ class SpatialPartlySeen:
     def hard(self) -> tuple[str, ...]:
         return tuple(PREFIX + family for family in ("bookshelf_thin", "bookshelf_tall", "cage", "box"))
 
-    @property
-    def grasping(self) -> tuple[str, ...]:
-        return _GRASPING if has_problems(self.world.body) else ()
-
     def count(self, family: str, split: Split) -> int | None:
         return len(NUMBERS[split]) if family.startswith(PREFIX) else None
 
@@ -153,15 +146,10 @@ class SpatialPartlySeen:
         world = with_benchmark_limits(self.world) if family.startswith(PREFIX) else self.world
         layout, start, goal, number = _found(world, request, family, index)
         ends = np.array([start, goal])
-        known, holding = None, None
-        if request.held:
-            obstacles, known = in_hand(world.body, layout.obstacles, ends[1])
-            layout, holding = replace(layout, obstacles=obstacles), world.scene_checker(known).arm
-        if not CollisionChecker(holding or world.body, layout.obstacles).valid_batch(ends).all():
+        if not CollisionChecker(world.body, layout.obstacles).valid_batch(ends).all():
             return None
         rng = np.random.default_rng([25, pictures, *family.removeprefix(PREFIX).encode(), *number])
         scene = from_both_sides(rng, viewed(world, pictures), layout, ends[0])
-        scene = replace(scene, known=known, holding=holding)
         try:
             world.examined(scene.view())
         except ImageError:
@@ -171,7 +159,7 @@ class SpatialPartlySeen:
     def checkers(self, problem: Problem, image: Image, taken: UnseenPolicy) -> Sequence[CollisionChecker]:
         """Where unseen space is occupied, room is made for the arm at the start, where it stands."""
         scene = cast("SpatialScene", problem.scenario)
-        world, obstacles = replace(scene.world, body=scene.arm), scene.obstacles
+        world, obstacles = scene.world, scene.obstacles
         if taken is UnseenPolicy.KNOWN:
             return [CollisionChecker(world.body, obstacles)]
         ends = np.array([problem.start, problem.goal])
@@ -184,43 +172,15 @@ class SpatialPartlySeen:
         return seen_checkers(world, occupied, ends if taken is UnseenPolicy.CLEARED else ends[:1])
 
     def mesh_checker(self, problem: Problem, folder: Path | None = None) -> MeshChecker | None:
-        """By meshes of the arms that have problems; None for others, and where one holds something."""
+        """By meshes of the arms that have problems; None for others."""
         scene = cast("SpatialScene", problem.scenario)
-        meshes = _meshes(scene.world.body, folder) if scene.holding is None else None
+        meshes = _meshes(scene.world.body, folder)
         return None if meshes is None else meshes.among(scene.obstacles)
 
 
 def open_partly_seen(world: World) -> SpatialPartlySeen:
     """Of a world of this kind."""
     return SpatialPartlySeen(cast("SpatialWorld", world))
-
-
-def level_face(box: Box) -> float:
-    """Area of the face that looks up the most, square metres."""
-    up = int(np.argmax(np.abs(np.asarray(box.pose)[2, :3])))
-    return float(4.0 * np.prod(np.delete(box.half_m, up)))
-
-
-def body_of(name: str, shape: Box | Cylinder) -> Body:
-    """An obstacle as a planner knows it."""
-    if isinstance(shape, Box):
-        return Body(name, box=BoxShape(vector(2.0 * half for half in shape.half_m)), pose=shape.pose)
-    size = CylinderShape(shape.radius_m, 2.0 * shape.half_length_m)
-    return Body(name, cylinder=size, pose=shape.pose)
-
-
-def in_hand(
-    arm: SerialArm, obstacles: Obstacles, goal: NDArray[np.float64]
-) -> tuple[Obstacles, PlanningScene]:
-    """Obstacles without the nearest to the tool at a goal (d,) rad, which the arm holds; and the table."""
-    tool = arm.tool_frames(goal[None])[0]
-    grasped = min(obstacles.shapes, key=lambda one: float(distance_m(Obstacles.of([one]), tool[:3, 3])))
-    body = body_of("grasped", grasped)
-    pose = pose_of(np.linalg.inv(tool) @ body.matrix)
-    held = Attached(body.name, body.box, body.cylinder, pose=pose)
-    table = body_of("table", max(obstacles.boxes, key=level_face))
-    rest = Obstacles.of([one for one in obstacles.shapes if one is not grasped])
-    return rest, PlanningScene((table,), (held,))
 
 
 def is_benchmarked(arm: SerialArm) -> bool:
@@ -287,16 +247,15 @@ def _found(world: SpatialWorld, request: ProblemRequest, family: str, index: int
 @lru_cache(maxsize=2)
 def _meshes(arm: SerialArm, folder: Path | None) -> RobotMeshes | None:
     urdf = panda_urdf()
-    if is_benchmarked(arm) and urdf is not None:
-        fingers = dict.fromkeys(("panda_finger_joint1", "panda_finger_joint2"), FINGERS_M)
-        description = Description(urdf, fingers)
-    elif arm.name == UR5 and folder is not None:
-        place = folder / "description"
-        description = Description(place / "ur5.urdf", packages=(place,))
-    else:
-        return None
     try:
-        return RobotMeshes(arm, description)
+        if is_benchmarked(arm) and urdf is not None:
+            return RobotMeshes(
+                arm, urdf, dict.fromkeys(("panda_finger_joint1", "panda_finger_joint2"), FINGERS_M)
+            )
+        if arm.name == UR5 and folder is not None:
+            place = folder / "description"
+            return RobotMeshes(arm, place / "ur5.urdf", packages=(place,))
     except (ScenarioError, ValueError):
         # Without Pinocchio, or a file of the description.
         return None
+    return None

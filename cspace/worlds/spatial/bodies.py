@@ -4,8 +4,6 @@ A mesh is looked up in a tree of bounding boxes; a closed one is solid, an open 
 Source of the point's distance to a triangle: Ericson, Real-Time Collision Detection (2005), section 5.1.5.
 """
 
-from typing import Any, NamedTuple
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -15,7 +13,6 @@ from cspace.worlds.spatial.sensor import BEHIND_STEP_M, DISTANCE_STEP_M, FARTHES
 
 # What counts as farther than a bound is so much farther at least.
 _MORE_M = 1e-6
-_LEAF = 4
 _STACK = 96
 # Of a ray that meets no edge of usual meshes.
 _RAY = (0.5298129428260175, 0.6324555320336759, 0.5651003626478917)
@@ -31,7 +28,7 @@ def _outside_and_in(one, two, three):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def box_distance(x, y, z, row):  # type: ignore[no-untyped-def]
-    """Of a point to a row of :class:`ObstacleArrays` ``boxes``, m."""
+    """Of a point to a row of :class:`BodyArrays` ``boxes``, m."""
     px, py, pz = x - row[0], y - row[1], z - row[2]
     along_x = abs(row[3] * px + row[6] * py + row[9] * pz) - row[12]
     along_y = abs(row[4] * px + row[7] * py + row[10] * pz) - row[13]
@@ -41,7 +38,7 @@ def box_distance(x, y, z, row):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def cylinder_distance(x, y, z, row):  # type: ignore[no-untyped-def]
-    """Of a point to a row of :class:`ObstacleArrays` ``cylinders``, m."""
+    """Of a point to a row of :class:`BodyArrays` ``cylinders``, m."""
     px, py, pz = x - row[0], y - row[1], z - row[2]
     along = row[5] * px + row[8] * py + row[11] * pz
     # Never below zero but by rounding.
@@ -90,101 +87,6 @@ def distance_m(obstacles: Obstacles, points_m: ArrayLike) -> NDArray[np.float64]
 def clearance_m(obstacles: Obstacles, centres_m: ArrayLike, radii_m: ArrayLike) -> NDArray[np.float64]:
     """Least clearance of sets of spheres, (N,) m: (N, S, 3) centres, (S,) radii; inf without obstacles."""
     return np.asarray((distance_m(obstacles, centres_m) - np.asarray(radii_m)).min(axis=1, initial=np.inf))
-
-
-class BodyArrays(NamedTuple):
-    """K bodies as the kernels take them: boxes first, then cylinders, spheres and meshes."""
-
-    boxes: NDArray[np.float64]  # (B, 16), see :class:`cspace.worlds.spatial.obstacles.ObstacleArrays`
-    cylinders: NDArray[np.float64]  # (C, 15), likewise
-    spheres: NDArray[np.float64]  # (Q, 4) centres and radii, m
-    corners: NDArray[np.float64]  # (T, 3, 3) of all triangles, m, in the order of the trees' leaves
-    lows: NDArray[np.float64]  # (M, 3) lowest corner of each node's box
-    highs: NDArray[np.float64]  # (M, 3) highest corner
-    rights: NDArray[np.int64]  # (M,) the second child, the first is the next node; -1 of a leaf
-    firsts: NDArray[np.int64]  # (M,) a leaf's first triangle
-    counts: NDArray[np.int64]  # (M,) of a leaf's triangles
-    roots: NDArray[np.int64]  # (R,) of the meshes' trees
-    closed: NDArray[np.bool_]  # (R,) whether a mesh bounds a solid
-    centres: NDArray[np.float64]  # (K, 3) of a sphere round each body
-    reaches: NDArray[np.float64]  # (K,) its radius
-    exempt: NDArray[np.bool_]  # (P, K) parts of the arm that may touch a body
-
-
-def body_arrays(
-    boxes: NDArray[np.float64],
-    cylinders: NDArray[np.float64],
-    spheres: NDArray[np.float64],
-    meshes: list[NDArray[np.float64]],
-) -> BodyArrays:
-    """The arrays of bodies that no part of the arm may touch; meshes are corners (T, 3, 3) m."""
-    rounds = [(mesh.min(axis=(0, 1)), mesh.max(axis=(0, 1))) for mesh in meshes]
-    centres = [boxes[:, :3], cylinders[:, :3], spheres[:, :3]]
-    centres += [((low + high) / 2.0)[None] for low, high in rounds]
-    reaches = [boxes[:, -1], cylinders[:, -1], spheres[:, 3]]
-    reaches += [np.array([np.linalg.norm(high - low) / 2.0]) for low, high in rounds]
-    nodes: list[tuple[Any, ...]] = []
-    ordered: list[NDArray[np.float64]] = [np.empty((0, 3, 3))]
-    roots = []
-    for mesh in meshes:
-        roots.append(len(nodes))
-        order = _add_nodes(mesh, nodes, sum(map(len, ordered)))
-        ordered.append(mesh[order])
-    lows, highs, rights, firsts, counts = zip(*nodes, strict=True) if nodes else ((),) * 5
-    every = np.concatenate(centres)
-    return BodyArrays(
-        np.ascontiguousarray(boxes),
-        np.ascontiguousarray(cylinders),
-        np.ascontiguousarray(spheres),
-        np.ascontiguousarray(np.concatenate(ordered)),
-        np.asarray(lows, dtype=np.float64).reshape(-1, 3),
-        np.asarray(highs, dtype=np.float64).reshape(-1, 3),
-        np.asarray(rights, dtype=np.int64),
-        np.asarray(firsts, dtype=np.int64),
-        np.asarray(counts, dtype=np.int64),
-        np.asarray(roots, dtype=np.int64),
-        np.asarray([_is_closed(mesh) for mesh in meshes], dtype=np.bool_),
-        np.ascontiguousarray(every),
-        np.concatenate(reaches),
-        np.zeros((0, len(every)), dtype=np.bool_),
-    )
-
-
-def _add_nodes(mesh: NDArray[np.float64], nodes: list[tuple[Any, ...]], first: int) -> NDArray[np.int64]:
-    """Add the nodes of a mesh's tree; the order of its triangles, the first of which has a number."""
-    lows, highs = mesh.min(axis=1), mesh.max(axis=1)
-    middles = (lows + highs) / 2.0
-    leaves: list[NDArray[np.int64]] = []
-
-    def add(some: NDArray[np.int64]) -> None:
-        at = len(nodes)
-        box = lows[some].min(axis=0), highs[some].max(axis=0)
-        if len(some) <= _LEAF:
-            nodes.append((*box, -1, first + sum(map(len, leaves)), len(some)))
-            leaves.append(some)
-            return
-        nodes.append(())
-        axis = int(np.argmax(np.ptp(middles[some], axis=0)))
-        halves = np.argpartition(middles[some, axis], len(some) // 2)
-        add(some[halves[: len(some) // 2]])
-        right = len(nodes)
-        add(some[halves[len(some) // 2 :]])
-        nodes[at] = (*box, right, 0, 0)
-
-    add(np.arange(len(mesh)))
-    return np.concatenate(leaves)
-
-
-def _is_closed(mesh: NDArray[np.float64]) -> bool:
-    """Whether every edge belongs to two triangles, with corners that are equal taken as one."""
-    _, names = np.unique(mesh.reshape(-1, 3), axis=0, return_inverse=True)
-    names = names.reshape(-1, 3)
-    edges = np.sort(np.concatenate([names[:, [0, 1]], names[:, [1, 2]], names[:, [2, 0]]]), axis=1)
-    _, counts = np.unique(edges, axis=0, return_counts=True)
-    return bool((counts == 2).all())
-
-
-NO_BODIES = body_arrays(np.empty((0, 16)), np.empty((0, 15)), np.empty((0, 4)), [])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -403,24 +305,26 @@ def are_inside(centres, radii, bodies):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _span(centre, reach, low, voxel, count):  # type: ignore[no-untyped-def]
-    first = max(0, int(np.floor((centre - reach - low) / voxel)))
-    return first, min(count - 1, int(np.ceil((centre + reach - low) / voxel)))
+def reach_into(first, last, counts, low, voxel, centre, radius):  # type: ignore[no-untyped-def]
+    """Fill in the numbers of the first and last voxels whose centres may lie within a radius."""
+    for axis in range(3):
+        at = (centre[axis] - low[axis]) / voxel - 0.5
+        first[axis] = max(0, int(np.ceil(at - radius / voxel)))
+        last[axis] = min(counts[axis] - 1, int(np.floor(at + radius / voxel)))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def write_body(observed, low, voxel, number, bodies, is_free, first, last):  # type: ignore[no-untyped-def]
+def write_body(observed, low, voxel, number, bodies, is_free, begin, end):  # type: ignore[no-untyped-def]
     """Write a body into layers of an array (X, Y, Z, 2): its inside as seen free, or its surface as seen."""
     farthest = 0.0 if is_free else FARTHEST * DISTANCE_STEP_M
-    centre, reach = bodies.centres[number], bodies.reaches[number] + farthest
-    i0, i1 = _span(centre[0], reach, low[0], voxel, observed.shape[0])
-    j0, j1 = _span(centre[1], reach, low[1], voxel, observed.shape[1])
-    k0, k1 = _span(centre[2], reach, low[2], voxel, observed.shape[2])
-    for i in range(max(i0, first), min(i1 + 1, last)):
+    first, last = np.empty(3, np.int64), np.empty(3, np.int64)
+    reach = bodies.reaches[number] + farthest
+    reach_into(first, last, observed.shape, low, voxel, bodies.centres[number], reach)
+    for i in range(max(first[0], begin), min(last[0] + 1, end)):
         x = low[0] + (i + 0.5) * voxel
-        for j in range(j0, j1 + 1):
+        for j in range(first[1], last[1] + 1):
             y = low[1] + (j + 0.5) * voxel
-            for k in range(k0, k1 + 1):
+            for k in range(first[2], last[2] + 1):
                 away = body_distance(x, y, low[2] + (k + 0.5) * voxel, number, bodies, farthest)
                 if is_free:
                     if away <= 0.0:

@@ -11,7 +11,6 @@ from pydantic import BaseModel, Field, StrictFloat
 
 from cspace.errors import ImageError, ScenarioError
 from cspace.files import Record, encode_png, open_png, read_object, read_yaml, validated
-from cspace.world import CheckCancelled
 from cspace.worlds.spatial.poses import HERE, Pose, check_pose, make_pose, pose_of, read_pose
 
 MIN_SIDE, MAX_SIDE = 16, 2048
@@ -95,11 +94,6 @@ class DepthCamera(Record):
         )
 
 
-def read_camera(values: object) -> DepthCamera:
-    """The inverse of ``to_dict``."""
-    return read_object(DepthCamera, values, "the camera", ScenarioError)
-
-
 def looking(from_m: ArrayLike, at_m: ArrayLike, roll_rad: float = 0.0) -> NDArray[np.float64]:
     """(4, 4): the optical frame of a camera at one point (3,) m that looks at another, level without roll."""
     place = np.asarray(from_m, dtype=np.float64)
@@ -159,7 +153,7 @@ _CALIBRATED = {
     "camera_matrix": "k",
     "distortion_coefficients": "d",
 }
-# Rows that are undistorted at once, in some ms.
+# Rows that are undistorted at once, in little memory.
 _ROWS = 64
 _REMEDY = "send the camera in the base frame: x right, y down, z forward, pixel centres at whole numbers"
 
@@ -260,7 +254,6 @@ def undistorted(
     picture: NDArray[np.uint16],
     camera: DepthCamera,
     distortion: tuple[float, ...],
-    check_cancelled: CheckCancelled = lambda: None,
 ) -> NDArray[np.uint16]:
     """The picture (H, W) without its lens's distortion k1, k2, p1, p2, k3, k4, k5, k6, as far as there are.
 
@@ -299,7 +292,6 @@ def undistorted(
             np.where(inside, rows, 0).astype(np.intp), np.where(inside, columns, 0).astype(np.intp)
         ]
         found[top : top + len(y)] = np.where(inside, source, 0)
-        check_cancelled()
     return found
 
 
@@ -310,11 +302,9 @@ MIN_SCALE_M, MAX_SCALE_M = 1e-6, 1.0
 MAX_MM = 65_535
 
 
-def decode_depth(data: bytes, check_cancelled: CheckCancelled = lambda: None) -> NDArray[np.uint16]:
+def decode_depth(data: bytes) -> NDArray[np.uint16]:
     """An untrusted PNG as (H, W) uint16, mm along the optical axis, 0 where there is no reading."""
-    picture = open_png(data, _check)
-    check_cancelled()
-    return np.array(picture).astype(np.uint16)
+    return np.array(open_png(data, _check)).astype(np.uint16)
 
 
 def _check(picture: Image.Image) -> None:

@@ -11,8 +11,6 @@ from cspace.planning.kernels import SceneKernels
 from cspace.simulator import Checker
 from cspace.worlds.spatial.arm import SerialArm, grouped
 from cspace.worlds.spatial.bodies import (
-    NO_BODIES,
-    BodyArrays,
     bodies_clearance,
     bodies_hit,
     box_distance,
@@ -20,6 +18,7 @@ from cspace.worlds.spatial.bodies import (
     cylinder_distance,
     is_beyond,
     point_distance,
+    reach_into,
 )
 from cspace.worlds.spatial.kinematics import (
     ArmArrays,
@@ -30,7 +29,7 @@ from cspace.worlds.spatial.kinematics import (
     self_distance,
     sphere_centres_batch,
 )
-from cspace.worlds.spatial.obstacles import Obstacles
+from cspace.worlds.spatial.obstacles import NO_BODIES, BodyArrays, Obstacles
 from cspace.worlds.spatial.poses import moved
 from cspace.worlds.spatial.sensor import GridBox
 from cspace.worlds.spatial.visibility import distances_m
@@ -45,6 +44,8 @@ class DistanceGrid(NamedTuple):
     farthest: float  # what stands for all that is farther away, m
 
 
+# Parts that are farther apart do not touch.
+_APART_M = 1e-9
 NOTHING = DistanceGrid(np.empty((0, 0, 0), dtype=np.float32), np.zeros(3), 1.0, 0.0)
 
 
@@ -84,18 +85,13 @@ def _lerp(first, second, share):  # type: ignore[no-untyped-def]
 def make_room(grid, centres, radii, slack, plateau, slope):  # type: ignore[no-untyped-def]
     """Raise distances, in place, so that spheres (S, 3), (S,) m just fit where they are known to be free."""
     values, voxel = grid.values, grid.voxel
-    raised = np.zeros_like(values)
+    raised, first, last = np.zeros_like(values), np.empty(3, np.int64), np.empty(3, np.int64)
     for at in range(centres.shape[0]):
         lacks = radii[at] - grid_distance(centres[at, 0], centres[at, 1], centres[at, 2], grid)
         if lacks < 0.0:
             continue
         most = lacks + slack
-        reach = plateau + most / slope
-        first, last = np.empty(3, np.int64), np.empty(3, np.int64)
-        for axis in range(3):
-            low = (centres[at, axis] - reach - grid.low[axis]) / voxel - 0.5
-            first[axis] = max(0, int(np.ceil(low)))
-            last[axis] = min(values.shape[axis] - 1, int(np.floor(low + 2.0 * reach / voxel)))
+        reach_into(first, last, values.shape, grid.low, voxel, centres[at], plateau + most / slope)
         for i in range(first[0], last[0] + 1):
             x = grid.low[0] + (i + 0.5) * voxel - centres[at, 0]
             for j in range(first[1], last[1] + 1):
@@ -149,7 +145,7 @@ class SceneArrays(NamedTuple):
     """An arm of d joints among obstacles as the kernels take it."""
 
     arm: ArmArrays
-    boxes: NDArray[np.float64]  # (B, 16), see :class:`cspace.worlds.spatial.obstacles.ObstacleArrays`
+    boxes: NDArray[np.float64]  # (B, 16), see :class:`cspace.worlds.spatial.obstacles.BodyArrays`
     cylinders: NDArray[np.float64]  # (C, 15), likewise
     grid: DistanceGrid
     bodies: BodyArrays
@@ -180,6 +176,27 @@ def room_of(scene):  # type: ignore[no-untyped-def]
     )
 
 
+def _hit_test(distance: Any) -> Any:
+    @njit(cache=True, nogil=True, error_model="numpy")
+    def hits(row, arm, centres, bounds):  # type: ignore[no-untyped-def]
+        """Whether a sphere of a part that moves touches a shape, whose distance to points a kernel knows."""
+        for part in range(bounds.shape[0]):
+            if arm.bound_links[part] == 0:
+                continue
+            reach, x, y, z = arm.bound_radii[part], bounds[part, 0], bounds[part, 1], bounds[part, 2]
+            if is_beyond(x, y, z, row, reach) or distance(x, y, z, row) > reach:
+                continue
+            for at in range(arm.ranges[part, 0], arm.ranges[part, 1]):
+                if distance(centres[at, 0], centres[at, 1], centres[at, 2], row) <= arm.radii[at]:
+                    return True
+        return False
+
+    return hits
+
+
+_box_hits, _cylinder_hits = _hit_test(box_distance), _hit_test(cylinder_distance)
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def state_is_free(q, scene, room):  # type: ignore[no-untyped-def]
     """Whether one configuration (d,) is within its limits, clear of every obstacle and of itself."""
@@ -202,7 +219,7 @@ def state_is_free(q, scene, room):  # type: ignore[no-untyped-def]
             return False
     if grid_hits(scene.grid, arm, centres, bounds) or bodies_hit(scene.bodies, arm, centres, bounds):
         return False
-    return not _hits_itself(arm, centres, bounds)
+    return self_distance(centres, bounds, arm, _APART_M) > 0.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -213,7 +230,7 @@ def state_clearance(q, scene, room):  # type: ignore[no-untyped-def]
     link_frames_into(q, arm.origins, arm.axes, frames)
     points_into(frames, arm.bound_links, arm.bound_centres, bounds)
     points_into(frames, arm.links, arm.centres, centres)
-    least = min(grid_clearance(scene.grid, arm, centres), self_distance(centres, bounds, arm))
+    least = self_distance(centres, bounds, arm, grid_clearance(scene.grid, arm, centres))
     least = min(least, bodies_clearance(scene.bodies, arm, centres))
     for at in range(centres.shape[0]):
         if arm.links[at] > 0:
@@ -229,56 +246,6 @@ def _is_upright(row, frame):  # type: ignore[no-untyped-def]
     for at in range(3):
         cosine += row[3 + at] * (frame[at, 0] * row[0] + frame[at, 1] * row[1] + frame[at, 2] * row[2])
     return cosine >= row[6]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _box_hits(row, arm, centres, bounds):  # type: ignore[no-untyped-def]
-    for part in range(bounds.shape[0]):
-        if arm.bound_links[part] == 0:
-            continue
-        reach, x, y, z = arm.bound_radii[part], bounds[part, 0], bounds[part, 1], bounds[part, 2]
-        if is_beyond(x, y, z, row, reach) or box_distance(x, y, z, row) > reach:
-            continue
-        for at in range(arm.ranges[part, 0], arm.ranges[part, 1]):
-            if box_distance(centres[at, 0], centres[at, 1], centres[at, 2], row) <= arm.radii[at]:
-                return True
-    return False
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _cylinder_hits(row, arm, centres, bounds):  # type: ignore[no-untyped-def]
-    for part in range(bounds.shape[0]):
-        if arm.bound_links[part] == 0:
-            continue
-        reach, x, y, z = arm.bound_radii[part], bounds[part, 0], bounds[part, 1], bounds[part, 2]
-        if is_beyond(x, y, z, row, reach) or cylinder_distance(x, y, z, row) > reach:
-            continue
-        for at in range(arm.ranges[part, 0], arm.ranges[part, 1]):
-            if cylinder_distance(centres[at, 0], centres[at, 1], centres[at, 2], row) <= arm.radii[at]:
-                return True
-    return False
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _hits_itself(arm, centres, bounds):  # type: ignore[no-untyped-def]
-    for pair in range(arm.pairs.shape[0]):
-        i, j = arm.pairs[pair, 0], arm.pairs[pair, 1]
-        if not _touch(bounds, arm.bound_radii, i, bounds, arm.bound_radii, j, 0.0):
-            continue
-        for first in range(arm.ranges[i, 0], arm.ranges[i, 1]):
-            if not _touch(centres, arm.radii, first, bounds, arm.bound_radii, j, 0.0):
-                continue
-            for second in range(arm.ranges[j, 0], arm.ranges[j, 1]):
-                if _touch(centres, arm.radii, first, centres, arm.radii, second, arm.overlaps[pair]):
-                    return True
-    return False
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _touch(first, first_radii, i, second, second_radii, j, overlap):  # type: ignore[no-untyped-def]
-    x, y, z = first[i, 0] - second[j, 0], first[i, 1] - second[j, 1], first[i, 2] - second[j, 2]
-    reach = max(first_radii[i] + second_radii[j] - overlap, 0.0)
-    return x * x + y * y + z * z <= reach * reach
 
 
 KERNELS = SceneKernels(state_is_free, state_clearance, room_of)

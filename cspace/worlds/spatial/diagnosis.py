@@ -158,33 +158,28 @@ def view_findings(arm: SerialArm, sensor: DepthSensor, view: DepthView) -> tuple
     )
 
 
-def unseen_m(arm: SerialArm, grid: GridBox, image: Image) -> NDArray[np.float64]:
-    """(N, 3): centres of the voxels in reach that are not seen, free or at a surface, m in the base frame."""
-    return grid.centres_m()[_reach(arm, grid) & ~_seen(arm, grid, image)]
-
-
 def least_novelty(arm: SerialArm, grid: GridBox, image: Image) -> float:
     """How novel a picture (X, Y, Z, 2) is at least: 1 where nothing in reach is seen, 0 from a little on."""
     return max(0.0, 1.0 - _seen_share(arm, grid, image) / LITTLE_SEEN)
 
 
-def start_findings(arm: SerialArm, grid: GridBox, image: Image, start: ArrayLike) -> tuple[Finding, ...]:
-    """Of a picture without `state`: whether the arm seems to stand in it where a plan starts, (d,) rad."""
-    spheres = arm.spheres_at(start)[arm.sphere_links() > 0]
-    if not _are_solid(grid, image, spheres):
-        return ()
-    seen = "surfaces stand inside the arm at the start, and no `state` was sent"
-    effect = "the arm's pixels count as obstacles away from the start, and may hide every path"
-    return (Finding(ARM_IN_PICTURE, seen, effect, _STATE),)
+def state_findings(
+    arm: SerialArm, grid: GridBox, image: Image | None, start: ArrayLike | None, colliding: float
+) -> Iterator[Finding]:
+    """Of a picture without `state`, in which the arm may stand where a plan starts, (d,) rad.
 
-
-def colliding_findings(share: float) -> tuple[Finding, ...]:
-    """Of a picture without `state`: whether most of many configurations are held to collide."""
-    if share < _MOST_COLLIDE:
-        return ()
-    seen = f"{share:.0%} of the configurations are held to collide, and no `state` was sent"
-    effect = "if the arm is in a picture, its pixels count as obstacles"
-    return (Finding("most-collide", seen, effect, _STATE),)
+    ``colliding``: the share of many configurations that are held to collide.
+    """
+    if colliding >= _MOST_COLLIDE:
+        seen = f"{colliding:.0%} of the configurations are held to collide, and no `state` was sent"
+        effect = "if the arm is in a picture, its pixels count as obstacles"
+        yield Finding("most-collide", seen, effect, _STATE)
+    if image is None or start is None:
+        return
+    if _are_solid(grid, image, arm.spheres_at(start)[arm.sphere_links() > 0]):
+        seen = "surfaces stand inside the arm at the start, and no `state` was sent"
+        effect = "the arm's pixels count as obstacles away from the start, and may hide every path"
+        yield Finding(ARM_IN_PICTURE, seen, effect, _STATE)
 
 
 @lru_cache(maxsize=16)
@@ -397,7 +392,7 @@ def diagnose(
                     f"picture {number}: its camera is on a link; the suggested pose is in the base frame, by "
                     "where this picture's `state` puts the link"
                 )
-            kept = self_filter(smaller, own, request.spheres, check_cancelled=check_cancelled).depth_mm
+            kept = self_filter(smaller, own, request.spheres).depth_mm
             rest_m = np.asarray(kept * 1e-3, dtype=np.float64)
             found += arm_found.findings or _of_rest(request, rest_m, number)
             # An arm that has moved is no reason why pictures should agree.

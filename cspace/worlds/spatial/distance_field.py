@@ -6,7 +6,6 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace.world import CheckCancelled
 from cspace.worlds.spatial.camera import DepthCamera
 from cspace.worlds.spatial.sensor import DISTANCE_STEP_M, FARTHEST, GridBox
 
@@ -62,18 +61,16 @@ def patches(depth_m: NDArray[np.float32], camera: DepthCamera, grid: GridBox) ->
     return found.chosen(_firsts(found.points, grid.voxel_m / CELL_M, edge))
 
 
-def distance_codes(
-    found: Patches, grid: GridBox, check_cancelled: CheckCancelled = lambda: None
-) -> NDArray[np.uint8]:
+def distance_codes(found: Patches, grid: GridBox) -> NDArray[np.uint8]:
     """From each voxel's centre to the nearest patch, (X, Y, Z), in :data:`DISTANCE_STEP_M`, rounded."""
     codes = np.full(grid.counts, FARTHEST, dtype=np.uint8)
     for first in range(0, found.points.shape[1], _AT_ONCE):
         some = found.chosen(slice(first, first + _AT_ONCE))
-        np.minimum(codes, _codes(some, grid, check_cancelled), out=codes)
+        np.minimum(codes, _codes(some, grid), out=codes)
     return codes
 
 
-def _codes(found: Patches, grid: GridBox, check_cancelled: CheckCancelled) -> NDArray[np.uint8]:
+def _codes(found: Patches, grid: GridBox) -> NDArray[np.uint8]:
     """The same of so few patches that their numbers have room in a key."""
     codes = np.full(int(np.prod(grid.counts)), FARTHEST, dtype=np.uint8)
     limit = TRUNCATION_M / grid.voxel_m
@@ -81,7 +78,7 @@ def _codes(found: Patches, grid: GridBox, check_cancelled: CheckCancelled) -> ND
     room = 2 * _pad(limit)
     nearest = np.full([count + 2 * room for count in grid.counts], _NONE)
     scale = np.float32((1 << (32 - _ID_BITS)) - 1) / np.float32((limit + 2.0) ** 2)
-    _spread(nearest, found.points, limit, scale, check_cancelled)
+    _spread(nearest, found.points, limit, scale)
     inner = tuple(slice(room, -room) for _ in range(3))
     keys = nearest[inner].ravel()
     reached = np.flatnonzero(keys != _NONE)
@@ -183,11 +180,7 @@ def _firsts(points: NDArray[np.float32], cells: float, edge: float) -> NDArray[n
 
 
 def _spread(
-    nearest: NDArray[np.uint32],
-    points: NDArray[np.float32],
-    limit: float,
-    scale: np.float32,
-    check_cancelled: CheckCancelled,
+    nearest: NDArray[np.uint32], points: NDArray[np.float32], limit: float, scale: np.float32
 ) -> None:
     """Let every voxel have the least key near it: squared distance in the upper bits, number in the lower."""
     pad = _pad(limit)
@@ -208,7 +201,6 @@ def _spread(
         )
         index = start + (np.arange(-reach, reach + 1) + (x * across + y) * up)[:, None]
         np.minimum.at(flat, index.ravel(), key.ravel())
-        check_cancelled()
 
 
 def _pad(limit: float) -> int:

@@ -102,9 +102,8 @@ def points_into(frames, links, points, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def self_distance(centres, bounds, arm):  # type: ignore[no-untyped-def]
-    """Signed distance of the closest spheres (S, 3) of parts that can touch, m; inf where none can."""
-    least = np.inf
+def self_distance(centres, bounds, arm, least):  # type: ignore[no-untyped-def]
+    """Signed distance of the closest spheres (S, 3) of parts that can touch, m, or ``least``."""
     for pair in range(arm.pairs.shape[0]):
         i, j = arm.pairs[pair, 0], arm.pairs[pair, 1]
         if _gap(bounds, arm.bound_radii, i, bounds, arm.bound_radii, j) >= least:
@@ -132,20 +131,6 @@ def sphere_centres_batch(q, arm):  # type: ignore[no-untyped-def]
     for row in range(q.shape[0]):
         link_frames_into(q[row], arm.origins, arm.axes, frames)
         points_into(frames, arm.links, arm.centres, out[row])
-    return out
-
-
-@njit(cache=True, nogil=True)
-def self_distance_batch(q, arm):  # type: ignore[no-untyped-def]
-    """Signed distance of the closest spheres of parts that can touch, for (N, d) rad, (N,) m."""
-    out = np.empty(q.shape[0])
-    frames = np.empty((q.shape[1] + 1, 4, 4))
-    centres, bounds = np.empty(arm.centres.shape), np.empty(arm.bound_centres.shape)
-    for row in range(q.shape[0]):
-        link_frames_into(q[row], arm.origins, arm.axes, frames)
-        points_into(frames, arm.links, arm.centres, centres)
-        points_into(frames, arm.bound_links, arm.bound_centres, bounds)
-        out[row] = self_distance(centres, bounds, arm)
     return out
 
 

@@ -1,9 +1,9 @@
 """Collision checks of a serial arm by the meshes of its description, with Pinocchio and coal."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, files
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -15,22 +15,32 @@ from cspace.worlds.spatial.obstacles import Box, Obstacles
 from cspace.worlds.spatial.poses import nearest_rotation
 
 
-@dataclass(frozen=True, slots=True)
-class Description:
-    """Where a robot's meshes are described."""
-
-    urdf: Path  # the file; packages that its meshes are named in are looked for in the folders above it
-    locked: Mapping[str, float] = field(default_factory=dict)  # values of joints that do not move, rad or m
-    packages: tuple[Path, ...] = ()
-
-
 class RobotMeshes:
-    """The meshes of an arm, loaded once for the checkers of many scenes, as its description has them."""
+    """The meshes of an arm, loaded once for the checkers of many scenes, as its description has them.
 
-    def __init__(self, arm: SerialArm, description: Description) -> None:
+    ``locked`` holds values of joints that do not move, rad or m; packages that meshes are named in are looked
+    for in ``packages``, then in the folders above the file.
+    """
+
+    def __init__(
+        self,
+        arm: SerialArm,
+        urdf: Path,
+        locked: Mapping[str, float] = MappingProxyType({}),
+        packages: Sequence[Path] = (),
+    ) -> None:
         self.arm = arm
         self.pin, self._coal = _libraries()
-        self.model, self.geometry = self._loaded(description)
+        file, folders = str(urdf.resolve()), [str(one) for one in (*packages, *urdf.resolve().parents)]
+        whole = self.pin.buildModelFromUrdf(file)
+        kind = self.pin.GeometryType.COLLISION
+        geometry = self.pin.buildGeomFromUrdf(whole, file, kind, package_dirs=folders)
+        values, numbers = self.pin.neutral(whole), [whole.getJointId(name) for name in locked]
+        for number, value in zip(numbers, locked.values(), strict=True):
+            joint = whole.joints[number]
+            held = value if joint.nq == 1 else (np.cos(value), np.sin(value))
+            values[joint.idx_q : joint.idx_q + joint.nq] = held
+        self.model, (self.geometry,) = self.pin.buildReducedModel(whole, [geometry], numbers, values)
         joints = [self.model.joints[self.model.getJointId(joint.name)] for joint in arm.joints]
         self._columns = [(joint.idx_q, joint.nq) for joint in joints]
         shapes: dict[str, list[int]] = {part.name: [] for part in arm.parts}
@@ -77,20 +87,6 @@ class RobotMeshes:
         for pair in pairs:
             geometry.addCollisionPair(self.pin.CollisionPair(*pair))
         return geometry
-
-    def _loaded(self, description: Description) -> tuple[Any, Any]:
-        urdf = description.urdf.resolve()
-        folders = [str(folder) for folder in (*description.packages, *urdf.parents)]
-        whole = self.pin.buildModelFromUrdf(str(urdf))
-        kind = self.pin.GeometryType.COLLISION
-        geometry = self.pin.buildGeomFromUrdf(whole, str(urdf), kind, package_dirs=folders)
-        values, numbers = self.pin.neutral(whole), [whole.getJointId(name) for name in description.locked]
-        for number, value in zip(numbers, description.locked.values(), strict=True):
-            joint = whole.joints[number]
-            held = value if joint.nq == 1 else (np.cos(value), np.sin(value))
-            values[joint.idx_q : joint.idx_q + joint.nq] = held
-        model, reduced = self.pin.buildReducedModel(whole, [geometry], numbers, values)
-        return model, reduced[0]
 
 
 class MeshChecker:

@@ -1,9 +1,8 @@
 """Obstacles in space: boxes and cylinders with a pose, as values and as arrays."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
-from typing import Annotated
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +13,7 @@ from cspace.files import Record, validated
 from cspace.worlds.spatial.poses import MAX_PLACE_M, Pose, check_pose, make_pose, pose_of, vector
 
 MAX_OBSTACLES = 1000
+_LEAF = 4
 _Size = Annotated[float, Field(gt=0.0, le=MAX_PLACE_M, strict=True)]
 
 
@@ -40,14 +40,99 @@ class Cylinder(Record):
         check_pose(self.pose, "a cylinder")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ObstacleArrays:
-    """Obstacles as kernels take them, float64."""
+class BodyArrays(NamedTuple):
+    """K bodies as the kernels take them: boxes first, then cylinders, spheres and meshes."""
 
     # (B, 16): centre 3, rotation 9 (row by row, its columns are the box's axes), half sizes 3, radius of the
     # sphere round it
     boxes: NDArray[np.float64]
     cylinders: NDArray[np.float64]  # (C, 15): centre, rotation, radius, half length, sphere's radius
+    spheres: NDArray[np.float64]  # (Q, 4) centres and radii, m
+    corners: NDArray[np.float64]  # (T, 3, 3) of all triangles, m, in the order of the trees' leaves
+    lows: NDArray[np.float64]  # (M, 3) lowest corner of each node's box
+    highs: NDArray[np.float64]  # (M, 3) highest corner
+    rights: NDArray[np.int64]  # (M,) the second child, the first is the next node; -1 of a leaf
+    firsts: NDArray[np.int64]  # (M,) a leaf's first triangle
+    counts: NDArray[np.int64]  # (M,) of a leaf's triangles
+    roots: NDArray[np.int64]  # (R,) of the meshes' trees
+    closed: NDArray[np.bool_]  # (R,) whether a mesh bounds a solid
+    centres: NDArray[np.float64]  # (K, 3) of a sphere round each body
+    reaches: NDArray[np.float64]  # (K,) its radius
+    exempt: NDArray[np.bool_]  # (P, K) parts of the arm that may touch a body
+
+
+def body_arrays(
+    boxes: Sequence[ArrayLike],
+    cylinders: Sequence[ArrayLike],
+    spheres: Sequence[ArrayLike] = (),
+    meshes: Sequence[NDArray[np.float64]] = (),
+) -> BodyArrays:
+    """The arrays of bodies that no part of the arm may touch; meshes are corners (T, 3, 3) m."""
+    held = ((boxes, 16), (cylinders, 15), (spheres, 4))
+    kinds = [np.asarray(rows, dtype=np.float64).reshape(-1, width) for rows, width in held]
+    rounds = [(mesh.min(axis=(0, 1)), mesh.max(axis=(0, 1))) for mesh in meshes]
+    centres = [rows[:, :3] for rows in kinds] + [((low + high) / 2.0)[None] for low, high in rounds]
+    reaches = [rows[:, -1] for rows in kinds]
+    reaches += [np.array([np.linalg.norm(high - low) / 2.0]) for low, high in rounds]
+    nodes: list[tuple[Any, ...]] = []
+    ordered: list[NDArray[np.float64]] = [np.empty((0, 3, 3))]
+    roots = []
+    for mesh in meshes:
+        roots.append(len(nodes))
+        order = _add_nodes(mesh, nodes, sum(map(len, ordered)))
+        ordered.append(mesh[order])
+    lows, highs, rights, firsts, counts = zip(*nodes, strict=True) if nodes else ((),) * 5
+    every = np.concatenate(centres)
+    return BodyArrays(
+        kinds[0],
+        kinds[1],
+        kinds[2],
+        np.concatenate(ordered),
+        np.asarray(lows, dtype=np.float64).reshape(-1, 3),
+        np.asarray(highs, dtype=np.float64).reshape(-1, 3),
+        np.asarray(rights, dtype=np.int64),
+        np.asarray(firsts, dtype=np.int64),
+        np.asarray(counts, dtype=np.int64),
+        np.asarray(roots, dtype=np.int64),
+        np.asarray([_is_closed(mesh) for mesh in meshes], dtype=np.bool_),
+        every,
+        np.concatenate(reaches),
+        np.zeros((0, len(every)), dtype=np.bool_),
+    )
+
+
+def _add_nodes(mesh: NDArray[np.float64], nodes: list[tuple[Any, ...]], first: int) -> NDArray[np.int64]:
+    """Add the nodes of a mesh's tree; the order of its triangles, the first of which has a number."""
+    lows, highs = mesh.min(axis=1), mesh.max(axis=1)
+    middles = (lows + highs) / 2.0
+    leaves: list[NDArray[np.int64]] = []
+
+    def add(some: NDArray[np.int64]) -> None:
+        at = len(nodes)
+        box = lows[some].min(axis=0), highs[some].max(axis=0)
+        if len(some) <= _LEAF:
+            nodes.append((*box, -1, first + sum(map(len, leaves)), len(some)))
+            leaves.append(some)
+            return
+        nodes.append(())
+        axis = int(np.argmax(np.ptp(middles[some], axis=0)))
+        halves = np.argpartition(middles[some, axis], len(some) // 2)
+        add(some[halves[: len(some) // 2]])
+        right = len(nodes)
+        add(some[halves[len(some) // 2 :]])
+        nodes[at] = (*box, right, 0, 0)
+
+    add(np.arange(len(mesh)))
+    return np.concatenate(leaves)
+
+
+def _is_closed(mesh: NDArray[np.float64]) -> bool:
+    """Whether every edge belongs to two triangles, with corners that are equal taken as one."""
+    _, names = np.unique(mesh.reshape(-1, 3), axis=0, return_inverse=True)
+    names = names.reshape(-1, 3)
+    edges = np.sort(np.concatenate([names[:, [0, 1]], names[:, [1, 2]], names[:, [2, 0]]]), axis=1)
+    _, counts = np.unique(edges, axis=0, return_counts=True)
+    return bool((counts == 2).all())
 
 
 @validated(ScenarioError)
@@ -79,29 +164,25 @@ class Obstacles(Record):
         )
 
     @property
-    def arrays(self) -> ObstacleArrays:
+    def arrays(self) -> BodyArrays:
         """For kernels; not to be written to."""
         return _arrays(self)
 
 
 @lru_cache(maxsize=16)
-def _arrays(obstacles: Obstacles) -> ObstacleArrays:
+def _arrays(obstacles: Obstacles) -> BodyArrays:
     boxes = [kernel_row(one.pose, one.half_m) for one in obstacles.boxes]
     cylinders = [kernel_row(one.pose, (one.radius_m, one.half_length_m)) for one in obstacles.cylinders]
-    found = ObstacleArrays(
-        np.array(boxes, dtype=np.float64).reshape(-1, 16),
-        np.array(cylinders, dtype=np.float64).reshape(-1, 15),
-    )
-    found.boxes.setflags(write=False)
-    found.cylinders.setflags(write=False)
-    return found
+    return body_arrays(boxes, cylinders)
 
 
 def kernel_row(pose: ArrayLike, half_m: ArrayLike) -> NDArray[np.float64]:
-    """A row of :class:`ObstacleArrays`: a shape by its pose (4, 4), half sizes or radius and half length."""
+    """A row of :class:`BodyArrays`: a shape by its pose (4, 4), half sizes or radius and half length."""
     matrix, sizes = np.asarray(pose, dtype=np.float64), np.asarray(half_m, dtype=np.float64)
     return np.concatenate([matrix[:3, 3], matrix[:3, :3].ravel(), sizes, [np.hypot.reduce(sizes)]])
 
+
+NO_BODIES = body_arrays((), ())
 
 # Place 3, rotation 9 (row by row), half sizes 3; of cylinders radius and half length 2.
 BOX_VALUES, CYLINDER_VALUES = 15, 14

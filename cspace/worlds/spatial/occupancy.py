@@ -8,9 +8,10 @@ from scipy.ndimage import distance_transform_edt
 
 from cspace.kernel_cache import njit
 from cspace.query import DOUBTED
-from cspace.worlds.spatial.bodies import NO_BODIES
+from cspace.worlds.spatial.bodies import reach_into
 from cspace.worlds.spatial.collision import CollisionChecker, world_checkers
 from cspace.worlds.spatial.kinematics import arm_arrays, link_frames_into, points_into, sphere_centres_batch
+from cspace.worlds.spatial.obstacles import NO_BODIES
 from cspace.worlds.spatial.sensor import FREE
 from cspace.worlds.spatial.visibility import distances_m
 
@@ -72,7 +73,7 @@ class UnseenSpace:
 def _clear_into(values, low, voxel, centres, radii):  # type: ignore[no-untyped-def]
     first, last = np.empty(3, np.int64), np.empty(3, np.int64)
     for at in range(centres.shape[0]):
-        _reach_into(first, last, values.shape, low, voxel, centres[at], radii[at] + _ROOM_M)
+        reach_into(first, last, values.shape, low, voxel, centres[at], radii[at] + _ROOM_M)
         for i in range(first[0], last[0] + 1):
             for j in range(first[1], last[1] + 1):
                 for k in range(first[2], last[2] + 1):
@@ -92,7 +93,7 @@ def _highest(rows, arm, values, low, voxel):  # type: ignore[no-untyped-def]
         for at in range(centres.shape[0]):
             if arm.links[at] == 0:
                 continue
-            _reach_into(first, last, values.shape, low, voxel, centres[at], arm.radii[at])
+            reach_into(first, last, values.shape, low, voxel, centres[at], arm.radii[at])
             for i in range(first[0], last[0] + 1):
                 for j in range(first[1], last[1] + 1):
                     for k in range(first[2], last[2] + 1):
@@ -103,15 +104,6 @@ def _highest(rows, arm, values, low, voxel):  # type: ignore[no-untyped-def]
                             most = values[i, j, k]
         found[row] = most
     return found
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _reach_into(first, last, counts, low, voxel, centre, radius):  # type: ignore[no-untyped-def]
-    """Numbers of the first and last voxels whose centres may lie within a radius."""
-    for axis in range(3):
-        at = (centre[axis] - low[axis]) / voxel - 0.5
-        first[axis] = max(0, int(np.ceil(at - radius / voxel)))
-        last[axis] = min(counts[axis] - 1, int(np.floor(at + radius / voxel)))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -1,7 +1,6 @@
 """Depth pictures of a scene: exact ones by ray casting, and the noise of depth cameras."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,18 +10,11 @@ from cspace.kernel_cache import njit
 from cspace.worlds.spatial.camera import DepthCamera
 from cspace.worlds.spatial.obstacles import Obstacles
 
+Depth = NDArray[np.float32]
 MAX_RANGE_M = 4.0
 # Nearer than this a shape's window is the whole picture.
 _NEAR_M = 1e-3
 _TINY = 1e-12
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rendering:
-    """An exact depth picture."""
-
-    depth_m: NDArray[np.float32]  # (H, W) float32 along the optical axis; 0 where nothing is within range
-    robot: NDArray[np.bool_]  # (H, W) bool, which pixels show the robot
 
 
 def render_depth(
@@ -30,26 +22,24 @@ def render_depth(
     camera: DepthCamera,
     spheres: ArrayLike | None = None,
     max_range_m: float = MAX_RANGE_M,
-) -> Rendering:
-    """The exact depth picture, without noise, with a robot of spheres (S, 4) m in the base frame."""
+) -> Depth:
+    """The exact depths (H, W) m, 0 where nothing is within range; a robot's spheres (S, 4) m in the base."""
     arrays = obstacles.arrays
     robot = np.zeros((0, 4)) if spheres is None else np.asarray(spheres, dtype=np.float64).reshape(-1, 4)
     intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
     depth = np.full(camera.picture_shape, np.inf)
-    shown = np.zeros(camera.picture_shape, dtype=np.bool_)
-    _cast(depth, shown, intrinsics, camera.matrix, arrays.boxes, arrays.cylinders, robot)
-    read = depth <= max_range_m
-    return Rendering(np.where(read, depth, 0.0).astype(np.float32), shown & read)
+    _cast(depth, intrinsics, camera.matrix, arrays.boxes, arrays.cylinders, robot)
+    return np.where(depth <= max_range_m, depth, 0.0).astype(np.float32)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _cast(depth, shown, intrinsics, pose, boxes, cylinders, spheres):  # type: ignore[no-untyped-def]
+def _cast(depth, intrinsics, pose, boxes, cylinders, spheres):  # type: ignore[no-untyped-def]
     for index in range(boxes.shape[0]):
         _cast_box(depth, intrinsics, pose, boxes[index])
     for index in range(cylinders.shape[0]):
         _cast_cylinder(depth, intrinsics, pose, cylinders[index])
     for index in range(spheres.shape[0]):
-        _cast_sphere(depth, shown, intrinsics, pose, spheres[index])
+        _cast_sphere(depth, intrinsics, pose, spheres[index])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -159,7 +149,7 @@ def _cast_cylinder(depth, intrinsics, pose, row):  # type: ignore[no-untyped-def
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _cast_sphere(depth, shown, intrinsics, pose, sphere):  # type: ignore[no-untyped-def]
+def _cast_sphere(depth, intrinsics, pose, sphere):  # type: ignore[no-untyped-def]
     fx, fy, cx, cy = intrinsics
     centre, radius = np.zeros(3), sphere[3]
     for i in range(3):
@@ -178,10 +168,9 @@ def _cast_sphere(depth, shown, intrinsics, pose, sphere):  # type: ignore[no-unt
                 continue
             enter = (middle - np.sqrt(inside)) / square
             if 0.0 < enter < depth[v, u]:
-                depth[v, u], shown[v, u] = enter, True
+                depth[v, u] = enter
 
 
-Depth = NDArray[np.float32]
 # The formulae have poles at right angles; 85 degrees is about what a camera still reads.
 _STEEPEST_RAD = np.radians(85.0)
 # From where the angle adds to the axial noise (Nguyen, 60 degrees).

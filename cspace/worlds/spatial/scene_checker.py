@@ -11,17 +11,10 @@ from cspace.errors import InputError
 from cspace.view_file import MAX_MESHES, MAX_TRIANGLES
 from cspace.world import CheckCancelled, Contact
 from cspace.worlds.spatial.arm import MAX_SPHERES, TOOL, Part, SerialArm
-from cspace.worlds.spatial.bodies import (
-    BodyArrays,
-    are_inside,
-    body_arrays,
-    part_contact,
-    points_to_bodies,
-    write_body,
-)
+from cspace.worlds.spatial.bodies import are_inside, part_contact, points_to_bodies, write_body
 from cspace.worlds.spatial.collision import KERNELS, scene_arrays
 from cspace.worlds.spatial.kinematics import arm_arrays, sphere_centres_batch
-from cspace.worlds.spatial.obstacles import Obstacles, kernel_row
+from cspace.worlds.spatial.obstacles import BodyArrays, Obstacles, body_arrays, kernel_row
 from cspace.worlds.spatial.planning_scene import Attached, Body, BoxShape, PlanningScene
 from cspace.worlds.spatial.poses import HERE, moved, vector
 from cspace.worlds.spatial.sensor import NO_READING, OUT_OF_VIEW, GridBox
@@ -249,12 +242,7 @@ def bodies_of(bodies: Iterable[Body], meshes: Mapping[str, NDArray[np.float64]])
             spheres.append((*pose[:3, 3], one.sphere.radius_m))
         elif one.mesh is not None:
             triangles.append(moved(pose, meshes[one.mesh.file] * one.mesh.scale))
-    return body_arrays(
-        np.asarray(boxes, dtype=np.float64).reshape(-1, 16),
-        np.asarray(cylinders, dtype=np.float64).reshape(-1, 15),
-        np.asarray(spheres, dtype=np.float64).reshape(-1, 4),
-        triangles,
-    )
+    return body_arrays(boxes, cylinders, spheres, triangles)
 
 
 def cover(
@@ -264,29 +252,18 @@ def cover(
     if body.sphere is not None:
         return np.array([[0.0, 0.0, 0.0, body.sphere.radius_m]])
     own = bodies_of([replace(body, pose=HERE)], meshes)
-    low, high = _bounds(body, meshes)
+    # Of a mesh, a box or a cylinder, of which there is one.
+    corners = own.corners.reshape(-1, 3)
+    if not len(corners):
+        half = own.boxes[0, 12:15] if len(own.boxes) else own.cylinders[0, [12, 12, 13]]
+        corners = np.stack([-half, half])
+    low, high = corners.min(axis=0), corners.max(axis=0)
     x, y, z = high - low
     # Not far below the side at which so many squares cover the box round the body.
     cell_m = max(_CELL_M, 0.7 * float(np.sqrt(2.0 * (x * y + y * z + z * x) / most)))
     while len(found := _cells(own, low, high, cell_m, most)) > most:
         cell_m *= _COARSER
     return found
-
-
-def _bounds(
-    body: Body, meshes: Mapping[str, NDArray[np.float64]]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Lowest and highest corner (3,) in the body's own frame, m."""
-    if body.mesh is not None:
-        corners = meshes[body.mesh.file] * body.mesh.scale
-        return corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-    size_m = np.zeros(3)
-    if body.box is not None:
-        size_m = np.asarray(body.box.size_m)
-    elif body.cylinder is not None:
-        side = 2.0 * body.cylinder.radius_m
-        size_m = np.array([side, side, body.cylinder.length_m])
-    return -size_m / 2.0, size_m / 2.0
 
 
 def _cells(

@@ -25,7 +25,6 @@ from cspace.worlds.spatial.furniture import (
     standing,
 )
 from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles
-from cspace.worlds.spatial.planning_scene import PlanningScene
 from cspace.worlds.spatial.poses import make_pose, turned, vector
 from cspace.worlds.spatial.rendering import NOISE_MODELS, holed, render_depth
 from cspace.worlds.spatial.sensor import CameraViews
@@ -221,26 +220,20 @@ class SpatialScene:
     noise_seed: int = 0
     regions: tuple[GoalRegion, ...] = ()
     holes: float = 0.0
-    known: PlanningScene | None = None  # that planners know beside the pictures; None without anything
-    holding: SerialArm | None = None  # the arm with what is attached to it there; None where nothing is
-
-    @property
-    def arm(self) -> SerialArm:
-        return self.world.body if self.holding is None else self.holding
 
     def view(self) -> DepthView:
         rng = np.random.default_rng(self.noise_seed)
-        spheres = None if self.state is None else self.arm.spheres_at(self.state)
+        spheres = None if self.state is None else self.world.body.spheres_at(self.state)
         pictures = []
         for camera in self.cameras:
-            depth = render_depth(self.obstacles, camera, spheres).depth_m
+            depth = render_depth(self.obstacles, camera, spheres)
             read = depth if self.noise is None else NOISE_MODELS[self.noise](rng, depth, camera)
             if self.holes and rng.random() < self.holes:
                 with_holes = holed(rng, read)
                 # A picture that reads nothing at all is none.
                 read = with_holes if (with_holes > 0.0).any() else read
             pictures.append(to_mm(read))
-        return DepthView(tuple(pictures), self.cameras, self.state, known=self.known)
+        return DepthView(tuple(pictures), self.cameras, self.state)
 
 
 def draw_scene(rng: np.random.Generator, world: SpatialWorld, split: Split, index: int) -> SpatialScene:

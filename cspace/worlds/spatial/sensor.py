@@ -74,15 +74,10 @@ class GridBox(Record):
         return np.asarray(np.array(self.low_m) + self.voxel_m * (index + 0.5))
 
 
-def grid_of(arm: SerialArm, voxel_m: float | None = None) -> GridBox:
+def grid_of(arm: SerialArm) -> GridBox:
     """The cube about an arm's shoulder that holds all that the arm can touch, in voxels of 2.5 cm or more."""
     reach_m = shoulder_reach_m(arm)
-    if voxel_m is None:
-        voxel_m = max(VOXEL_M, float(np.ceil(1e3 * 2.0 * reach_m / _MOST_A_SIDE) / 1e3))
-    if not MIN_VOXEL_M <= voxel_m <= MAX_VOXEL_M:
-        raise ScenarioError(
-            "the grid does not fit", expected=f"voxels of {MIN_VOXEL_M} to {MAX_VOXEL_M} m", got=repr(voxel_m)
-        )
+    voxel_m = max(VOXEL_M, float(np.ceil(1e3 * 2.0 * reach_m / _MOST_A_SIDE) / 1e3))
     count = NETWORK_MULTIPLE * int(np.ceil(2.0 * reach_m / (NETWORK_MULTIPLE * voxel_m)))
     x, y, z = (float(place) - count * voxel_m / 2.0 for place in arm.joints[0].origin.xyz_m)
     return GridBox((x, y, z), voxel_m, (count, count, count))

@@ -12,7 +12,6 @@ from scipy.spatial import ConvexHull
 from cspace.errors import ScenarioError
 from cspace.simulator import (
     UNIFORM,
-    Checker,
     Families,
     Measures,
     PathSearch,
@@ -32,7 +31,7 @@ from cspace.worlds.spatial.obstacles import MAX_OBSTACLES, Box, Cylinder, Obstac
 from cspace.worlds.spatial.poses import Pose, make_pose, pose_of, turned, vector
 from cspace.worlds.spatial.problems import Ends, PathLimits, draw_problem, draw_proposals, find_path
 from cspace.worlds.spatial.scenes import SpatialScene, draw_scene, scenes_of, seen
-from cspace.worlds.spatial.sensor import DISTANCE_STEP_M, FREE, GridBox
+from cspace.worlds.spatial.sensor import DISTANCE_STEP_M, FREE
 from cspace.worlds.spatial.view import write_view
 from cspace.worlds.spatial.world import SpatialWorld, shipped, usual
 
@@ -40,37 +39,6 @@ from cspace.worlds.spatial.world import SpatialWorld, shipped, usual
 SIDE = (0, 2)
 _ROUND = 24
 _SURFACE = (0.77, 0.19, 0.19)
-
-
-def draw_obstacles(axes: Any, obstacles: Obstacles, colour: str) -> None:
-    """The outlines of obstacles, from the side, on axes of matplotlib."""
-    for one in obstacles.shapes:
-        corners = _corners(one)[:, SIDE]
-        outline = corners[ConvexHull(corners).vertices]
-        axes.fill(*outline.T, facecolor=colour, edgecolor="black", linewidth=0.4, alpha=0.35)
-    axes.set(aspect="equal", xlabel="x [m]", ylabel="z [m]")
-
-
-def draw_seen(axes: Any, observed: NDArray[np.uint8], grid: GridBox) -> None:
-    """An array (X, Y, Z, 2) from the side: surfaces that are seen in red, grey as far as space is unseen."""
-    surface = observed[..., 0].min(axis=1) * DISTANCE_STEP_M < grid.voxel_m / 2.0
-    unseen = (observed[..., 1] != FREE).mean(axis=1)
-    shown = np.repeat(1.0 - 0.6 * unseen[..., None], 3, axis=2)
-    shown[surface] = _SURFACE
-    (left, _, low), (right, _, high) = grid.low_m, grid.high_m
-    axes.imshow(shown.transpose(1, 0, 2), extent=(left, right, low, high), origin="lower")
-    axes.set(xlabel="x [m]", ylabel="z [m]")
-
-
-def draw_arm(axes: Any, arm: SerialArm, configuration: ArrayLike, colour: str, order: int) -> None:
-    """An arm's spheres, and the line through its joints, from the side, on axes of matplotlib."""
-    rows = np.atleast_2d(np.asarray(configuration, dtype=np.float64))
-    centres, radii = arm.sphere_centres_m(rows)[0][:, SIDE], arm.spheres_m()[:, 3]
-    angles = np.linspace(0.0, 2.0 * np.pi, _ROUND)
-    ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    for centre, radius in zip(centres, radii, strict=True):
-        axes.fill(*(centre + radius * ring).T, color=colour, alpha=0.15, linewidth=0, zorder=order)
-    axes.plot(*arm.joint_positions_m(rows)[0][:, SIDE].T, color=colour, linewidth=1.2, zorder=order)
 
 
 def _corners(shape: Box | Cylinder) -> NDArray[np.float64]:
@@ -128,15 +96,14 @@ class SpatialSimulator(Simulator):
     def picture_file(self, scene: Scene) -> bytes:
         return write_view(cast("SpatialScene", scene).view())
 
-    def checker(self, scene: Scene) -> Checker:
+    def checker(self, scene: Scene) -> CollisionChecker:
         found = cast("SpatialScene", scene)
-        return CollisionChecker(found.arm, found.obstacles)
+        return CollisionChecker(found.world.body, found.obstacles)
 
     def proposals(self, scene: Scene, rng: np.random.Generator, count: int) -> Proposals:
         found = cast("SpatialScene", scene)
         start = None if found.state is None else np.asarray(found.state)
-        checker = CollisionChecker(found.world.body, found.obstacles)
-        return draw_proposals(checker, found.regions, start, rng, count)
+        return draw_proposals(self.checker(scene), found.regions, start, rng, count)
 
     def group_hits(
         self, arrays: Mapping[str, NDArray[Any]], configurations: ArrayLike, groups: int
@@ -151,11 +118,10 @@ class SpatialSimulator(Simulator):
         del free
         found = cast("SpatialScene", scene)
         state = None if found.state is None else np.asarray(found.state)
-        checker = CollisionChecker(found.world.body, found.obstacles)
-        return Ends(checker, found.regions, rng).pairs(count, state)
+        return Ends(self.checker(scene), found.regions, rng).pairs(count, state)
 
     def path_search(self, scene: Scene) -> PathSearch:
-        checker = cast("CollisionChecker", self.checker(scene))
+        checker = self.checker(scene)
 
         def search(start: NDArray[np.float64], goal: NDArray[np.float64]) -> NDArray[np.float64] | None:
             return find_path(checker, start, goal, np.random.default_rng(0), PathLimits())
@@ -173,13 +139,31 @@ class SpatialSimulator(Simulator):
         return Problem(scene, found.start, found.goal, family, seed=seed, rejected=found.rejected)
 
     def draw_picture(self, axes: Any, picture: Image) -> None:
-        draw_seen(axes, picture, self.world.sensor.grid)
+        """From the side: surfaces that are seen in red, grey as far as space is unseen."""
+        grid = self.world.sensor.grid
+        surface = picture[..., 0].min(axis=1) * DISTANCE_STEP_M < grid.voxel_m / 2.0
+        unseen = (picture[..., 1] != FREE).mean(axis=1)
+        shown = np.repeat(1.0 - 0.6 * unseen[..., None], 3, axis=2)
+        shown[surface] = _SURFACE
+        (left, _, low), (right, _, high) = grid.low_m, grid.high_m
+        axes.imshow(shown.transpose(1, 0, 2), extent=(left, right, low, high), origin="lower")
+        axes.set(xlabel="x [m]", ylabel="z [m]")
 
     def draw_scene(self, axes: Any, scene: Scene, colour: str) -> None:
-        draw_obstacles(axes, cast("SpatialScene", scene).obstacles, colour)
+        for one in cast("SpatialScene", scene).obstacles.shapes:
+            corners = _corners(one)[:, SIDE]
+            outline = corners[ConvexHull(corners).vertices]
+            axes.fill(*outline.T, facecolor=colour, edgecolor="black", linewidth=0.4, alpha=0.35)
+        axes.set(aspect="equal", xlabel="x [m]", ylabel="z [m]")
 
     def draw_robot(self, axes: Any, configuration: ArrayLike, colour: str, order: int) -> None:
-        draw_arm(axes, self.world.body, configuration, colour, order)
+        """The arm's spheres, and the line through its joints."""
+        angles = np.linspace(0.0, 2.0 * np.pi, _ROUND)
+        ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        for sphere in self.world.body.spheres_at(configuration):
+            outline = sphere[list(SIDE)] + sphere[3] * ring
+            axes.fill(*outline.T, color=colour, alpha=0.15, linewidth=0, zorder=order)
+        axes.plot(*self.drawn_joints_m(configuration)[0].T, color=colour, linewidth=1.2, zorder=order)
 
     def drawn_joints_m(self, configurations: ArrayLike) -> NDArray[np.float64]:
         return self.world.body.joint_positions_m(np.atleast_2d(configurations))[..., SIDE]

@@ -1,7 +1,6 @@
 """What depth cameras saw of a scene, as arrays, and of untrusted view files and pictures. NumPy alone."""
 
 import io
-import json
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from cspace.errors import ImageError, ScenarioError
-from cspace.files import read_npy
+from cspace.files import read_npy, read_object
 from cspace.space import NEAR_LIMIT_RAD, JointSpace
 from cspace.view_file import View, check_counts, pack_view, unstamped
 from cspace.world import CheckCancelled
@@ -68,13 +67,9 @@ class DepthView:
 
 
 def write_view(view: DepthView) -> bytes:
-    """The view file of a view."""
-    kept = (*PINHOLE, "pose")
-    cameras = [
-        {name: value for name, value in camera.to_dict().items() if name in kept} for camera in view.cameras
-    ]
-    known = None if view.known is None else json.dumps(view.known.to_dict()).encode()
-    return pack_view([encode_depth(picture) for picture in view.pictures], cameras, view.state, known=known)
+    """The view file of a view's pictures, cameras and state."""
+    cameras = [{name: one.to_dict()[name] for name in (*PINHOLE, "pose")} for one in view.cameras]
+    return pack_view([encode_depth(picture) for picture in view.pictures], cameras, view.state)
 
 
 def read_view(
@@ -93,14 +88,15 @@ def read_view(
     known = None if file.known is None else read_planning_scene(file.known)
     pictures, cameras = [], []
     for one in file.pictures:
-        pictures.append(read_depth(one, file.depth_scale_m, check_cancelled))
+        pictures.append(read_depth(one, file.depth_scale_m))
         check_cancelled()
     state = state_of(file.state, len(pictures), arm.space)
     given = unstamped(file.cameras)[0]
     for number, values in enumerate(cameras_in_base(given, state, arm)):
         camera, distortion = read_pinhole(values, pictures[number].shape)
-        pictures[number] = undistorted(pictures[number], camera, distortion, check_cancelled)
+        pictures[number] = undistorted(pictures[number], camera, distortion)
         cameras.append(camera)
+        check_cancelled()
     on_link = tuple(at for at, values in enumerate(given) if isinstance(values, Mapping) and _LINK in values)
     return DepthView(tuple(pictures), tuple(cameras), state, on_link, known)
 
@@ -151,28 +147,20 @@ def _for_each(state: States, pictures: int) -> tuple[State | None, ...]:
 
 def state_of(values: object, pictures: int, space: JointSpace) -> States:
     """Where an arm was, of plain values: a configuration for all pictures, or one or None for each."""
-    if isinstance(values, list | tuple) and any(
-        one is None or isinstance(one, list | tuple) for one in values
-    ):
-        return _for_each(tuple(_configuration(one, space) for one in values), pictures)
-    return _configuration(values, space)
-
-
-def _configuration(values: object, space: JointSpace) -> State | None:
-    if values is None:
-        return None
-    fits = isinstance(values, list | tuple) and len(values) == space.dim
-    angles = [float(read_number(one, "state")) for one in values] if fits else []  # type: ignore[attr-defined]
-    if not fits:
-        raise ImageError(
-            "the state does not fit the robot",
-            expected=f"{space.dim} angles in rad within its limits",
-            got=repr(values)[:200],
-            remedy="send where the arm was when the pictures were taken, or leave it out if it is in none",
-        )
-    # An arm may stand a little beyond its limits, and there its pixels are.
-    space.admitted(angles, "the state does not fit the robot", ImageError, NEAR_LIMIT_RAD)
-    return tuple(angles)
+    what = "the state does not fit the robot"
+    found: States = read_object(cast("type[States]", States), values, "the state", ImageError)
+    for one in _for_each(found, pictures):
+        if one is not None and len(one) != space.dim:
+            raise ImageError(
+                what,
+                expected=f"{space.dim} angles in rad within its limits",
+                got=repr(one)[:200],
+                remedy="send where the arm was when the pictures were taken; leave it out if it is in none",
+            )
+        if one is not None:
+            # An arm may stand a little beyond its limits, and there its pixels are.
+            space.admitted(one, what, ImageError, NEAR_LIMIT_RAD)
+    return found
 
 
 _PNG, _NPY = b"\x89PNG", b"\x93NUMPY"
@@ -180,9 +168,7 @@ _BYTE_ORDERS = {b"II*\0": "<", b"MM\0*": ">"}
 _MOST_FIELDS, _MOST_VALUES = 64, 8192
 
 
-def read_depth(
-    data: bytes, depth_scale_m: object = None, check_cancelled: CheckCancelled = lambda: None
-) -> NDArray[np.uint16]:
+def read_depth(data: bytes, depth_scale_m: object = None) -> NDArray[np.uint16]:
     """An untrusted depth picture as (H, W) uint16, mm along the optical axis, 0 where there is no reading.
 
     ``data``: a 16-bit PNG, or float32 as TIFF or ``.npy``. ``depth_scale_m``: metres per unit; None for mm in
@@ -190,10 +176,9 @@ def read_depth(
     """
     scale_m = None if depth_scale_m is None else _read_scale(depth_scale_m)
     if data.startswith(_PNG):
-        units = decode_depth(data, check_cancelled)
+        units = decode_depth(data)
         return units if scale_m is None else to_mm(units, scale_m)
     depth = _read_npy(data) if data.startswith(_NPY) else _read_tiff(data)
-    check_cancelled()
     return to_mm(depth, 1.0 if scale_m is None else scale_m)
 
 

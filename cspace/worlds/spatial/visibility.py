@@ -4,9 +4,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
-from cspace.world import CheckCancelled
 from cspace.worlds.spatial.camera import MIN_SIDE, DepthCamera, in_range, resize_depth, to_m
 from cspace.worlds.spatial.distance_field import TRUNCATION_M, distance_codes, patches
 from cspace.worlds.spatial.sensor import (
@@ -26,10 +26,8 @@ _ALIKE, _SAME_M, _SAME_PER_M = 2, 0.03, 0.01
 _BESIDE_PX = 3
 # Nearer than this a sphere's window is the whole picture.
 _NEAREST_SPHERE_M = 0.01
-# Rays that are intersected at once, in some ms.
+# Rays that are intersected at once, in little memory.
 _AT_ONCE = 60_000
-# Points that are compared with known bodies at once.
-_POINTS = 512
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,15 +43,12 @@ def self_filter(
     camera: DepthCamera,
     spheres: ArrayLike,
     slack_m: float = SLACK_M,
-    check_cancelled: CheckCancelled = lambda: None,
 ) -> WithoutRobot:
     """Take the arm, spheres (S, 4) m, out of a depth picture (H, W) uint16 mm, 0 = no reading.
 
     A pixel is the arm's where its ray meets a sphere with its slack and its reading is not before that.
     """
-    begins = arm_depth_m(
-        camera, np.asarray(spheres, dtype=np.float64).reshape(-1, 4), check_cancelled, slack_m
-    )
+    begins = arm_depth_m(camera, np.asarray(spheres, dtype=np.float64).reshape(-1, 4), slack_m)
     shown = (depth_mm > 0) & (depth_mm * np.float32(1e-3) >= begins)
     return WithoutRobot(np.where(shown, np.uint16(0), depth_mm), np.where(shown, begins, np.float32(np.inf)))
 
@@ -63,23 +58,17 @@ def without_lone(surface_m: NDArray[np.float32], front_m: NDArray[np.float32]) -
     beside_arm = np.where(np.isfinite(front_m), np.float32(0.0), np.float32(np.inf))
     for _ in range(_BESIDE_PX):
         beside_arm = _widened(beside_arm)
-    wide = np.pad(surface_m, 1)
-    high, wide_of = surface_m.shape
+    around = sliding_window_view(np.pad(surface_m, 1), (3, 3))
     near = np.float32(_SAME_M) + np.float32(_SAME_PER_M) * surface_m**2
-    alike = np.zeros(surface_m.shape, dtype=np.uint8)
-    for down in range(3):
-        for across in range(3):
-            if (down, across) != (1, 1):
-                beside = wide[down : down + high, across : across + wide_of]
-                alike += (beside > 0) & (np.abs(beside - surface_m) <= near)
-    lone = np.isfinite(beside_arm) & (alike < _ALIKE)
+    alike = (around > 0) & (np.abs(around - surface_m[..., None, None]) <= near[..., None, None])
+    # A reading is like itself.
+    lone = np.isfinite(beside_arm) & (alike.sum(axis=(2, 3)) <= _ALIKE)
     return np.where(lone, np.float32(0.0), surface_m)
 
 
 def arm_depth_m(
     camera: DepthCamera,
     spheres: NDArray[np.float64],
-    check_cancelled: CheckCancelled = lambda: None,
     slack_m: float = 0.0,
 ) -> NDArray[np.float32]:
     """The arm as rendered: depth (H, W) m at which its first sphere of (S, 4) m begins, inf beside them."""
@@ -102,7 +91,6 @@ def arm_depth_m(
             (columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, centres[own], radii[own]
         )
         np.minimum.at(found, rows * camera.width + columns, depth.astype(np.float32))
-        check_cancelled()
     return found.reshape(camera.picture_shape)
 
 
@@ -271,7 +259,6 @@ def observe(
     grid: GridBox,
     spheres: ArrayLike | None = None,
     is_explained: Callable[[NDArray[np.float64]], NDArray[np.bool_]] | None = None,
-    check_cancelled: CheckCancelled = lambda: None,
 ) -> NDArray[np.uint8]:
     """What a depth picture (H, W) uint16 mm says of the space round an arm, (X, Y, Z, 2) uint8.
 
@@ -280,39 +267,14 @@ def observe(
     ``is_explained``: which surfaces (N, 3) m hide what is behind them and are none themselves.
     """
     smaller, camera = reduced(np.where(in_range(picture), picture, np.uint16(0)), camera)
-    check_cancelled()
-    kept = self_filter(
-        smaller, camera, np.empty((0, 4)) if spheres is None else spheres, check_cancelled=check_cancelled
-    )
+    kept = self_filter(smaller, camera, np.empty((0, 4)) if spheres is None else spheres)
     surface_m = without_lone(to_m(kept.depth_mm), kept.front_m)
-    shown = patches(_unexplained(surface_m, camera, is_explained, check_cancelled), camera, grid)
-    check_cancelled()
-    away = distance_codes(shown, grid, check_cancelled)
-    check_cancelled()
-    known = sight(surface_m, kept.front_m, camera, grid)
-    check_cancelled()
-    return np.stack((away, known), axis=-1)
-
-
-def _unexplained(
-    surface_m: NDArray[np.float32],
-    camera: DepthCamera,
-    is_explained: Callable[[NDArray[np.float64]], NDArray[np.bool_]] | None,
-    check_cancelled: CheckCancelled,
-) -> NDArray[np.float32]:
-    """The surfaces (H, W) m that are not explained, 0 for the others."""
-    if is_explained is None:
-        return surface_m
-    rows, columns = np.nonzero(surface_m)
-    pose = camera.matrix
-    points = camera.rays()[rows, columns] * surface_m[rows, columns, None] @ pose[:3, :3].T + pose[:3, 3]
-    found = surface_m.copy()
-    for first in range(0, len(points), _POINTS):
-        some = slice(first, first + _POINTS)
-        kept = ~is_explained(points[some])
-        found[rows[some], columns[some]] *= kept
-        check_cancelled()
-    return found
+    shown_m = surface_m.copy()
+    if is_explained is not None:
+        read = surface_m > 0.0
+        shown_m[read] *= ~is_explained(camera.points_m(surface_m)[read])
+    away = distance_codes(patches(shown_m, camera, grid), grid)
+    return np.stack((away, sight(surface_m, kept.front_m, camera, grid)), axis=-1)
 
 
 def fused(single: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:

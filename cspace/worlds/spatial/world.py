@@ -26,13 +26,11 @@ from cspace.world import (
 )
 from cspace.worlds.spatial.arm import SerialArm, grouped, touching_sets
 from cspace.worlds.spatial.diagnosis import (
-    colliding_findings,
     diagnose,
     least_novelty,
     picture_findings,
     pose_findings,
-    start_findings,
-    unseen_m,
+    state_findings,
     view_findings,
 )
 from cspace.worlds.spatial.furniture import SpatialScenes
@@ -83,18 +81,11 @@ class SpatialWorld(World):
         start: ArrayLike | None = None,
         colliding: float = 0.0,
     ) -> tuple[Finding, ...]:
-        found = colliding_findings(colliding)
-        if image is not None and start is not None:
-            found += start_findings(self.body, self.sensor.grid, image, start)
-        return found
+        return tuple(state_findings(self.body, self.sensor.grid, image, start, colliding))
 
     def observed(self, view: DepthView) -> NDArray[np.uint8]:
         """What a view says of the space about the arm, (X, Y, Z, 2)."""
         return fused(self._each(view, lambda: None))
-
-    def unseen_m(self, view: DepthView) -> NDArray[np.float64]:
-        """(N, 3): centres of the voxels in the arm's reach that no camera of the view sees, m."""
-        return unseen_m(self.body, self.sensor.grid, self.observed(view))
 
     def examined(self, view: DepthView, check_cancelled: CheckCancelled = lambda: None) -> Examined:
         """:meth:`observed`, (1, X, Y, Z, 2), with what is to be said of the view."""
@@ -141,12 +132,12 @@ class SpatialWorld(World):
         self, view: DepthView, check_cancelled: CheckCancelled, known: Any = None
     ) -> list[NDArray[np.uint8]]:
         arm, explained = (self.body, None) if known is None else (known.arm, known.explains)
-        # Several pictures may share a state.
-        spheres = {one: None if one is None else arm.spheres_at(one) for one in set(view.states)}
-        return [
-            observe(picture, camera, self.sensor.grid, spheres[state], explained, check_cancelled)
-            for picture, camera, state in zip(view.pictures, view.cameras, view.states, strict=True)
-        ]
+        found = []
+        for picture, camera, state in zip(view.pictures, view.cameras, view.states, strict=True):
+            check_cancelled()
+            spheres = None if state is None else arm.spheres_at(state)
+            found.append(observe(picture, camera, self.sensor.grid, spheres, explained))
+        return found
 
     def grid_arm(self, groups: int) -> GridArm:
         found, arm, grid = grouped(self.body, groups), self.body, self.sensor.grid

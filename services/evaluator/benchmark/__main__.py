@@ -100,8 +100,6 @@ def parser() -> argparse.ArgumentParser:
 def _add_plan_options(plans: argparse._ArgumentGroup) -> None:
     seen, four = "by which each is seen, at most 4 (default: 1 2 3)", number("1 to 4", 1, 4, int)
     plans.add_argument("--pictures", type=four, nargs="+", metavar="N", default=PICTURES, help=seen)
-    held = "of problems with a table alone: the robot holds what its goal grasps; planners know both"
-    plans.add_argument("--held", action="store_true", help=held)
     fetched = "of test problems that python -m training.motionbench fetch wrote"
     plans.add_argument("--problems-folder", type=Path, help=fetched)
 
@@ -133,7 +131,6 @@ def make_request(options: argparse.Namespace) -> Request:
         max_iterations,
         time_limit_s,
         world=world,
-        held=options.held,
     )
     variants, plans = _variants(options), setting.protocol is Protocol.PLANS
     folder = None if options.problems_folder is None else options.problems_folder.resolve()
@@ -181,7 +178,6 @@ def _plan_problems(options: argparse.Namespace, setting: Setting, folder: Path |
     if not options.bundle:
         raise ConfigError("no model plans", remedy="name one with --bundle")
     known = [family for families in seen.sources.values() for family in families]
-    known = list(seen.grasping) if options.held else known
     problems: dict[str, int] = {}
     for family in _wanted(options, known, known):
         most = seen.count(family, setting.split)

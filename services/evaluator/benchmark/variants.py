@@ -121,10 +121,7 @@ def pick(variants: Sequence[Variant], wanted: Sequence[str]) -> tuple[Variant, .
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """What all runs of a folder have in common.
-
-    With ``held`` the robot holds what goals grasp, and planners know it.
-    """
+    """What all runs of a folder have in common."""
 
     protocol: Protocol
     split: Split
@@ -132,7 +129,6 @@ class Setting:
     max_iterations: int
     time_limit_s: float
     world: World = field(default_factory=default_world)
-    held: bool = False
 
     @property
     def families(self) -> Families:
@@ -143,7 +139,7 @@ class Setting:
         """A unit's problem; None where an end of it collides."""
         if self.protocol is not Protocol.PLANS:
             return simulator_of(self.world).problem(unit.family, self.split, self.seed, unit.index)
-        request = ProblemRequest(self.split, self.seed, folder=unit.folder, held=self.held)
+        request = ProblemRequest(self.split, self.seed, folder=unit.folder)
         found: Problem | None = partly_seen(self.world).problem(
             request, unit.family, unit.index, max(1, unit.pictures)
         )

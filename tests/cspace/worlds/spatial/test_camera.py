@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from cspace.errors import ScenarioError
-from cspace.files import parse_json
-from cspace.worlds.spatial.camera import DepthCamera, looking, read_camera
+from cspace.files import read_object
+from cspace.worlds.spatial.camera import DepthCamera, looking
 from cspace.worlds.spatial.poses import HERE, pose_of
 
 POSE = looking((1.0, -0.8, 1.1), (0.4, 0.1, 0.3), 0.2)
@@ -70,8 +70,11 @@ def test_a_resized_picture_shows_points_at_the_same_share_of_its_width():
 
 
 def test_a_camera_comes_back_from_json_as_it_was():
-    assert read_camera(parse_json(json.dumps(CAMERA.to_dict()).encode())) == CAMERA
+    def read(values):
+        return read_object(DepthCamera, json.loads(json.dumps(values)), "the camera", ScenarioError)
+
+    assert read(CAMERA.to_dict()) == CAMERA
     whole = replace(CAMERA, fx=100, cx=30, pose=[[int(value) for value in row] for row in HERE])
-    assert read_camera(parse_json(json.dumps(whole.to_dict()).encode())) == whole
+    assert read(whole.to_dict()) == whole
     with pytest.raises(ScenarioError):
-        read_camera(CAMERA.to_dict() | {"skew": 0.0})
+        read(CAMERA.to_dict() | {"skew": 0.0})

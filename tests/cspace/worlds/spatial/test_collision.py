@@ -8,7 +8,6 @@ from cspace.worlds.spatial.arm import Joint, Part, SerialArm
 from cspace.worlds.spatial.bodies import clearance_m
 from cspace.worlds.spatial.collision import CollisionChecker
 from cspace.worlds.spatial.furniture import SpatialScenes
-from cspace.worlds.spatial.kinematics import arm_arrays, self_distance_batch
 from cspace.worlds.spatial.obstacles import Box, Obstacles
 from cspace.worlds.spatial.poses import make_pose, pose_of
 from cspace.worlds.spatial.scenes import draw_layout
@@ -35,7 +34,7 @@ def test_clearance_is_the_least_of_obstacles_and_the_arm_itself(checker, configu
     moving = PANDA.sphere_links() > 0
     centres, radii = PANDA.sphere_centres_m(configurations)[:, moving], PANDA.spheres_m()[moving, 3]
     apart = clearance_m(checker.obstacles, centres, radii)
-    itself = self_distance_batch(configurations, arm_arrays(PANDA))
+    itself = CollisionChecker(PANDA, Obstacles()).clearance(configurations)
     assert np.allclose(checker.clearance(configurations), np.minimum(apart, itself), atol=1e-12)
     assert (itself < apart).any()
     assert (apart < itself).any()

@@ -29,7 +29,7 @@ OBSTACLES = Obstacles.of((TABLE, FLOOR, box((0.6, 0.25, 0.32), (0.06, 0.06, 0.1)
 
 def taken(camera, state=STATE, obstacles=OBSTACLES):
     spheres = None if state is None else WORLD.body.spheres_at(state)
-    exact = render_depth(obstacles, camera, spheres).depth_m
+    exact = render_depth(obstacles, camera, spheres)
     return to_mm(structured_light(np.random.default_rng(1), exact, camera))
 
 
@@ -127,7 +127,8 @@ def test_what_the_arm_carries_is_found():
 
 def test_an_arm_that_reads_nothing_and_a_covered_lens_are_found():
     holes = PICTURE.copy()
-    holes[render_depth(OBSTACLES, CAMERA, WORLD.body.spheres_at(STATE)).robot] = 0
+    with_arm = render_depth(OBSTACLES, CAMERA, WORLD.body.spheres_at(STATE))
+    holes[with_arm != render_depth(OBSTACLES, CAMERA)] = 0
     assert "holes" in codes(replace(VIEW, pictures=(holes,)))
     covered = np.where(np.random.default_rng(0).random(PICTURE.shape) < 0.01, PICTURE, 0).astype(np.uint16)
     assert "blank" in codes(replace(VIEW, pictures=(covered,)))

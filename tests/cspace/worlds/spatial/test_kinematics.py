@@ -7,7 +7,6 @@ from cspace.worlds.spatial.collision import CollisionChecker
 from cspace.worlds.spatial.kinematics import (
     arm_arrays,
     link_frames_into,
-    self_distance_batch,
     sphere_centres_batch,
 )
 from cspace.worlds.spatial.obstacles import Obstacles
@@ -40,7 +39,7 @@ def test_kernels_give_what_numpy_gives() -> None:
 def test_self_distance_is_that_of_the_closest_spheres_of_a_pair() -> None:
     rng = np.random.default_rng(2)
     q = rng.uniform(PANDA.space.lower, PANDA.space.upper, (200, 7))
-    found = self_distance_batch(q, arm_arrays(PANDA))
+    found = CollisionChecker(PANDA, Obstacles()).clearance(q)
     centres, radii = PANDA.sphere_centres_m(q), PANDA.spheres_m()[:, 3]
     gaps = np.linalg.norm(centres[:, :, None] - centres[:, None], axis=-1) - radii[:, None] - radii
     names = np.repeat([part.name for part in PANDA.parts], [len(part.spheres_m) for part in PANDA.parts])
@@ -67,6 +66,6 @@ def test_spheres_of_two_parts_may_overlap_by_what_both_allow() -> None:
     q = np.array([[0.0, pi - 2.0 * np.arcsin(apart)] for apart in (0.295, 0.285)])
     for overlaps, found in (((0.004, 0.006), [0.005, -0.005]), ((0.004, None), [-0.005, -0.015])):
         allowed = arm(*overlaps)
-        np.testing.assert_allclose(self_distance_batch(q, arm_arrays(allowed)), found, atol=1e-9)
-        clear = CollisionChecker(allowed, Obstacles((), ())).valid_batch(q)
-        assert clear.tolist() == [one > 0.0 for one in found]
+        checker = CollisionChecker(allowed, Obstacles())
+        np.testing.assert_allclose(checker.clearance(q), found, atol=1e-9)
+        assert checker.valid_batch(q).tolist() == [one > 0.0 for one in found]

@@ -10,7 +10,7 @@ from cspace.simulator import Split
 from cspace.worlds.spatial.arm import Joint, Part, SerialArm
 from cspace.worlds.spatial.benchmark import problems
 from cspace.worlds.spatial.collision import CollisionChecker
-from cspace.worlds.spatial.mesh_checker import Description, RobotMeshes
+from cspace.worlds.spatial.mesh_checker import RobotMeshes
 from cspace.worlds.spatial.obstacles import Box, Cylinder, Obstacles
 from cspace.worlds.spatial.poses import Frame, pose_of
 from tests.cspace.worlds.spatial.test_robots import PANDA, UR5
@@ -37,7 +37,7 @@ REASON = "needs the extra spatial"
 def meshes(tmp_path: Path) -> RobotMeshes:
     pytest.importorskip("coal", reason=REASON)
     pytest.importorskip("pinocchio", reason=REASON)
-    return RobotMeshes(TWO, Description(described(tmp_path)))
+    return RobotMeshes(TWO, described(tmp_path))
 
 
 def block(x: float, z: float, half: float) -> Box:
@@ -64,7 +64,7 @@ def test_pairs_that_can_touch_are_held_apart(tmp_path: Path, meshes: RobotMeshes
     folded = [[0.0, 0.0], [0.0, pi], [0.0, -pi]]
     assert meshes.among(Obstacles()).valid_batch(folded).tolist() == [True, False, False]
     loose = SerialArm(TWO.name, TWO.joints, TWO.parts, (), TWO.tool)
-    checker = RobotMeshes(loose, Description(described(tmp_path))).among(Obstacles())
+    checker = RobotMeshes(loose, described(tmp_path)).among(Obstacles())
     assert checker.valid_batch(folded).all()
 
 
@@ -77,7 +77,7 @@ def published(urdf: str) -> Path:
 @pytest.fixture(scope="module")
 def panda() -> RobotMeshes:
     fingers = {f"panda_finger_joint{number}": 0.065 for number in (1, 2)}
-    return RobotMeshes(PANDA, Description(published("panda_description/urdf/panda.urdf"), fingers))
+    return RobotMeshes(PANDA, published("panda_description/urdf/panda.urdf"), fingers)
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +85,7 @@ def ur5() -> RobotMeshes:
     # A box of 1 cm at the flange: meshes are checked by their surfaces, which it does not touch inside them.
     pairs = tuple(pair for pair in UR5.touching if "ee_link" not in pair)
     urdf = published("ur_description/urdf/ur5_joint_limited_robot.urdf")
-    return RobotMeshes(replace(UR5, touching=pairs), Description(urdf))
+    return RobotMeshes(replace(UR5, touching=pairs), urdf)
 
 
 @pytest.mark.parametrize("robot", ["panda", "ur5"])

@@ -15,7 +15,8 @@ from cspace.worlds.spatial.benchmark import (
     write_problems,
 )
 from cspace.worlds.spatial.bodies import clearance_m
-from cspace.worlds.spatial.kinematics import arm_arrays, self_distance_batch
+from cspace.worlds.spatial.collision import CollisionChecker
+from cspace.worlds.spatial.obstacles import Obstacles
 from tests.cspace.worlds.spatial.test_robots import PANDA
 
 # By how much spheres that stick out by 10 mm reach into a shelf beside goals, mm.
@@ -39,14 +40,14 @@ def test_thirty_problems_of_seven_families_ship() -> None:
 
 
 def test_starts_and_goals_that_ship_are_free_but_for_two_tight_ones() -> None:
-    found, arrays, space = problems(Split.VALIDATION), arm_arrays(PANDA), PANDA.with_limits(LIMITS_RAD).space
+    found, space = problems(Split.VALIDATION), PANDA.with_limits(LIMITS_RAD).space
     ends = np.array([(one.start, one.goal) for one in found])
     assert (ends >= space.lower).all()
     assert (ends <= space.upper).all()
-    assert self_distance_batch(ends.reshape(-1, 7), arrays).min() > 0.003
+    assert CollisionChecker(PANDA, Obstacles()).clearance(ends.reshape(-1, 7)).min() > 0.003
     collides = {}
     for problem, pair in zip(found, ends, strict=True):
-        start, goal = clearance_m(problem.obstacles, PANDA.sphere_centres_m(pair), arrays.radii)
+        start, goal = clearance_m(problem.obstacles, PANDA.sphere_centres_m(pair), PANDA.spheres_m()[:, 3])
         assert start > 0.0
         if goal <= 0.0:
             collides[problem.family, problem.number] = round(1e3 * goal, 1)

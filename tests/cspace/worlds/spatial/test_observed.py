@@ -45,7 +45,7 @@ def slab(top_m, half_m=(3.0, 3.0), tilt=0.0):
 
 
 def seen(obstacles, *cameras, grid=GRID, spheres=None):
-    pictures = [to_mm(render_depth(obstacles, camera, spheres).depth_m) for camera in cameras]
+    pictures = [to_mm(render_depth(obstacles, camera, spheres)) for camera in cameras]
     return fused([observe(*one, grid, spheres) for one in zip(pictures, cameras, strict=True)])
 
 

@@ -6,7 +6,8 @@ import numpy as np
 import cspace.worlds.spatial
 from cspace.worlds.spatial.arm import SerialArm
 from cspace.worlds.spatial.benchmark import LIMITS_RAD
-from cspace.worlds.spatial.kinematics import arm_arrays, self_distance_batch
+from cspace.worlds.spatial.collision import CollisionChecker
+from cspace.worlds.spatial.obstacles import Obstacles
 
 ROBOTS = Path(cspace.worlds.spatial.__file__).with_name("robots")
 PANDA = SerialArm.from_dict(json.loads((ROBOTS / "panda.json").read_bytes()))
@@ -31,7 +32,7 @@ def test_the_pandas_spheres_hold_those_of_a_model_that_lies_inside_it() -> None:
 
 
 def test_the_panda_is_clear_of_itself_where_it_starts_and_its_pairs_are_those_of_its_srdf() -> None:
-    assert self_distance_batch(np.asarray(READY), arm_arrays(PANDA))[0] > 0.0
+    assert CollisionChecker(PANDA, Obstacles()).clearance(READY)[0] > 0.0
     pairs = {frozenset(pair) for pair in PANDA.touching}
     assert {"panda_link5", "panda_leftfinger"} in pairs
     for disabled in ("panda_hand", "panda_link7", "panda_link4"):
@@ -44,4 +45,4 @@ def test_the_ur5_has_the_geometry_of_its_makers_table() -> None:
     # Both to the maker's digits: the arm upright, and with its elbow at a right angle.
     np.testing.assert_allclose(up[:3, 3], [0.0, 0.19145, 0.08916 + 0.425 + 0.39225 + 0.09465], atol=2e-4)
     np.testing.assert_allclose(ready[:3, 3], [0.39225 + 0.09465, 0.10915, 0.43186], atol=2e-4)
-    assert self_distance_batch(np.asarray([UR5.ready_rad]), arm_arrays(UR5))[0] > 0.0
+    assert CollisionChecker(UR5, Obstacles()).clearance([UR5.ready_rad])[0] > 0.0

@@ -15,13 +15,15 @@ from cspace.view_file import MAX_TRIANGLES, pack_view, unpack_view
 from cspace.worlds import examples, partly_seen
 from cspace.worlds.spatial.arm import ready_rad
 from cspace.worlds.spatial.bodies import points_to_bodies
+from cspace.worlds.spatial.camera import DepthCamera, looking, to_mm
 from cspace.worlds.spatial.collision import CollisionChecker
 from cspace.worlds.spatial.obstacles import Obstacles
 from cspace.worlds.spatial.planning_scene import read_planning_scene, read_stl
+from cspace.worlds.spatial.rendering import render_depth
 from cspace.worlds.spatial.scene_checker import SceneChecker, bodies_of, cover
 from cspace.worlds.spatial.sensor import FREE
-from cspace.worlds.spatial.view import write_view
-from cspace.worlds.spatial.visibility import distances_m
+from cspace.worlds.spatial.view import DepthView, write_view
+from cspace.worlds.spatial.visibility import distances_m, lookup
 
 WORLD = examples()["panda"]
 ARM, GRID = WORLD.body, WORLD.sensor.grid
@@ -183,6 +185,18 @@ def test_known_bodies_are_in_the_picture_once_and_ignored_volumes_are_free():
     assert (nothing[..., 0] == 255).all()
     assert (plain[..., 0] < 255).any()
     assert WORLD.examine_picture(view_of({"scene": []})).images[0].tobytes() == plain.tobytes()
+
+
+def test_pixels_of_an_attached_body_are_removed_as_the_arms_are():
+    known = scene_of(attached=[{"name": "rod", "cylinder": {"radius_m": 0.03, "length_m": 0.3}}])
+    arm = SceneChecker(ARM, known).arm
+    camera = DepthCamera.of_field(96, 96, 60.0, looking((1.4, 0.9, 0.7), (0.4, 0.0, 0.4)))
+    picture = to_mm(render_depth(Obstacles(), camera, arm.spheres_at(READY)))
+    view = DepthView((picture,), (camera,), tuple(READY.tolist()))
+    end = arm.spheres_at(READY)[-1:, :3]
+    held = WORLD.examined(replace(view, known=known)).known
+    with_it, without = (lookup(one, GRID, end).distance_m[0] for one in (held.seen, WORLD.observed(view)))
+    assert without < 0.05 < with_it
 
 
 def tetrahedron(count=4, value=0.0):

@@ -28,7 +28,6 @@ def options(tmp_path, *given):
         (("--bundle", "m=x", "--family", "narrow"), "no such family"),
         (("--bundle", "m=x", "--robot", "two-link"), "seen in part"),
         (("--bundle", "m=x", "--robot", "ur5", "--family", "motionbench_cage"), "no such family"),
-        (("--bundle", "m=x", "--held", "--family", "motionbench_cage"), "no such family"),
         (("--bundle", f"m={PRETRAINED_FOLDER}"), "does not plan for this robot"),
     ],
 )
@@ -43,14 +42,11 @@ def test_test_problems_need_their_folder(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_request_holds_what_a_set_has_at_most_and_only_tables_with_a_held_body(tmp_path):
+def test_a_request_holds_what_a_set_has_at_most(tmp_path):
     given = ("--bundle", f"m={write_space_bundle(tmp_path / 'bundle')}")
     families = ("--family", "motionbench_cage", "--family", "shelf")
     request = make_request(options(tmp_path, *given, *families, "--problems", "40"))
     assert (request.problems, request.pictures) == ({"motionbench_cage": 30, "shelf": 40}, (1, 2, 3))
-    held = make_request(options(tmp_path, *given, "--held"))
-    assert set(held.problems) == {"motionbench_table_pick", "motionbench_table_under_pick"}
-    assert held.setting.held
 
 
 @pytest.mark.slow
