@@ -264,7 +264,8 @@ def search_paths(
         ]
         ranked = _ranked(ranked, space, seen.known)
     scored_ms = 1e3 * (time.monotonic() - searched)
-    return Searched(ranked, found.late, 1e3 * (searched - began), scored_ms, checker=found.checker)
+    reason = None if ranked or not paths else "each path that was found touches a known body"
+    return Searched(ranked, found.late, 1e3 * (searched - began), scored_ms, reason, found.checker)
 
 
 def planning_space(world: World, limits: Sequence[Sequence[float] | None] | None) -> JointSpace:

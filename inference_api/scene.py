@@ -39,7 +39,7 @@ from cspace_client.wire import (
     ScenarioInfo,
     ViewFields,
 )
-from inference_api.body import body_of
+from inference_api.request_body import body_of
 from inference_api.served_models import Models, ModelStore, ServedModel
 from services.names import ALIAS_CHAMPION, PATH_MODEL_NAME, model_of
 from services.registry.entities import ModelReference

@@ -12,7 +12,7 @@ from typing import Any
 from cspace.errors import CspaceError, InputError
 from services.commands import report_error, report_result
 from training.config import JobConfig
-from training.section import described
+from training.config_section import described
 
 # The exit code of a job that was asked to stop.
 STOPPED = 3

@@ -13,8 +13,8 @@ from cspace.files import project_error, read_yaml, read_yaml_file
 from cspace.world import World
 from services.names import model_name
 from services.registry.entities import ModelReference
+from training.config_section import AbsolutePath, RobotName, Section
 from training.data.config import DatasetConfig, GeneratedConfig, PathDatasetConfig
-from training.section import AbsolutePath, RobotName, Section
 
 
 def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from cspace import bounded
+from cspace import bounded_worker
 from cspace.bundle.files import (
     ENCODER_FILE,
     GOLDEN_FILE,
@@ -343,8 +343,8 @@ def verify(folder: Path, digest: str | None = None, limit_s: float = VERIFY_S) -
     """The digest of a bundle whose sums, digest, graphs and golden case hold in a worker process."""
     container = container_bytes()
     memory = MEMORY_BYTES if container is None else min(MEMORY_BYTES, int(container * CONTAINER_SHARE))
-    limits = bounded.Limits(memory, math.ceil(limit_s), limit_s)
-    found: str = bounded.call(
+    limits = bounded_worker.Limits(memory, math.ceil(limit_s), limit_s)
+    found: str = bounded_worker.call(
         checked_digest,
         str(folder.absolute()),
         digest,

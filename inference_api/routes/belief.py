@@ -10,9 +10,9 @@ from fastapi.responses import Response
 
 from cspace.bundle.spec import require_robot
 from cspace_client.wire import BeliefAnswer, ScoreTimingMs
-from inference_api.body import body_of, both_bodies
 from inference_api.limits import ComputePlace
 from inference_api.pictures import PreparedPictures
+from inference_api.request_body import body_of, both_bodies
 from inference_api.scene import (
     BeliefRequest,
     about,

@@ -9,9 +9,9 @@ from fastapi.responses import Response
 from cspace.bundle.spec import require_robot
 from cspace.errors import ImageError
 from cspace_client.wire import DoctorAnswer, DoctorTimingMs, ScenarioInfo, SuggestedPose, Verdict
-from inference_api.body import body_of, both_bodies
 from inference_api.limits import ComputePlace
 from inference_api.pictures import PreparedPictures
+from inference_api.request_body import body_of, both_bodies
 from inference_api.scene import (
     DoctorRequest,
     answer_responses,

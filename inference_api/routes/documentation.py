@@ -17,9 +17,9 @@ from starlette.exceptions import HTTPException
 from starlette.types import Scope
 
 from cspace_client.wire import OutcomesRequest, Problem
-from inference_api.body import FORM
 from inference_api.limits import HEALTH
 from inference_api.problems import NOT_FOUND, RequestError
+from inference_api.request_body import FORM
 from inference_api.scene import (
     BeliefRequest,
     DoctorRequest,

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from cspace.errors import InputError
 from cspace_client.wire import OutcomesAnswer, OutcomesRequest
-from inference_api.body import JSON, body_of
 from inference_api.problems import NO_OUTCOMES, RequestError
+from inference_api.request_body import JSON, body_of
 from inference_api.scene import REQUEST_ID_HEADER
 from inference_api.served_models import ServedModel
 from services.outcomes import Spool, matched, view_row

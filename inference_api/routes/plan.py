@@ -16,10 +16,10 @@ from cspace.query import Plan, PlanQuery, random_seed
 from cspace.space import LIMIT_TOLERANCE_RAD, JointSpace
 from cspace.world import ARM_IN_PICTURE, LITTLE_IN_REACH, Finding, World
 from cspace_client.wire import Alternative, Contact, LeastSure, PlanAnswer, PlanTimingMs, Trajectory
-from inference_api.body import body_of, both_bodies
 from inference_api.kernels import Kernels, needs_kernels
 from inference_api.limits import ComputePlace
 from inference_api.pictures import Prepared, PreparedPictures
+from inference_api.request_body import body_of, both_bodies
 from inference_api.routes.outcomes import keep_plan, key_name
 from inference_api.scene import (
     PlanRequest,

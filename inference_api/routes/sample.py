@@ -9,10 +9,10 @@ from fastapi.responses import Response
 from cspace.bundle.spec import fitted
 from cspace.query import SampleQuery, random_seed
 from cspace_client.wire import ProposalCounts, SampleAnswer, TimingMs
-from inference_api.body import body_of, both_bodies
 from inference_api.kernels import Kernels, needs_kernels
 from inference_api.limits import ComputePlace
 from inference_api.pictures import PreparedPictures
+from inference_api.request_body import body_of, both_bodies
 from inference_api.scene import (
     SampleRequest,
     WantsNpy,

@@ -14,10 +14,10 @@ from cspace.bundle.spec import fitted_configurations, require_robot
 from cspace.errors import InputError
 from cspace.files import read_npy
 from cspace_client.wire import MAX_EXPLAINED, MAX_SAMPLES, Contact, ScoreTimingMs, ValidityAnswer
-from inference_api.body import body_of, both_bodies
 from inference_api.kernels import Kernels
 from inference_api.limits import ComputePlace
 from inference_api.pictures import PreparedPictures
+from inference_api.request_body import body_of, both_bodies
 from inference_api.scene import (
     ValidityRequest,
     WantsNpy,

@@ -13,8 +13,8 @@ from cspace.errors import InputError
 from cspace.simulator import Checker, Simulator, Split
 from cspace.world import Scene, World
 from cspace.worlds import read_world, simulator_of
-from inference_api.body import body_of
 from inference_api.limits import ComputePlace
+from inference_api.request_body import body_of
 from inference_api.served_models import Models
 from services.registry.entities import ModelReference
 

@@ -10,7 +10,6 @@ import numpy as np
 import psutil
 import pytest
 
-from cspace import bounded
 from cspace.bundle import Bundle
 from cspace.bundle.files import read_files
 from cspace.bundle.load import load_verified, verify
@@ -36,7 +35,7 @@ def test_a_sound_bundle_is_opened_after_its_verification_in_a_worker_that_knows_
         seen.update(options["env"])  # type: ignore[call-overload]
         return real(command, **options)  # type: ignore[call-overload, no-any-return]
 
-    monkeypatch.setattr(bounded.subprocess, "Popen", note)
+    monkeypatch.setattr(bounded_worker.subprocess, "Popen", note)
     assert load_verified(folder).digest == read_files(folder).digest
     assert seen
     assert "secret" not in seen.values()

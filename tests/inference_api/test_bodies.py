@@ -14,8 +14,8 @@ import pytest
 
 from cspace.files import encode_png
 from cspace.worlds.spatial.camera import encode_depth
-from inference_api.body import MAX_FIELD_BYTES, MAX_FIELDS, MAX_FILES, MAX_JSON_BYTES
 from inference_api.limits import MAX_BODY_BYTES
+from inference_api.request_body import MAX_FIELD_BYTES, MAX_FIELDS, MAX_FILES, MAX_JSON_BYTES
 from tests.inference_api.answers import IMAGE, PNG, assert_answers, assert_problem
 from tests.inference_api.client import ApiClient
 

@@ -16,7 +16,7 @@ from typing import Any, get_args
 
 from pydantic import ValidationError
 
-from cspace import bounded
+from cspace import bounded_worker
 from cspace.dataset import Dataset, open_dataset
 from cspace.errors import ConfigError, CspaceError, DatasetError, ScenarioError
 from cspace.files import project_error
@@ -27,11 +27,11 @@ from services.registry import tracking_uri
 from services.scene_files import given_scenes, read_scene_file
 from training.data.config import USUAL_OF_ARMS, DatasetConfig
 from training.data.outcomes import import_outcomes
-from training.data.own import import_folder
+from training.data.own_data import import_folder
 from training.data.recordings import Imported, add_recording_options
 
 # Pictures of an import are arrays in memory, 1 MB each.
-IMPORT = bounded.Limits(memory_bytes=2**30, cpu_s=600, wall_s=600.0, file_bytes=2**31)
+IMPORT = bounded_worker.Limits(memory_bytes=2**30, cpu_s=600, wall_s=600.0, file_bytes=2**31)
 FOUND = 3
 _PARTS = ("robot", "robot_name", "camera", "scenes")
 
@@ -61,7 +61,7 @@ def run(arguments: Sequence[str]) -> tuple[str, int]:
 def _import_bounded(options: argparse.Namespace, arguments: Sequence[str]) -> tuple[str, int]:
     """The same for files of others, in a worker that the kernel bounds."""
     limit_s = getattr(options, "time_limit_s", IMPORT.wall_s)
-    found: tuple[str, int] = bounded.call(
+    found: tuple[str, int] = bounded_worker.call(
         run,
         list(arguments),
         limits=replace(IMPORT, cpu_s=max(1, math.ceil(limit_s)), wall_s=limit_s),
@@ -75,8 +75,8 @@ def _import_bounded(options: argparse.Namespace, arguments: Sequence[str]) -> tu
 def describe(dataset: Dataset) -> str:
     """What a data set holds, in lines."""
     counts = "\n".join(f"  {name:<16}{count}" for name, count in sorted(dataset.manifest.counts.items()))
-    joints = dataset.world.dim
-    return f"{dataset.folder}\n{counts}\n  joints          {joints}\n  digest          {dataset.digest}"
+    joints = f"  joints          {dataset.world.dim}"
+    return f"{dataset.folder}\n{counts}\n{joints}\n  digest          {dataset.digest}"
 
 
 def parser() -> argparse.ArgumentParser:
@@ -149,12 +149,8 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_world(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--arm", metavar="NAME|FILE", help="a robot's name, or what python -m training.robots import wrote"
-    )
-    parser.add_argument(
-        "--robot", type=Path, metavar="FILE", help="a scene file: its robot, camera and family of scenes"
-    )
+    parser.add_argument("--arm", metavar="NAME|FILE", help="a name, or what training.robots import wrote")
+    parser.add_argument("--robot", type=Path, metavar="FILE", help="a scene file: robot, camera, scenes")
 
 
 def _world_of(options: argparse.Namespace) -> World:

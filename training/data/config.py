@@ -14,7 +14,7 @@ from pydantic_core import CoreSchema
 from cspace.errors import InputError
 from cspace.world import Body, World
 from cspace.worlds import default_world, examples, named_world, part_types, usual_world
-from training.section import AbsolutePath, RobotName
+from training.config_section import AbsolutePath, RobotName
 
 # Counts on with every change of what worlds propose for labelling, and of how they are seen then.
 _PROPOSALS = 4

@@ -20,7 +20,7 @@ from cspace.worlds import robot_digest
 from services.names import VIEWS_FILE
 from services.outcomes import run_files, uploaded
 from services.registry.tracking import Tracking
-from training.data.own import read_picture
+from training.data.own_data import read_picture
 
 # One picture in so many is held out. A path's points are so far apart, and each so many of them is a row.
 HELD_OUT, _FINE_RAD, _EVERY = 5, 0.02, 5

@@ -1,7 +1,7 @@
 """Import of recordings of ROS 2, without ROS: view files, and a data set of the joint states.
 
 All stamps are those of the messages' headers. A recording is read in a worker that the kernel bounds
-(:mod:`cspace.bounded`), so nothing here counts what it holds.
+(:mod:`cspace.bounded_worker`), so nothing here counts what it holds.
 """
 
 import argparse

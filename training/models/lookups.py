@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from cspace.world import World
-from training.section import Section
+from training.config_section import Section
 
 
 class LookupConfig(Section):

@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cspace import bounded
+from cspace import bounded_worker
 from cspace.errors import ConfigError, CspaceError, ScenarioError
 from cspace.files import replacing
 from services.commands import finite, report_error
@@ -21,7 +21,7 @@ from training.robots.importing import import_robot
 from training.robots.spheres import Allowances
 
 # An import takes minutes for a large arm.
-IMPORT = bounded.Limits(memory_bytes=2**30, cpu_s=1200, wall_s=1800.0, file_bytes=2**26)
+IMPORT = bounded_worker.Limits(memory_bytes=2**30, cpu_s=1200, wall_s=1800.0, file_bytes=2**26)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -29,7 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = sys.argv[1:] if arguments is None else list(arguments)
     options = parser().parse_args(given)
     try:
-        lines: list[str] = bounded.call(
+        lines: list[str] = bounded_worker.call(
             run,
             given,
             limits=IMPORT,

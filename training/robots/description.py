@@ -2,7 +2,7 @@
 
 A xacro file holds Python expressions. They are evaluated only if all their parts are on a list
 (:func:`check`), and files are read only from the packages of the description. The expansion runs in a process
-that the kernel bounds (:mod:`cspace.bounded`).
+that the kernel bounds (:mod:`cspace.bounded_worker`).
 """
 
 import ast
@@ -21,11 +21,11 @@ from lxml import etree
 from pydantic import BaseModel, ValidationError
 from yourdfpy import URDF
 
-from cspace import bounded
+from cspace import bounded_worker
 from cspace.errors import ScenarioError
 from cspace.files import project_error, read_yaml_file
 
-XACRO = bounded.Limits(cpu_s=10, wall_s=30.0)
+XACRO = bounded_worker.Limits(cpu_s=10, wall_s=30.0)
 _UNUSED = ("inertial", "material", "dynamics", "calibration")
 # Elements that are read, and those that say nothing of limits, pairs or shapes.
 _KNOWN = {
@@ -221,7 +221,7 @@ def _read_xml(data: bytes, path: Path) -> Any:
 
 def _expanded(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, str]) -> bytes:
     folders = {name: str(folder.resolve()) for name, folder in packages.items()}
-    text: str = bounded.call(
+    text: str = bounded_worker.call(
         expand,
         str(path.resolve()),
         folders,

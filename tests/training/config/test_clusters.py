@@ -6,7 +6,7 @@ from cspace.errors import ConfigError
 from training import path_train
 from training.cluster_train import COMMAND
 from training.config import PathTrainConfig, TrainConfig
-from training.section import described
+from training.config_section import described
 
 OWN_ROBOT = "data.robot.link_lengths_m=[1.0, 1.0]"
 

@@ -27,7 +27,7 @@ import trimesh
 from lxml import etree
 from rosbags.rosbag2 import StoragePlugin
 
-from cspace import bounded
+from cspace import bounded_worker
 from cspace.errors import CspaceError, ServiceError
 from cspace.view_file import pack_view
 from cspace.worlds.spatial import world
@@ -44,7 +44,7 @@ from training.robots.description import read_description
 from training.robots.importing import import_robot
 from training.robots.spheres import Allowances
 
-LIMITS = bounded.Limits(memory_bytes=2**30, cpu_s=600, wall_s=900.0, file_bytes=2**26)
+LIMITS = bounded_worker.Limits(memory_bytes=2**30, cpu_s=600, wall_s=900.0, file_bytes=2**26)
 MOST_S, BATCH, SECRET = 30.0, 500, "secret-7f3a"
 OBJ = b"v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0 0 0.1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 URDF = TWO_LINKS.replace('<box size="0.04 0.06 0.1"/>', '<mesh filename="tip.obj" scale="1 1 1"/>')
@@ -274,7 +274,7 @@ class Forked:
                     os.dup2(pipe, number)
                 os.closerange(3, 64)
                 sys.stdin = os.fdopen(0, closefd=False)
-                bounded._main()
+                bounded_worker._main()
             finally:
                 os._exit(1)
         for pipe in (read, results, printed):
@@ -364,7 +364,9 @@ def run(kind: str, first: int, count: int) -> dict[str, Any]:
     for start in range(first, first + count, BATCH):
         size = min(BATCH, first + count - start)
         what = f"{kind} {start} to {start + size}"
-        found = bounded.call(try_mutants, kind, start, size, limits=LIMITS, what=what, error=ServiceError)
+        found = bounded_worker.call(
+            try_mutants, kind, start, size, limits=LIMITS, what=what, error=ServiceError
+        )
         outcomes.update(found["outcomes"])
         faults += found["faults"]
         slowest = max(slowest, found["slowest"])

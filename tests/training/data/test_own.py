@@ -10,7 +10,7 @@ from cspace.worlds.planar.camera import Camera
 from cspace.worlds.planar.simulator import render
 from cspace.worlds.planar.world import PlanarWorld
 from tests.scenarios import random_scenarios
-from training.data.own import import_folder
+from training.data.own_data import import_folder
 
 
 def fill(folder, robot=TWO_LINK, *, collision=True, extra=True):

@@ -12,7 +12,7 @@ from cspace.view_file import pack_view
 from tests.inference_api.test_depth_pictures import CAMERAS, FLOATS, IMAGES, OTHER_CAMERAS, STATE
 from tests.space_bundle import WORLD
 from training.data.__main__ import main
-from training.data.own import import_folder
+from training.data.own_data import import_folder
 
 ROWS = WORLD.space.sample_uniform(np.random.default_rng(3), 12)
 

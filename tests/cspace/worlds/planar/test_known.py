@@ -97,10 +97,11 @@ def test_a_path_that_touches_what_is_known_between_the_states_of_the_search_is_n
 
     def found(what):
         seen = Seen(PlanarWorld(TWO_LINK), what.seen, lambda rows: (np.ones(len(rows)), None), known=what)
-        return search_paths(seen, ends, PlanQuery(*map(tuple, ends), time_limit_s=60.0)).paths
+        return search_paths(seen, ends, PlanQuery(*map(tuple, ends), time_limit_s=60.0))
 
-    assert found(known)
-    assert not found(ThinWall(known.arm, known.names, known.discs, known.seen))
+    assert found(known).paths
+    blocked = found(ThinWall(known.arm, known.names, known.discs, known.seen))
+    assert (blocked.paths, blocked.reason) == ([], "each path that was found touches a known body")
 
 
 def view(**options):

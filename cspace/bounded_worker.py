@@ -73,7 +73,7 @@ def call(
     main = sys.modules["__main__"].__spec__
     module = main.name if function.__module__ == "__main__" and main else function.__module__
     job = json.dumps([module, function.__qualname__, arguments, asdict(limits)]).encode()
-    command = [sys.executable, "-P", "-m", "cspace.bounded"]
+    command = [sys.executable, "-P", "-m", "cspace.bounded_worker"]
     # Pipes: the limit of a file's size would hold for a log as well.
     with subprocess.Popen(
         command,
