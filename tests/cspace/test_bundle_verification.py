@@ -10,6 +10,7 @@ import numpy as np
 import psutil
 import pytest
 
+from cspace import bounded_worker
 from cspace.bundle import Bundle
 from cspace.bundle.files import read_files
 from cspace.bundle.load import load_verified, verify
