@@ -85,7 +85,7 @@ def path():
     ("make", "steps", "metrics", "total"),
     [
         (lambda: tiny_module(SEED), 5, {"critic_loss": -0.16721, "generator_loss": -0.13532}, 142.1694),
-        # One step alone: Adam's first goes by signs of gradients, and those of tiny ones hang on the processor.
+        # One step: Adam's first goes by signs of gradients, and those of tiny ones hang on the processor.
         (lambda: tiny_module(SEED, **PAPER), 1, {"critic_loss": 1.76769, "gradient_penalty": 0.25612}, None),
         (lambda: tiny_joint_module(SEED), 3, {"critic_loss": 0.3643, "kl": 3.09955}, 1039.3887),
         (guided, 5, {"critic_loss": -0.16716, "generator_loss": -0.23905}, 288.8506),
