@@ -36,6 +36,7 @@ def _joints(arm: SerialArm) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return origins, np.asarray([joint.axis for joint in arm.joints])
 
 
+@lru_cache(maxsize=16)
 def arm_arrays(arm: SerialArm) -> ArmArrays:
     """The arrays of an arm."""
     spheres = arm.spheres_m()
