@@ -92,7 +92,7 @@ def test_evaluations_stand_side_by_side_estimate_by_estimate(
     page: Page, server: str, experiment_id: str, jobs: list[RealJob]
 ) -> None:
     mlflow_pages.open_view(page, server, experiment_id, "evaluations", "ARTIFACT")
-    seen(page, "tables/measures.json", "validation uniform sampler reconstruction precision")
+    seen(page, "tables/measures.json", "validation uniform sampler reconstruction coverage")
     seen(page, f"{jobs[-1].version} judged, seed 0", f"{jobs[-2].version} judged, seed 0")
 
 

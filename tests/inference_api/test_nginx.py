@@ -83,7 +83,7 @@ def test_pages_that_are_not_for_everybody_and_other_names_do_not_reach_the_api(p
             link.sendall(head("GET", path).replace(b"localhost", NAME.encode()))
             assert one_answer(link).startswith(b"HTTP/1.1 404 ")
     with proxy.client() as client:
-        assert proxy.ask(client, "GET", "/models", headers={"host": "evil.example"}).status_code == 400
+        assert proxy.ask(client, "GET", "/models", headers={"host": "evil.example"}).status_code == 421
     with pytest.raises(ssl.SSLError, match=r"(?i)unrecognized.name"):
         proxy.connect("evil.example")
 

@@ -33,8 +33,8 @@ def run_job(uri, data_folder, *overrides, preset="smoke"):
     return submit(uri, data_folder, "--preset", preset, *settings)
 
 
-def submit(uri, data_folder, *arguments):
-    done = run_alone(uri, data_folder, str(ROOT / "training" / "cluster_train.py"), *arguments)
+def submit(uri, data_folder, *arguments, script="cluster_train.py"):
+    done = run_alone(uri, data_folder, str(ROOT / "training" / script), *arguments)
     assert done.returncode == 0, done.stdout + done.stderr
     return json.loads(done.stdout.rpartition("RESULT ")[2].splitlines()[0])
 
