@@ -234,9 +234,19 @@ def test_without_a_model_the_only_one_that_fits_pictures_and_joints_answers(
     assert "cell-4, panda-sampler" in problem["expected"]
 
 
-def test_a_refusal_names_the_body_that_is_in_the_way(api: ApiClient) -> None:
+def test_a_refusal_names_what_is_in_the_way_by_what_is_most_certain(api: ApiClient) -> None:
     tool = WORLD.body.frame_of("tool", np.array(GOAL))
     ball = {"name": "ball", "sphere": {"radius_m": 0.2}, "pose": tool.tolist()}
     known = ask(api, page="/plan", **ENDS, scene=json.dumps([ball])).json()["reason"]
     assert known.startswith("at the goal ")
     assert "touches ball by" in known
+    reasons = []
+    for goal in ROWS[:12]:
+        ends = ENDS | {"goal": json.dumps(goal.tolist()), "time_limit_s": "0.5", "max_risk": "0.0"}
+        reasons.append(ask(api, page="/plan", **ends).json()["reason"])
+    causes = (
+        "at the goal ", "at the start ", "the goal is expected to touch", "the least risk found is",
+        "separate parts",
+    )  # fmt: skip
+    assert [one for one in reasons if one and not any(cause in one for cause in causes)] == []
+    assert any("0 was allowed" in one for one in reasons if one)
