@@ -46,6 +46,8 @@ _ALLOWED = (
 _UNDECLARED = etree.ErrorTypes.NS_ERR_UNDEFINED_NAMESPACE
 # Members that reach others by their text, or types.
 _FORBIDDEN = {"format", "format_map", "mro"}
+# Larger ones, as in 9**9**9, take all the time that there is.
+_EXPONENT = re.compile(r"-?\d\d?(\.\d+)?")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -299,11 +301,15 @@ def check(expression: str) -> None:
     """Refuse an expression of xacro that could do more than compute.
 
     Raises:
-        ValueError: it has a part that is not on the list, or a member that begins with an underscore.
+        ValueError: it has a part that is not on the list, a member that begins with an underscore, or a
+            large exponent.
     """
     for node in ast.walk(ast.parse(expression.strip(), mode="eval")):
         name = node.attr if isinstance(node, ast.Attribute) else ""
         name = name or (node.id if isinstance(node, ast.Name) and node.id.startswith("__") else "")
+        power = isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow)
+        if power and not _EXPONENT.fullmatch(ast.unparse(node.right)):
+            raise ValueError(f"an exponent is no number below 100: {expression[:100]}")
         if not isinstance(node, _ALLOWED) or name.startswith("_") or name in _FORBIDDEN:
             part = name or type(node).__name__
             raise ValueError(f"{part} is not allowed in an expression: {expression[:100]}")
