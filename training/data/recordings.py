@@ -318,7 +318,7 @@ def _views(
                 continue
             (folder / f"{count:04d}-{stamp}.view").write_bytes(file)
             yield RecordedView(stamp, None if state is None else tuple(state.tolist()), image)
-            count, next_ns = count + 1, stamp + max(1.0, 1e9 * options.every_s)
+            count, next_ns = count + 1, stamp + max(1, round(1e9 * options.every_s))
             if count == options.most:
                 return
 

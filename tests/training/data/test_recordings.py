@@ -288,6 +288,13 @@ def refused(tmp_path, bag, message, world=WORLD, **options):
     assert [one for one in tmp_path.iterdir() if one.name.startswith((".write", "out"))] == []
 
 
+def test_two_pictures_of_one_time_are_one(tmp_path):
+    bag = usual(pictures=False)
+    bag.add("/camera/depth/image_rect_raw", "image", image(0.1), image(0.1), image(0.2))
+    found = import_recording(bag.write(tmp_path / "bag"), tmp_path / "out", world=WORLD, options=OPTIONS)
+    assert found.views == 2
+
+
 def test_another_camera_robot_or_compression_is_refused_by_its_names(tmp_path):
     other = "/second/depth/image_rect_raw"
     for number, (bag, message, options) in enumerate(
