@@ -12,7 +12,7 @@ from pydantic import Field
 from cspace.errors import ScenarioError
 from cspace.files import LEFT_OUT, Record, read_object, validated
 from cspace.space import JointSpace, is_range
-from cspace.worlds.spatial.poses import MAX_OFFSET_M, SAME, Frame, Offset, Vector, moved, turn
+from cspace.worlds.spatial.poses import MAX_OFFSET_M, SAME, Frame, Offset, Vector, moved
 
 _UNIT = 1e-9
 # The name of its frame.
@@ -156,14 +156,15 @@ class SerialArm(Record):
 
     def link_frames(self, configurations: ArrayLike) -> NDArray[np.float64]:
         """Forward kinematics: (N, d) rad to the links' frames in the base's, (N, d + 1, 4, 4), m."""
-        rows = np.asarray(configurations, dtype=np.float64)
+        rows, (origins, _, crosses) = np.asarray(configurations, dtype=np.float64), joint_arrays(self)
+        angles, own = rows[..., None, None], np.zeros((len(rows), self.dim, 4, 4))
+        # Rodrigues' formula.
+        own[..., :3, :3] = np.eye(3) + np.sin(angles) * crosses + (1.0 - np.cos(angles)) * (crosses @ crosses)
+        own[..., 3, 3] = 1.0
         frames = np.empty((len(rows), self.dim + 1, 4, 4))
         frames[:, 0] = np.eye(4)
-        for index, joint in enumerate(self.joints):
-            own = np.zeros((len(rows), 4, 4))
-            own[:, :3, :3] = turn(joint.axis, rows[:, index])
-            own[:, 3, 3] = 1.0
-            frames[:, index + 1] = frames[:, index] @ joint.origin.matrix() @ own
+        for index, origin in enumerate(origins):
+            frames[:, index + 1] = frames[:, index] @ origin @ own[:, index]
         return frames
 
     def tool_frames(self, configurations: ArrayLike) -> NDArray[np.float64]:
@@ -219,7 +220,7 @@ class SerialArm(Record):
 
     def spheres_m(self) -> NDArray[np.float64]:
         """Centre in its link's frame and radius of every sphere, (S, 4), in the order of the parts."""
-        return np.concatenate([np.empty((0, 4)), *(np.asarray(part.spheres_m) for part in self.parts)])
+        return _spheres(self)
 
     def own_radii_m(self) -> NDArray[np.float64]:
         """(S,) radii by which the arm's parts are held apart from each other."""
@@ -244,6 +245,21 @@ class SerialArm(Record):
         if (kind := members.pop("kind")) != KIND:
             raise ScenarioError("the robot is unknown", expected=KIND, got=repr(kind)[:200])
         return read_object(cls, members, "the robot", ScenarioError)
+
+
+@lru_cache(maxsize=16)
+def joint_arrays(arm: SerialArm) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Joints' frames (d, 4, 4) in those of the links before, their axes (d, 3), and these as cross products."""
+    axes = np.asarray([joint.axis for joint in arm.joints], dtype=np.float64)
+    crosses = np.swapaxes(np.cross(axes[:, None], np.eye(3)), 1, 2)
+    return np.stack([joint.origin.matrix() for joint in arm.joints]), axes, crosses
+
+
+@lru_cache(maxsize=16)
+def _spheres(arm: SerialArm) -> NDArray[np.float64]:
+    found = np.concatenate([np.empty((0, 4)), *(np.asarray(part.spheres_m) for part in arm.parts)])
+    found.setflags(write=False)
+    return found
 
 
 def ready_rad(arm: SerialArm) -> NDArray[np.float64]:

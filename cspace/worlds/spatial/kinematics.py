@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from cspace.kernel_cache import njit
 from cspace.planning.kernels import gap
 from cspace.space import JointSpace
-from cspace.worlds.spatial.arm import SerialArm
+from cspace.worlds.spatial.arm import SerialArm, joint_arrays
 
 
 class ArmArrays(NamedTuple):
@@ -30,20 +30,13 @@ class ArmArrays(NamedTuple):
 
 
 @lru_cache(maxsize=16)
-def _joints(arm: SerialArm) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Frames (d, 4, 4) and axes (d, 3) of an arm's joints."""
-    origins = np.stack([joint.origin.matrix() for joint in arm.joints])
-    return origins, np.asarray([joint.axis for joint in arm.joints])
-
-
-@lru_cache(maxsize=16)
 def arm_arrays(arm: SerialArm) -> ArmArrays:
     """The arrays of an arm."""
     spheres = arm.spheres_m()
     numbers = {part.name: index for index, part in enumerate(arm.parts)}
     pairs = [(numbers[first], numbers[second]) for first, second in arm.touching]
     bounds = [_bound(np.asarray(part.spheres_m)) for part in arm.parts]
-    origins, axes = _joints(arm)
+    origins, axes, _ = joint_arrays(arm)
     overlaps: list[Any] = [part.overlap_m for part in arm.parts]
     return ArmArrays(
         origins=origins,
@@ -210,7 +203,7 @@ def aligned(
 
 
 def _chain(arm: SerialArm, space: JointSpace, tool: NDArray[np.float64]) -> _Chain:
-    origins, axes = _joints(arm)
+    origins, axes, _ = joint_arrays(arm)
     return _Chain(origins, axes, tool, *limit_arrays(space))
 
 
