@@ -249,7 +249,7 @@ class SerialArm(Record):
 
 @lru_cache(maxsize=16)
 def joint_arrays(arm: SerialArm) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Joints' frames (d, 4, 4) in those of the links before, their axes (d, 3), and these as cross products."""
+    """Joints' frames (d, 4, 4) in those of the links before, axes (d, 3), and these as cross products."""
     axes = np.asarray([joint.axis for joint in arm.joints], dtype=np.float64)
     crosses = np.swapaxes(np.cross(axes[:, None], np.eye(3)), 1, 2)
     return np.stack([joint.origin.matrix() for joint in arm.joints]), axes, crosses
