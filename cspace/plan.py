@@ -77,8 +77,7 @@ class Seen:
     predict: Predict  # what the model says of configurations
     plan_calibration: tuple[float, float] = (0.0, 1.0)  # (a, b), see :mod:`cspace.planning.cost`
     known: Known | None = None  # beside the picture
-    # (X, Y, Z), probability of each voxel, where a model tells; asked for when paths are found
-    occupancy: Callable[[], NDArray[np.float16]] | None = None
+    occupancy: NDArray[np.float16] | None = None  # (X, Y, Z), probability of each voxel, where a model tells
 
     def beside(self, unseen: Any, predict: Predict) -> Predict:
         """``predict`` times the chance that nothing is touched in the unseen space of a model's occupancy."""
@@ -223,34 +222,33 @@ def search_paths(
 
     The query's time is of computing, for the search; where it does not run out, it changes no path.
     """
-    seen_free = seen_checkers(seen.world, seen.picture, ends, seen.known)
+    checkers = seen_checkers(seen.world, seen.picture, ends, seen.known)
     # Before the time counts.
-    load_kernels(seen_free[0], ends[0], STEP_RAD)
+    load_kernels(checkers[0], ends[0], STEP_RAD)
     began = time.monotonic()
     until_s = time.thread_time() + query.time_limit_s
-    checkers, goals, reason = _constrained(seen.world, seen_free, ends, query)
+    careful, unseen = 0, None
+    if seen.occupancy is not None:
+        unseen = unseen_space(seen.world, seen.picture, seen.occupancy, ends, seen.known)
+        checkers, careful = [unseen.careful_checker(), *checkers], 1
+    checkers, goals, reason = _constrained(seen.world, checkers, ends, query)
     if reason is not None:
         took_ms = 1e3 * (time.monotonic() - began)
         return Searched([], late=False, search_ms=took_ms, score_ms=0.0, reason=reason)
     # The model takes circles in [-pi, pi).
     own = seen.world.space
     predict = seen.predict if query.limits is None else lambda rows: seen.predict(own.to_float32(rows))
-    search = partial(
-        find_paths,
-        start=ends[0],
-        goal=goals,
-        seed=query.seed,
-        until_s=until_s,
-        check_cancelled=check_cancelled,
-    )
-    found = search(checkers, count=query.ways)
-    paths = found.paths
-    if paths and seen.occupancy is not None:
-        unseen = unseen_space(seen.world, seen.picture, seen.occupancy(), ends, seen.known)
+    if unseen is not None:
         predict = seen.beside(unseen, predict)
+    search = partial(find_paths, start=ends[0], goal=goals, seed=query.seed, until_s=until_s)
+    found = search(checkers[careful:], count=query.ways, check_cancelled=check_cancelled)
+    paths = found.paths
+    if paths and careful:
         # The ways that a careful robot would take, if there are any.
-        careful, _, _ = _constrained(seen.world, [unseen.careful_checker(), seen_free[-1]], ends, query)
-        paths = [*search(careful[:1], count=CAREFUL_PATHS, limits=CAREFUL).paths, *paths]
+        more = search(
+            checkers[:careful], count=CAREFUL_PATHS, limits=CAREFUL, check_cancelled=check_cancelled
+        )
+        paths = [*more.paths, *paths]
     searched = time.monotonic()
     space = checkers[0].space
     # The robot stands at its start.

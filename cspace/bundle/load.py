@@ -3,7 +3,6 @@
 import math
 import time
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import replace
 from functools import cache
@@ -231,15 +230,9 @@ class Bundle:
         seen = self._head().seen(self.spec, picture, check_cancelled)
         if calibration is not None:
             seen = replace(seen, plan_calibration=calibration)
-        if picture.occupancy is None:
-            return plan(seen, ends, fitted_plan(self.spec, query), check_cancelled)
-        # The field, on another core, while paths are looked for.
-        beside = ThreadPoolExecutor(1)
-        try:
-            seen = replace(seen, occupancy=beside.submit(picture.occupancy).result)
-            return plan(seen, ends, fitted_plan(self.spec, query), check_cancelled)
-        finally:
-            beside.shutdown(wait=False)
+        if picture.occupancy is not None:
+            seen = replace(seen, occupancy=picture.occupancy())
+        return plan(seen, ends, fitted_plan(self.spec, query), check_cancelled)
 
     def golden_answer(self, image: NDArray[np.uint8], query: SampleQuery) -> SampleSet:
         """:meth:`answer`, or uniform samples where they are searched for, which needs more packages."""
