@@ -298,12 +298,7 @@ def _is_file(path: Path) -> bool:
 
 
 def check(expression: str) -> None:
-    """Refuse an expression of xacro that could do more than compute.
-
-    Raises:
-        ValueError: it has a part that is not on the list, a member that begins with an underscore, or a
-            large exponent.
-    """
+    """Raise ValueError for an expression of xacro that could do more than compute, or compute for long."""
     for node in ast.walk(ast.parse(expression.strip(), mode="eval")):
         name = node.attr if isinstance(node, ast.Attribute) else ""
         name = name or (node.id if isinstance(node, ast.Name) and node.id.startswith("__") else "")
