@@ -302,8 +302,8 @@ def check(expression: str) -> None:
     for node in ast.walk(ast.parse(expression.strip(), mode="eval")):
         name = node.attr if isinstance(node, ast.Attribute) else ""
         name = name or (node.id if isinstance(node, ast.Name) and node.id.startswith("__") else "")
-        power = isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow)
-        if power and not _EXPONENT.fullmatch(ast.unparse(node.right)):
+        exponent = node.right if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow) else None
+        if exponent is not None and not _EXPONENT.fullmatch(ast.unparse(exponent)):
             raise ValueError(f"an exponent is no number below 100: {expression[:100]}")
         if not isinstance(node, _ALLOWED) or name.startswith("_") or name in _FORBIDDEN:
             part = name or type(node).__name__
