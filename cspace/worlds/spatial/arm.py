@@ -12,7 +12,7 @@ from pydantic import Field
 from cspace.errors import ScenarioError
 from cspace.files import LEFT_OUT, Record, read_object, validated
 from cspace.space import JointSpace, is_range
-from cspace.worlds.spatial.poses import MAX_OFFSET_M, SAME, Frame, Offset, Vector, moved
+from cspace.worlds.spatial.poses import MAX_OFFSET_M, SAME, Frame, Offset, Vector, moved, turn
 
 _UNIT = 1e-9
 # The name of its frame.
@@ -156,10 +156,9 @@ class SerialArm(Record):
 
     def link_frames(self, configurations: ArrayLike) -> NDArray[np.float64]:
         """Forward kinematics: (N, d) rad to the links' frames in the base's, (N, d + 1, 4, 4), m."""
-        rows, (origins, _, crosses) = np.asarray(configurations, dtype=np.float64), joint_arrays(self)
-        angles, own = rows[..., None, None], np.zeros((len(rows), self.dim, 4, 4))
-        # Rodrigues' formula.
-        own[..., :3, :3] = np.eye(3) + np.sin(angles) * crosses + (1.0 - np.cos(angles)) * (crosses @ crosses)
+        rows, (origins, axes) = np.asarray(configurations, dtype=np.float64), joint_arrays(self)
+        own = np.zeros((len(rows), self.dim, 4, 4))
+        own[..., :3, :3] = turn(axes, rows)
         own[..., 3, 3] = 1.0
         frames = np.empty((len(rows), self.dim + 1, 4, 4))
         frames[:, 0] = np.eye(4)
@@ -248,11 +247,10 @@ class SerialArm(Record):
 
 
 @lru_cache(maxsize=16)
-def joint_arrays(arm: SerialArm) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Joints' frames (d, 4, 4) in those of the links before, axes (d, 3), and these as cross products."""
-    axes = np.asarray([joint.axis for joint in arm.joints], dtype=np.float64)
-    crosses = np.swapaxes(np.cross(axes[:, None], np.eye(3)), 1, 2)
-    return np.stack([joint.origin.matrix() for joint in arm.joints]), axes, crosses
+def joint_arrays(arm: SerialArm) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Frames (d, 4, 4) of an arm's joints in those of the links before them, and their axes (d, 3)."""
+    origins = np.stack([joint.origin.matrix() for joint in arm.joints])
+    return origins, np.asarray([joint.axis for joint in arm.joints], dtype=np.float64)
 
 
 @lru_cache(maxsize=16)

@@ -36,7 +36,7 @@ def arm_arrays(arm: SerialArm) -> ArmArrays:
     numbers = {part.name: index for index, part in enumerate(arm.parts)}
     pairs = [(numbers[first], numbers[second]) for first, second in arm.touching]
     bounds = [_bound(np.asarray(part.spheres_m)) for part in arm.parts]
-    origins, axes, _ = joint_arrays(arm)
+    origins, axes = joint_arrays(arm)
     overlaps: list[Any] = [part.overlap_m for part in arm.parts]
     return ArmArrays(
         origins=origins,
@@ -203,7 +203,7 @@ def aligned(
 
 
 def _chain(arm: SerialArm, space: JointSpace, tool: NDArray[np.float64]) -> _Chain:
-    origins, axes, _ = joint_arrays(arm)
+    origins, axes = joint_arrays(arm)
     return _Chain(origins, axes, tool, *limit_arrays(space))
 
 

@@ -179,9 +179,8 @@ SAME = Frame()
 
 
 def turn(axis: ArrayLike, angle_rad: ArrayLike) -> NDArray[np.float64]:
-    """Rotations about one unit axis (3,) by angles (...) rad, (..., 3, 3), by Rodrigues' formula."""
-    x, y, z = np.asarray(axis, dtype=np.float64)
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    """Rotations about unit axes (3,) or (..., 3) by angles (...) rad, (..., 3, 3), by Rodrigues' formula."""
+    cross = np.cross(np.eye(3), np.asarray(axis, dtype=np.float64)[..., None, :])
     angle = np.asarray(angle_rad, dtype=np.float64)[..., None, None]
     return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross))
 
